@@ -82,7 +82,9 @@ def check_range(name: str, value: Any, low: float, high: float) -> None:
     """Raise InputError unless a value is a number in [low, high]."""
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (number and low <= value <= high):
-        raise InputError(f"{name} = {shown(value)} is outside [{low:g}, {high:g}]")
+        raise InputError(
+            f"{name} = {shown(value)} is outside [{low:g}, {high:g}]: give a value in this range"
+        )
 
 
 def check_type(name: str, value: Any, kinds: Any, remedy: str) -> None:

@@ -155,9 +155,7 @@ def test_c_program_agrees_with_float64(c_egl: Path, tmp_path: Path):
         (["sphere.ppm", "1;2"], "1;2 is not a pixel"),
     ],
 )
-def test_c_program_prints_errors(
-    c_egl: Path, tmp_path: Path, arguments: list[str], message: str
-):
+def test_c_program_prints_errors(c_egl: Path, tmp_path: Path, arguments: list[str], message: str):
     program = c_egl / "sphere"
     result = subprocess.run([program, *arguments], cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 1

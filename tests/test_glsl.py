@@ -1,4 +1,4 @@
-"""The library as text: what the include scanner does, and flattened files on every target."""
+"""Tests the text of the shader library: includes, flattened files on every target, and headers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ ARGUMENTS |= {
 SAMPLER = {"vulkan": "layout(binding = 0) uniform sampler2D texels;"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
 LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
-# Every file, open and with its choices made.
+# Every file, without choices and with a lobe or a slope.
 CHOICES: list[tuple[str, lobes.AnyLobe | None, float | None]] = [
     *((name, None, None) for name in glsl.library()),
     *((name, lobe, m) for name in WITH_A_LOBE for lobe in LOBES for m in (None, 0.15, 0.3)),
@@ -57,7 +57,7 @@ SHADINGS = (
 )
 
 
-STAGES = {  # of a Vulkan program: what each declares, and what it makes of a float
+STAGES = {  # of a Vulkan program: declarations, and a statement that uses a float
     "vert": ("", "gl_Position = vec4({});"),
     "tesc": ("layout(vertices = 3) out;", "gl_out[gl_InvocationID].gl_Position = vec4({});"),
     "tese": ("layout(triangles) in;", "gl_Position = vec4({});"),
@@ -70,7 +70,7 @@ STAGES = {  # of a Vulkan program: what each declares, and what it makes of a fl
 
 
 def calls(name: str) -> str:
-    """The sum of all functions of a file, by a host that knows their signatures alone."""
+    """Return an expression that calls all functions of a file, made from their signatures."""
     values = []
     for function in functions():
         parameters = re.search(r"\((.*)\)", function.signature)[1].split(", ")
@@ -108,8 +108,10 @@ def test_every_shading_compiles_without_a_warning(target, tmp_path):
 
 
 def compile_all(target: glsl.Target, folder: Path, files: Sequence[tuple[str, str]]) -> None:
-    """Compile files, by name and text, and see no warning; a Vulkan program has one in each of its
-    stages, since starting the compiler takes longest."""
+    """Compile files, given as (name, text), without errors or warnings.
+
+    A Vulkan program has a file in each of its stages, because starting the compiler takes longest.
+    """
     stages = STAGES if target == "vulkan" else {"frag": ("out vec4 result;", STAGES["frag"][1])}
     paths = []
     for number, (name, text) in enumerate(files):
@@ -133,13 +135,13 @@ def run(command: Sequence[str | Path], folder: Path | None = None) -> None:
     if shutil.which(command[0]) is None:
         missing(f"{command[0]} is not installed")
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
-    said = done.stdout + done.stderr
-    assert done.returncode == 0, said
-    assert "WARNING" not in said.upper(), said
+    output = done.stdout + done.stderr
+    assert done.returncode == 0, output
+    assert "WARNING" not in output.upper(), output
 
 
 @pytest.mark.compiler
-def test_a_warning_would_be_seen(tmp_path):
+def test_compiler_warnings_fail(tmp_path):
     path = tmp_path / "x.frag"
     path.write_text(
         "#version 300 es\nprecision highp float;\nout float x;\nfloat f__x = 1.0;\nvoid main() {}\n"
@@ -168,9 +170,9 @@ def test_flattened_files_hold_each_file_once(name, lobe, m):
 
 
 @pytest.mark.parametrize("file", [*glsl.library(), "../printed/ward", "../printed/cook_torrance"])
-def test_every_hosts_preprocessor_understands_the_files(file):
-    """Those of naga, Babylon.js, PlayCanvas and Qt, which test_hosts.py and test_web.py run: each
-    of them is less than GLSL's in its own way."""
+def test_files_suit_every_hosts_preprocessor(file):
+    """The preprocessors of naga, Babylon.js, PlayCanvas and Qt each lack some features of GLSL's.
+    test_hosts.py and test_web.py run them."""
     path = fr.shader_dir() / f"facerender/{file}.glsl"
     for line in path.read_text(encoding="utf-8").split("\n"):
         if line.startswith("#include") and ".." not in file:
@@ -186,14 +188,14 @@ def test_every_hosts_preprocessor_understands_the_files(file):
 
 
 @pytest.mark.parametrize(("name", "lobe", "m"), [each for each in CHOICES if each[1]])
-def test_with_a_lobe_and_a_target_no_conditional_stands_in_another(name, lobe, m):
+def test_flattened_conditionals_are_not_nested(name, lobe, m):
     depth = 0
     for line in fr.shader_source(name, "es300", lobe=lobe, m=m).split("\n"):
         depth += line.startswith("#if") - line.startswith("#endif")
         assert depth in (0, 1), line
 
 
-def test_a_file_that_comes_twice_keeps_its_guard(tmp_path):
+def test_file_that_is_included_twice_keeps_its_guard(tmp_path):
     own = tmp_path / "own.frag"
     ward = '#include "facerender/ward.glsl"\n'
     own.write_text(f"#if X == 1\n{ward}#endif\n{ward}")
@@ -208,7 +210,7 @@ def evaluate(egl: Backend) -> Iterator[Evaluator]:
 
 
 @pytest.mark.parametrize(("lobe", "m"), [*((lobe, 0.3) for lobe in LOBES), ("exact", 0.15)])
-def test_with_a_constant_slope_the_callers_does_not_count(evaluate, lobe, m):
+def test_constant_slope_replaces_that_of_the_caller(evaluate, lobe, m):
     inputs = directions(np.full(5000, m, np.float32), lowest=0.02)
     vectors = [inputs[axis].astype(float) for axis in "nlv"]
     for name, call, expected in (
@@ -270,7 +272,7 @@ def test_a_lobe_alone_has_constants_for_both_models(evaluate, k):
         np.testing.assert_allclose(result, lobes.lobe(lobe, c, 0.3, k), atol=1e-5)
 
 
-def test_a_shader_of_ones_own_is_flattened(tmp_path):
+def test_shaders_of_users_are_flattened(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts/light.glsl").write_text('#include "color.glsl"\nvec3 light;\n')
     (tmp_path / "parts/color.glsl").write_text("#include <facerender/ward.glsl>\nvec3 color;\n")
@@ -296,7 +298,7 @@ def test_a_shader_of_ones_own_is_flattened(tmp_path):
         fr.shader_source(str(own), "es300")
 
 
-def test_branches_that_macros_decide_are_left_out():
+def test_branches_decided_by_macros_are_removed():
     text = """#define A 2
 #define B A
 #if B == 2 && defined(A)
@@ -385,7 +387,7 @@ yes15
     assert fr.resolve_includes(text) == text, "conditions are the compiler's"
 
 
-def test_an_include_in_a_branch_does_not_stand_for_one_outside():
+def test_include_in_a_branch_does_not_replace_one_outside():
     ward = '#include "facerender/ward.glsl"\n'
     definition = "float fr_ward("
     assert fr.resolve_includes(ward + ward).count(definition) == 1
@@ -396,7 +398,7 @@ def test_an_include_in_a_branch_does_not_stand_for_one_outside():
     assert fr.resolve_includes(f"#if 1\n{ward}#endif\n{ward}").count(definition) == 2
 
 
-def test_compilers_count_lines_as_in_the_file(evaluate):
+def test_compiler_messages_have_the_line_of_the_file(evaluate):
     text = '#version 330 core\n#include "facerender/ward.glsl"\n#if FR_K_WARD\n\n#endif\nnonsense\n'
     with evaluate.gl as gl, pytest.raises(moderngl.Error, match=r"0:6\(\d+\): "):
         gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
@@ -413,14 +415,14 @@ def test_compilers_count_lines_as_in_the_file(evaluate):
     assert "#line 3 0" in body, "behind the include of the text itself"
 
 
-def test_lines_count_behind_an_include_in_a_branch(evaluate):
+def test_line_numbers_after_an_include_in_a_branch(evaluate):
     ward = '#include "facerender/ward.glsl"\n'
     text = f"#version 330 core\n#ifdef X\n{ward}#else\n\n#endif\nnonsense\n"
     with evaluate.gl as gl, pytest.raises(moderngl.Error, match=r"0:7\(\d+\): "):
         gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
 
 
-def test_a_default_at_the_top_of_a_file_is_no_include_guard():
+def test_default_macro_is_not_an_include_guard():
     default = "#ifndef FR_LOBE\n#define FR_LOBE FR_LOBE_D16\n#endif\n"
     preprocessor = Preprocessor(fr.shader_dir())
     preprocessor.append(default + '#include "facerender/lobe.glsl"\n')
@@ -446,7 +448,7 @@ ends */
         assert lines[-3:-1] == ["/* not closed", '#include "nothing.glsl"']
 
 
-def test_one_file_by_two_paths_comes_once(tmp_path):
+def test_file_with_two_paths_is_included_once(tmp_path):
     (tmp_path / "link.glsl").symlink_to(fr.shader_dir() / "facerender/ward.glsl")
     own = tmp_path / "own.glsl"
     own.write_bytes(b'\xef\xbb\xbf#include "link.glsl"\r\n#include "facerender/ward.glsl"\r\n')
@@ -495,7 +497,7 @@ def test_own_files_and_choices(tmp_path):
 @pytest.mark.parametrize(
     ("lobe", "m", "plain"), [("exact", 0.2, True), ("exact", 0.19, False), ("d16", 0.3, False)]
 )
-def test_a_constant_slope_picks_the_cheaper_form(lobe, m, plain):
+def test_constant_slope_selects_the_cheaper_form(lobe, m, plain):
     text = fr.shader_source("ward", lobe=lobe, m=m)
     assert ("#define FR_SMALL_SLOPE 0\n" in text) == plain
 
@@ -528,7 +530,7 @@ def test_errors_name_file_and_line(tmp_path):
         fr.resolve_includes('\n#include "facerender/ggx.glsl"')
 
 
-def test_choices_that_cannot_be(tmp_path):
+def test_invalid_choices_are_refused(tmp_path):
     for message, arguments in (
         ("unknown shader 'ggx'; known: albedo, constants, cook_torrance, ", {"name": "ggx"}),
         ("unknown target '120'; known: 330, es300, vulkan", {"name": "ward", "target": "120"}),
@@ -574,14 +576,14 @@ def test_moderngl_programs_may_include(evaluate):
 
 
 @pytest.mark.parametrize("function", functions(), ids=lambda function: function.name)
-def test_headers_say_everything(function):
+def test_headers_are_complete(function):
     assert function.summary.endswith(".")
     assert all(function.parameters.values())
     assert all((function.formula, function.unit, function.error, function.source))
 
 
 def test_every_symbol_carries_the_prefix():
-    """No name of a user's own can collide: what a file declares, and its macros."""
+    """Functions and macros of the library must not collide with names of the user."""
     for name in glsl.library():
         text = (fr.shader_dir() / f"facerender/{name}.glsl").read_text()
         code = re.sub(r"//[^\n]*", "", text)

@@ -1,4 +1,5 @@
-"""Every feature of glTF in the reader's table, from files made by code: drawn, or warned of."""
+"""Tests every feature of glTF in the reader's table with generated files: it is rendered, or causes
+a warning."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def case(*names):
 
 
 class File:
-    """The small head as glTF, to be changed: accessors and images are added to it."""
+    """The small head as an editable glTF document, to which accessors and images can be added."""
 
     def __init__(self, **options):
         self.document, self.binary = files.gltf(mini_head(), **options)
@@ -61,7 +62,7 @@ class File:
         return len(self.document["accessors"]) - 1
 
     def texture(self, image, **more):
-        """Add a texture; return the use of it."""
+        """Add a texture; return a textureInfo object that refers to it."""
         buffer = BytesIO()
         image.save(buffer, "PNG")
         self.document["images"].append({"bufferView": self.view(buffer.getvalue())})
@@ -79,8 +80,8 @@ class File:
 
     def quiet(self, folder, **options):
         """Load without a warning."""
-        mesh, told = self.load(folder, **options)
-        assert told == []
+        mesh, messages = self.load(folder, **options)
+        assert messages == []
         return mesh
 
 
@@ -121,9 +122,9 @@ def _(folder):
 def _(folder):
     file = File()
     file.document["meshes"][0]["primitives"].append({**file.primitive, "mode": 1})
-    mesh, told = file.load(folder)
+    mesh, messages = file.load(folder)
     assert len(mesh.parts) == 1
-    assert told == ["a.glb has points, lines or vertices without positions: not drawn"]
+    assert messages == ["a.glb has points, lines or vertices without positions: not drawn"]
 
 
 @case("interleaved accessors")
@@ -153,7 +154,7 @@ def _(folder):
 
 @case("morph targets")
 def _(folder):
-    """Weights of the node go before those of the mesh; a target may be sparse, of all zeros."""
+    """Weights of the node override those of the mesh; a sparse target may have no base values."""
     head, file = mini_head(), File()
     count = len(head.positions)
     moves = np.tile(np.array([[0.0, 0.0, 2.0]], "<f4"), (count, 1))
@@ -185,7 +186,7 @@ def _(folder):
 
 @case("skins")
 def _(folder):
-    """Two joints, of which one turns its half of the vertices; the mesh's node does not count."""
+    """One of two joints turns its half of the vertices; the mesh node's transform is ignored."""
     head, file = mini_head(), File(nodes=({"translation": [50, 0, 0], "skin": 0},))
     half = (head.positions[:, 1] > np.median(head.positions[:, 1])).astype("<u1")
     joints = np.zeros((len(half), 4), "<u1")
@@ -199,10 +200,10 @@ def _(folder):
     ]
     file.document["scenes"][0]["nodes"] = [0, 1]
     inverse = np.stack([np.eye(4), np.eye(4)]).astype("<f4")
-    inverse[:, 3, 0] = -1.0  # columns come first: the joints stood at x = 1
+    inverse[:, 3, 0] = -1.0  # column-major: the joints were at x = 1
     skin = {"joints": [1, 2], "inverseBindMatrices": file.accessor(inverse)}
     file.document["skins"] = [skin]
-    part = file.load(folder)[0].parts[0]  # the neck is torn
+    part = file.load(folder)[0].parts[0]  # not quiet(): faces at the neck become distorted
     x, y, z = head.positions.T
     turned = np.stack([1.0 - y, 2.0 + x - 1.0, z], axis=1)
     expected = np.where(half[:, None] > 0, turned, head.positions)
@@ -235,7 +236,7 @@ def _(folder):
     same_shape(file.quiet(folder), plain())
 
 
-# --- what vertices bring -------------------------------------------------------------------------
+# --- vertex attributes ---------------------------------------------------------------------------
 
 
 @case("COLOR_0")
@@ -264,8 +265,8 @@ def _(folder):
     np.testing.assert_allclose(part.uv, head.uv, atol=1e-6)
     np.testing.assert_allclose(part.uv2, other * (1, -1) + (0, 1), atol=1e-6)
     file.material["normalTexture"] = {**file.texture(flat(128, 128, 255)), "texCoord": 2}
-    mesh, told = file.load(folder)
-    assert told == [
+    mesh, messages = file.load(folder)
+    assert messages == [
         "the occlusion map of a.glb needs a third set or transform of texture coordinates: "
         "ignored, a material can have two",
         "a.glb has no second texture coordinates: maps that use them are ignored",
@@ -277,7 +278,7 @@ def _(folder):
 
 @case("KHR_texture_transform")
 def _(folder):
-    """The README of the extension: this shows the lower left quarter of the image."""
+    """The transform shows the lower left quarter of the image, as in the extension's README."""
     head, file = mini_head(), File()
     own = {"offset": [0, 1], "rotation": math.pi / 2, "scale": [0.5, 0.5]}
     use = file.material["pbrMetallicRoughness"]["baseColorTexture"]
@@ -333,22 +334,22 @@ def _(folder):
     replaced.save(folder / "own.png")
     material = file.quiet(folder, albedo=folder / "own.png").materials[0]
     assert (material.alpha, material.alpha_cutoff) == ("blend", 0.5)
-    assert (texels(material.opacity_map) == 90).all()  # the file's, beside another albedo
+    assert (texels(material.opacity_map) == 90).all()  # of the file's own map
 
 
 @case("metallic")
 def _(folder):
-    said = ["a.glb has metallic materials: drawn as dielectrics, like skin"]
+    expected_warning = ["a.glb has metallic materials: drawn as dielectrics, like skin"]
     file = File()
     base = file.material["pbrMetallicRoughness"]
-    assert file.load(folder)[1] == []  # nothing said
+    assert file.load(folder)[1] == []  # no warning by default
     base["metallicFactor"] = 1.0
-    assert file.load(folder)[1] == said
+    assert file.load(folder)[1] == expected_warning
     base["metallicRoughnessTexture"] = file.texture(flat(0, 128, 5))
-    assert file.load(folder)[1] == []  # black, but for what JPEG leaves
+    assert file.load(folder)[1] == []  # nearly 0, as JPEG errors leave it
     base["metallicRoughnessTexture"] = file.texture(flat(0, 128, 255))
     del base["metallicFactor"]
-    assert file.load(folder)[1] == said
+    assert file.load(folder)[1] == expected_warning
     base["metallicFactor"] = 0.0
     assert file.load(folder)[1] == []
 
@@ -387,7 +388,7 @@ def _(folder):
 def _(folder):
     file = File()
     file.material["emissiveTexture"] = file.texture(flat(9, 8, 7))
-    assert file.quiet(folder).materials[0].emissive_map is None  # times 0
+    assert file.quiet(folder).materials[0].emissive_map is None  # its factor is 0
     file.material["emissiveFactor"] = [1, 0.5, 0]
     strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 4}}
     file.material["extensions"] = strength
@@ -440,12 +441,12 @@ def _(folder):
 @case("KHR_draco_mesh_compression")
 def _(folder):
     pytest.importorskip("DracoPy")
-    mesh, told = loaded(files.write_draco(folder / "a.glb", mini_head()))
-    assert told == []
+    mesh, messages = loaded(files.write_draco(folder / "a.glb", mini_head()))
+    assert messages == []
     np.testing.assert_allclose(mesh.bounds, plain().bounds, atol=1e-3)
 
 
-# Eight elements of 12 bytes, and two triangles, as meshoptimizer 1.3 encodes them.
+# Eight elements of 12 bytes, and two triangles, encoded by meshoptimizer 1.3.
 PACKED_VERTICES = (
     "a1767676008000ff002000dbdca2827400160082020200c000ffff000077f7c2ae687c001600"
     "04020200e000ffff8000908fe4a49870780128820000000000000000000000000000000000803f00008040000000"
@@ -487,7 +488,7 @@ def _(folder):
         path.write_bytes(files.join_glb(document, binary))
         part = loaded(path)[0].parts[0]
         np.testing.assert_array_equal(part.positions, vertices[: len(part.positions)])
-        assert len(part.positions) == 4  # those of faces
+        assert len(part.positions) == 4  # only vertices of faces stay
         assert {tuple(sorted(face)) for face in part.faces.tolist()} == {
             tuple(sorted(face)) for face in faces.tolist()
         }
@@ -526,7 +527,7 @@ def _(folder):
 @case("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds")
 def _(folder):
     for key in ("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"):
-        file = File()  # any image that is read will do
+        file = File()  # with a JPEG, since the test needs only a readable image
         file.document["textures"][0] = {"extensions": {key: {"source": 0}}}
         file.document["extensionsRequired"] = [key]
         assert file.quiet(folder).materials[0].albedo_map is not None
@@ -540,8 +541,8 @@ def _(folder):
     file.document["extensionsUsed"] = ["KHR_texture_basisu"]
     assert file.quiet(folder).materials[0].albedo_map is not None
     file.document["textures"][0] = {"extensions": other}
-    told = file.load(folder)[1]
-    assert told == [
+    messages = file.load(folder)[1]
+    assert messages == [
         "the albedo map of a.glb has no image in a supported format (KHR_texture_basisu): ignored"
     ]
     file.document["extensionsRequired"] = ["KHR_texture_basisu"]
@@ -579,10 +580,10 @@ def _(folder):
     file = File()
     own = {"diffuseFactor": [0.5, 0.5, 0.5, 1], "specularFactor": [1, 1, 1]}
     file.material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": own}
-    mesh, told = file.load(folder)
+    mesh, messages = file.load(folder)
     assert mesh.materials[0].albedo == (0.5, 0.5, 0.5)
-    assert len(told) == 1
-    assert "pbrSpecularGlossiness" in told[0]
+    assert len(messages) == 1
+    assert "pbrSpecularGlossiness" in messages[0]
 
 
 LAYERS = {
@@ -600,7 +601,7 @@ LAYERS = {
 def _(folder):
     for key, own in LAYERS.items():
         file = File(nodes=({}, {"translation": [9, 0, 0]}))
-        file.document["materials"].append({"extensions": {key: own}})  # two that have it
+        file.document["materials"].append({"extensions": {key: own}})  # two materials, one warning
         file.material["extensions"] = {key: own}
         file.document["meshes"].append({"primitives": [{**file.primitive, "material": 1}]})
         file.document["nodes"][1]["mesh"] = 1
@@ -624,7 +625,7 @@ def _(folder):
     file = File()
     file.document["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
     file.document["extensionsUsed"] = ["KHR_lights_punctual"]
-    file.quiet(folder)  # in no node
+    file.quiet(folder)  # no node uses the light
     file.node["extensions"] = {"KHR_lights_punctual": {"light": 0}}
     assert file.load(folder)[1] == ["a.glb has lights (KHR_lights_punctual): ignored; use --light"]
 
@@ -638,7 +639,7 @@ def _(folder):
     assert "requires the extension ACME_glow" in refused(file.write(folder))
 
 
-ONCE = {test: name for name, test in reversed(CASES.items())}  # a test may be of several features
+ONCE = {test: name for name, test in reversed(CASES.items())}  # a test may cover several features
 
 
 @pytest.mark.parametrize("test", ONCE, ids=ONCE.values())

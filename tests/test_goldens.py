@@ -1,8 +1,10 @@
-"""Small images of every shading, camera, term and kind of mesh, on each backend, against goldens.
+"""Tests small images of every shading, camera, term and kind of mesh against goldens, on each
+backend.
 
-``pytest tests/test_goldens.py --facerender-update-missing`` writes those that are missing: look at
-them. They were recorded on llvmpipe, with float albedo maps. Without maps other drivers agree
-within the strict limits as well; how a map is made smaller is a driver's own, and needs wider ones.
+``pytest tests/test_goldens.py --facerender-update-missing`` writes missing goldens; check them by
+eye. The goldens were recorded on llvmpipe, with float albedo maps. Without maps, other drivers
+agree within the strict limits. With maps they need wider limits, since drivers filter maps
+differently.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import ONLY, Only
 from tests import awkward_files as files
 from tests.conftest import missing, require_backend
-from tests.test_reference import SHADINGS, told
+from tests.test_reference import SHADINGS, shading_name
 
 SIZE = (128, 128)
 CLOSE = fr.Camera(azimuth=-30.0, elevation=5.0, zoom=1.25)
@@ -32,7 +34,7 @@ CAMERAS = {
     "above": fr.Camera(azimuth=35.0, elevation=60.0),
     "below": fr.Camera(azimuth=-30.0, elevation=-20.0, fov=60.0, zoom=1.8),
 }
-STRICT = {"block": 1e-3}  # for float textures and one driver
+STRICT = {"block": 1e-3}  # limit for float textures and one driver
 MAPPED = {"point": 0.15, "block": 0.01}
 SLOPES = {"exact": 1.2, "fitted": 0.6, "d8": 0.15, "cosine": 0.15}
 
@@ -61,7 +63,7 @@ def small(backend: Backend) -> Iterator[fr.Renderer]:
 
 @pytest.fixture
 def agrees(facerender_snapshot) -> Compare:
-    """Compares with the golden that all backends share."""
+    """A function that compares a frame with its golden, which all backends share."""
 
     def check(frame: fr.Frame, name: str, maps: bool = False) -> None:
         wide = maps and not frame.metadata["GL_RENDERER"].startswith("llvmpipe")
@@ -71,10 +73,10 @@ def agrees(facerender_snapshot) -> Compare:
     return check
 
 
-@pytest.mark.parametrize("shading", SHADINGS, ids=told)
+@pytest.mark.parametrize("shading", SHADINGS, ids=shading_name)
 def test_shadings(small, meshes, agrees, shading):
     frame = small.render(fr.Scene(meshes["bare"], CLOSE), shading, "specular")
-    agrees(frame, f"bare-{told(shading)}")
+    agrees(frame, f"bare-{shading_name(shading)}")
 
 
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])
@@ -137,7 +139,7 @@ def test_goldens_hold_on_another_driver():
     tests = "egl and not (cameras or terms or printed)"
     command = [sys.executable, "-m", "pytest", "-p", "facerender.pytest_plugin", __file__]
     environment = {**os.environ, "GALLIUM_DRIVER": "softpipe"}
-    environment.pop("FACERENDER_REQUIRE_ALL", None)  # softpipe has no multisampling, as seen below
+    environment.pop("FACERENDER_REQUIRE_ALL", None)  # softpipe lacks multisampling
     result = subprocess.run(
         [*command, "-k", tests], env=environment, capture_output=True, text=True
     )

@@ -1,5 +1,5 @@
-"""facerender in other people's programs: after a fork, in threads, dropped without release, and
-with values of the wrong type."""
+"""Tests facerender inside other programs: after a fork, in threads, and with renderers and meshes
+that are dropped without release."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from tests.verification.fuzz.seeds import octahedron
 ROOT = Path(__file__).parents[1]
 
 
-# --- Fork ----------------------------------------------------------------------------------------
+# --- fork ----------------------------------------------------------------------------------------
 
 
 def digest(linear: np.ndarray) -> str:
@@ -47,30 +47,32 @@ def digest(linear: np.ndarray) -> str:
 
 
 def in_child(function: Callable[[], str]) -> str:
-    """Return what a function returns, or the error that it raises, in a child made by fork, which
-    is killed after four minutes."""
+    """Call a function in a forked child; return its result or the message of its error.
+
+    The child is killed after four minutes.
+    """
     fork = multiprocessing.get_context("fork")
     ours, its = fork.Pipe(duplex=False)
 
     def run() -> None:
-        signal.alarm(240)  # kills it
+        signal.alarm(240)  # kills this process
         try:
             its.send(function())
         except fr.FacerenderError as error:
             its.send(f"{type(error).__name__}: {error}")
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads beside a fork
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of fork with threads
         child = fork.Process(target=run)
         child.start()
     its.close()
     try:
-        told: str = ours.recv()
+        answer: str = ours.recv()
     except EOFError:
-        told = "no answer"
+        answer = "no answer"
     child.join()
-    assert child.exitcode == 0, f"{told}; the child ended with {child.exitcode}"
-    return told
+    assert child.exitcode == 0, f"{answer}; the child ended with {child.exitcode}"
+    return answer
 
 
 def draw(backend: str = "egl") -> str:
@@ -79,12 +81,12 @@ def draw(backend: str = "egl") -> str:
 
 @pytest.fixture(scope="module")
 def drawn(egl: Backend) -> Iterator[tuple[fr.Renderer, str]]:
-    """A renderer that has drawn the small head, and what."""
+    """A renderer that has drawn the small head, and the digest of its image."""
     with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
         yield renderer, digest(renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD))).linear)
 
 
-def test_a_child_draws_the_same(drawn):
+def test_forked_child_draws_the_same(drawn):
     assert in_child(lambda: draw("auto")) == drawn[1]
 
 
@@ -93,26 +95,26 @@ def test_a_child_draws_a_mesh_whose_maps_are_being_decoded(egl, tmp_path):
     Image.fromarray(texels).save(tmp_path / "skin.png")
     mesh = fr.load_mesh(MINI_HEAD, albedo=tmp_path / "skin.png")
     maps = [mesh.materials[0].albedo_map.levels(kind) for kind in ("color", "linear-color")]
-    told = in_child(lambda: digest(fr.render(mesh, size=(64, 64)).linear))
-    assert told == digest(fr.render(mesh, size=(64, 64), backend=egl).linear)
+    answer = in_child(lambda: digest(fr.render(mesh, size=(64, 64)).linear))
+    assert answer == digest(fr.render(mesh, size=(64, 64), backend=egl).linear)
     assert all(levels.done() for levels in maps)
 
 
-def test_a_childs_child_is_told_what_to_do(drawn):
+def test_child_of_a_child_is_refused_with_a_remedy(drawn):
     def draw_and_fork() -> str:
         return " ".join([draw(), in_child(draw)])
 
-    own, told = in_child(draw_and_fork).split(maxsplit=1)
+    own, answer = in_child(draw_and_fork).split(maxsplit=1)
     assert own == drawn[1]
-    assert told.startswith("ContextError: no OpenGL context (egl: it was in use before this")
-    assert told.endswith("start processes by spawn or forkserver (multiprocessing.get_context), "
+    assert answer.startswith("ContextError: no OpenGL context (egl: it was in use before this")
+    assert answer.endswith("start processes by spawn or forkserver (multiprocessing.get_context), "
                          "not by fork")  # fmt: skip
     assert in_child(lambda: in_child(draw)) == drawn[1], (
         "a child that has not drawn does not stand in the way"
     )
 
 
-def test_a_renderer_of_before_the_fork_is_refused(drawn):
+def test_renderer_created_before_a_fork_is_refused(drawn):
     renderer, expected = drawn
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
 
@@ -130,31 +132,31 @@ def test_osmesa_is_refused_after_a_fork(drawn):
     from tests.conftest import require_backend
 
     require_backend("osmesa")
-    told = in_child(lambda: draw("osmesa"))
-    assert told.startswith("ContextError: no OpenGL context (osmesa: it was in use before this")
+    answer = in_child(lambda: draw("osmesa"))
+    assert answer.startswith("ContextError: no OpenGL context (osmesa: it was in use before this")
 
 
-def test_a_hosts_context_is_refused_after_a_fork(egl):
+def test_context_of_a_host_is_refused_after_a_fork(egl):
     host = create_context(egl)
     with host.gl as gl:
         target = gl.framebuffer([gl.renderbuffer((64, 64), 4)])
-        target.clear(0.25, 0.5, 0.75, 1.0)  # is not finished yet
-        told = in_child(lambda: draw("current"))
+        target.clear(0.25, 0.5, 0.75, 1.0)  # not finished before the fork
+        answer = in_child(lambda: draw("current"))
         own = in_child(draw)
         assert target.read(components=4)[:4] == bytes([64, 128, 191, 255])
     host.release()
-    assert told.startswith("ContextError: no OpenGL context (current: no EGL, GLX or OSMesa")
+    assert answer.startswith("ContextError: no OpenGL context (current: no EGL, GLX or OSMesa")
     assert own == draw()
 
 
 def test_a_gpu_is_refused_after_a_fork(drawn, monkeypatch):
     monkeypatch.setitem(contexts._opened, "egl", False)
-    told = in_child(draw)
-    assert told.startswith("ContextError: no OpenGL context (egl: it was in use before this")
+    answer = in_child(draw)
+    assert answer.startswith("ContextError: no OpenGL context (egl: it was in use before this")
 
 
-def test_a_child_draws_where_somebody_else_has_drawn_before_the_fork(drawn):
-    """As a program that has made a context of its own before it calls facerender."""
+def test_child_draws_after_the_parent_used_another_context(drawn):
+    """The parent created a context of its own before it called facerender."""
     code = """
 import sys, moderngl, faulthandler, os
 import facerender as fr
@@ -183,13 +185,13 @@ def test_maps_are_decoded_in_a_child(drawn):
     assert in_child(decode) == decode()
 
 
-def test_an_evaluator_of_before_the_fork_is_refused(egl):
+def test_evaluator_created_before_a_fork_is_refused(egl):
     numbers = {"x": np.ones(4, np.float32)}
     evaluate = Evaluator(create_context(egl).gl)
     assert (evaluate("", "2.0 * x", numbers) == 2.0).all()
-    told = in_child(lambda: str(evaluate("", "2.0 * x", numbers)))
+    answer = in_child(lambda: str(evaluate("", "2.0 * x", numbers)))
     evaluate.release()
-    assert told.startswith("ContextError: this renderer was created before a fork")
+    assert answer.startswith("ContextError: this renderer was created before a fork")
 
 
 def test_levels_and_occlusion_in_a_child():
@@ -197,11 +199,11 @@ def test_levels_and_occlusion_in_a_child():
         baked = fr.with_occlusion(fr.simplified(fr.load_mesh(MINI_HEAD), 300))
         return digest(fr.simplified(baked, 250).parts[0].positions)
 
-    work()  # in this process first
+    work()  # loads the libraries in this process before the fork
     assert in_child(work) == work()
 
 
-# --- Threads and renderers that are dropped ------------------------------------------------------
+# --- threads and dropped renderers ---------------------------------------------------------------
 
 
 def test_threads_share_a_renderer(backend):
@@ -225,38 +227,37 @@ def test_threads_draw_with_renderers_of_their_own(backend):
 
 
 def resident() -> int:
-    """Of the process, MiB."""
+    """Return the resident memory of this process in MiB."""
     gc.collect()
-    ctypes.CDLL(None).malloc_trim(0)  # what it has not given back comes and goes
+    ctypes.CDLL(None).malloc_trim(0)  # free memory that malloc retains varies
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") >> 20
 
 
 def drop(scene: fr.Scene, backend: Backend) -> None:
-    """Draw, and forget the renderer."""
+    """Draw, and drop the renderer without release."""
     fr.Renderer((64, 64), samples=1, backend=backend).render(scene)
 
 
-def test_dropped_renderers_free_what_they_have(backend):
+def test_dropped_renderers_free_their_memory(backend):
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     held = []
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as answer:
         warnings.simplefilter("always")
         for _ in range(3):
             for _ in range(4):
                 drop(scene, backend)
             held.append(resident())
-    assert [warning.category for warning in told] == [ResourceWarning] * 12
-    assert "dropped without release(): create it in a with statement" in str(told[0].message)
-    assert held[2] - held[1] < 16  # 12 MiB each, before they were freed
+    assert [warning.category for warning in answer] == [ResourceWarning] * 12
+    assert "dropped without release(): create it in a with statement" in str(answer[0].message)
+    assert held[2] - held[1] < 16  # without freeing, each took 12 MiB
 
 
 @pytest.mark.parametrize("write", [write_glb, write_textured_obj, write_ply, write_stl])
-def test_what_a_file_was_read_to_goes_with_its_mesh(
+def test_loaded_data_is_freed_with_its_mesh(
     write: Callable[[Path, Head], Path], tmp_path: Path
 ) -> None:
-    """Also where the garbage collector does not come; of trimesh its arrays are looked at."""
-
+    """This needs no garbage collection. Textures and arrays of trimesh are counted."""
     from trimesh.caching import TrackedArray
 
     def held() -> int:
@@ -278,8 +279,8 @@ def test_what_a_file_was_read_to_goes_with_its_mesh(
 
 
 @pytest.mark.parametrize("shading", [fr.Shading(), fr.Shading(m=0.3)], ids=["own m", "one m"])
-def test_meshes_that_are_dropped_go(shading: fr.Shading, backend):
-    """With their parts and maps, and what was made of them, while the renderer stays."""
+def test_dropped_meshes_are_freed(shading: fr.Shading, backend):
+    """Their parts, maps and simplified meshes are freed, too, while the renderer exists."""
     with fr.Renderer((64, 64), backend=backend) as renderer:
         mesh = fr.load_mesh(MINI_HEAD)
         for each in (mesh, fr.simplified(mesh, 500)):
@@ -291,8 +292,8 @@ def test_meshes_that_are_dropped_go(shading: fr.Shading, backend):
         assert [one() for one in known] == [None] * len(known)
 
 
-def test_a_renderer_that_is_dropped_while_another_draws(backend, monkeypatch):
-    """As the garbage collector may do, in any thread at any time."""
+def test_renderer_may_be_dropped_while_another_draws(backend, monkeypatch):
+    """The garbage collector may drop a renderer in any thread at any time."""
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     with fr.Renderer((64, 64), backend=backend) as renderer:
         expected = renderer.render(scene).linear
@@ -307,7 +308,7 @@ def test_a_renderer_that_is_dropped_while_another_draws(backend, monkeypatch):
             np.testing.assert_array_equal(renderer.render(scene).linear, expected)
 
 
-def test_a_dropped_guest_frees_what_it_has_where_its_host_is_current(backend):
+def test_dropped_guest_frees_its_objects_in_the_host_context(backend):
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     host = create_context(backend)
     is_texture = host.function("glIsTexture", ctypes.c_uint, result=ctypes.c_ubyte)
@@ -328,7 +329,7 @@ def test_a_dropped_guest_frees_what_it_has_where_its_host_is_current(backend):
 
 @pytest.mark.parametrize("end", ["raise SystemExit(3)", "import os; os.fork() or exit()"])
 def test_the_interpreter_ends_without_noise(egl, end):
-    """A renderer is alive then, in a cycle, and decoding has begun."""
+    """At the end a renderer exists in a reference cycle, and maps are being decoded."""
     code = (
         "import facerender as fr\n"
         "renderer = fr.Renderer((32, 32))\n"
@@ -347,7 +348,7 @@ def test_the_interpreter_ends_without_noise(egl, end):
     assert (run.returncode, run.stdout, run.stderr) == (3 if "3" in end else 0, "", "")
 
 
-def test_programs_are_bounded_and_kept_while_they_are_used(egl, monkeypatch):
+def test_cached_programs_are_bounded(egl, monkeypatch):
     monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 4)
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:

@@ -1,4 +1,5 @@
-"""cook_torrance_half.glsl in half precision: its own lines, with NumPy's float16 for mediump."""
+"""Tests cook_torrance_half.glsl in half precision: NumPy evaluates its lines with float16 for
+mediump."""
 
 from __future__ import annotations
 
@@ -11,11 +12,11 @@ import facerender as fr
 from tests.verification.cases import cases_of, directions
 
 LINE = re.compile(r"^    (mediump )?(?:float|vec3) (\w+) = (.*?);(?:  //.*)?$", re.MULTILINE)
-LARGEST = 2.0**14  # that GLSL ES asks of mediump
+LARGEST = 2.0**14  # range that GLSL ES requires of mediump
 
 
 def evaluated(inputs: dict[str, np.ndarray], f0: float) -> np.ndarray:
-    """Run each line of the function in order, and then what it returns."""
+    """Evaluate each line of the function in order, and return its result."""
     text = (fr.shader_dir() / "facerender/cook_torrance_half.glsl").read_text(encoding="utf-8")
     body = text[text.index(") {") :]
     names = {
@@ -27,7 +28,7 @@ def evaluated(inputs: dict[str, np.ndarray], f0: float) -> np.ndarray:
     }
     lines = LINE.findall(body)
     assert len(lines) == body.count(" = ")
-    for half, name, expression in lines:  # sums of floats and halves are floats, as in GLSL
+    for half, name, expression in lines:  # float and half operands give float, as in GLSL
         value = eval(expression, {"__builtins__": {}}, names)
         names[name] = value.astype(np.float16) if half else value
         assert not half or np.abs(value).max() < LARGEST, name
@@ -35,14 +36,14 @@ def evaluated(inputs: dict[str, np.ndarray], f0: float) -> np.ndarray:
     return np.where(above, names["value"], 0.0)
 
 
-def test_halves_are_within_the_bound_of_the_header():
+def test_half_precision_is_within_the_bound_of_the_header():
     (case,) = cases_of("fr_cook_torrance_half").values()
     assert not case.fault(evaluated(case.inputs, 0.028))
     assert case.share(evaluated(case.inputs, 0.028)).max() > 0.3, "halves, not floats"
 
 
 @pytest.mark.parametrize("f0", [0.0, 0.028, 0.99])
-def test_halves_are_finite_everywhere(f0):
+def test_half_precision_is_finite_everywhere(f0):
     slopes = np.resize(np.float32([0.0, 1e-4, 0.1, 0.3, 1.0, 2.0]), 50_000)
     result = evaluated(directions(slopes, 1e-5), f0)
     assert np.isfinite(result).all()

@@ -1,4 +1,5 @@
-"""The built-in head: what loaders and shaders rely on, and that its generator still makes it."""
+"""Tests the built-in head: properties that loaders and shaders rely on, and that ``tools.head``
+still generates it."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ HEAD = ROOT / "assets" / "head.glb"
 
 @dataclass(frozen=True)
 class Head:
-    """A head as trimesh reads it, and the JSON of its file."""
+    """A head read by trimesh, and the JSON of its file."""
 
     description: dict[str, Any]
     mesh: Any
@@ -41,7 +42,7 @@ class Head:
 
     @property
     def face_normals(self) -> np.ndarray:
-        """Not unit; by the order of the corners alone."""
+        """Normals by the order of the corners, not normalised."""
         a, b, c = np.moveaxis(self.mesh.vertices[self.mesh.faces], 1, 0)
         return np.cross(b - a, c - a)
 
@@ -61,7 +62,7 @@ def head() -> Head:
     return read_head(HEAD)
 
 
-def test_file_is_small_and_says_what_strict_readers_ask_for(head: Head):
+def test_file_is_small_and_suits_strict_readers(head: Head):
     assert HEAD.stat().st_size < 3_000_000
     description = head.description
     assert description["asset"] == {"version": "2.0", "generator": "facerender tools/head"}
@@ -80,7 +81,7 @@ def test_file_is_small_and_says_what_strict_readers_ask_for(head: Head):
     assert all("sampler" in texture for texture in description["textures"])
 
 
-def test_there_is_one_dielectric_material_with_maps(head: Head):
+def test_head_has_one_dielectric_material_with_maps(head: Head):
     (material,) = head.description["materials"]
     factors = material["pbrMetallicRoughness"]
     assert (factors["metallicFactor"], factors["roughnessFactor"]) == (0, 1)
@@ -99,14 +100,14 @@ def test_vertices_are_finite_and_faces_look_outwards(head: Head):
     a, b, c = mesh.faces.T
     assert ((a != b) & (b != c) & (c != a)).all()
     assert np.linalg.norm(head.face_normals, axis=1).min() > 1e-10, "m^2: no face is degenerate"
-    # By the divergence theorem; the open cut of the neck is closed by the plane y = its height.
+    # Volume by the divergence theorem; the plane of the neck's open cut closes the surface.
     centres = mesh.vertices[mesh.faces].mean(1) - (0, mesh.vertices[:, 1].min(), 0)
     volume = (centres * head.face_normals).sum() / 6
     assert 0.004 < volume < 0.009, "m^3; a head and neck hold 5 to 8 litres"
 
 
 def test_rims_of_the_ears_are_round(head: Head):
-    """Where an edge turns far, shading between its ends leaves notches in the silhouette."""
+    """Normals must not turn much along an edge, or the silhouette shows notches."""
     edges = head.mesh.edges_unique
     outer = np.abs(head.mesh.vertices[edges].mean(1)[:, 0]) > 0.078
     start, end = np.moveaxis(head.mesh.vertex_normals[edges[outer]], 1, 0)
@@ -114,7 +115,7 @@ def test_rims_of_the_ears_are_round(head: Head):
     assert (turn > 45).mean() < 0.01
 
 
-def test_it_is_a_head_in_metres_that_looks_along_z(head: Head):
+def test_head_is_in_metres_and_faces_z(head: Head):
     lowest, highest = (0.14, 0.25, 0.18), (0.24, 0.32, 0.24)  # width, height, depth
     size = np.ptp(head.mesh.vertices, axis=0)
     assert (size > lowest).all()
@@ -125,7 +126,7 @@ def test_it_is_a_head_in_metres_that_looks_along_z(head: Head):
 
 
 def test_maps_are_not_mirrored_and_hold_skin(head: Head):
-    # Where the texture is mirrored, a bitangent cross(N, T) points the wrong way: bumps are dents.
+    # In a mirrored texture, the bitangent cross(N, T) has the wrong sign: bumps become dents.
     a, b, c = np.moveaxis(head.mesh.visual.uv[head.mesh.faces], 1, 0)  # v up, as trimesh has it
     area = np.linalg.norm(head.face_normals, axis=1)
     turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] <= 0
@@ -148,15 +149,15 @@ def one_sided_distance(points: np.ndarray, others: np.ndarray) -> float:
 
 @pytest.mark.slow
 def test_generator_still_makes_the_committed_head(head: Head, tmp_path: Path):
-    """With textures of 512 texels, which take seconds; the mesh does not depend on their size."""
+    """Textures of 512 texels take only seconds; the mesh does not depend on their size."""
     require_module("skimage")
     path = tmp_path / "head.glb"
     command = [sys.executable, "-m", "tools.head", "--texture-size", "512", "-o", path]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=300)
     made = read_head(path)
 
-    # Vertices of both meshes lie on one surface, at most half an edge (1 to 4 mm) from each other
-    # even where another library version puts them elsewhere.
+    # Other library versions may place vertices elsewhere on the same surface, at most half an edge
+    # (1 to 4 mm) away.
     assert one_sided_distance(made.mesh.vertices, head.mesh.vertices) < 0.002
     assert one_sided_distance(head.mesh.vertices, made.mesh.vertices) < 0.002
     for name in ("albedo", "normal_map", "occlusion_roughness"):

@@ -1,5 +1,5 @@
-"""Mesh files that somebody has broken, by accident or on purpose: each is loaded as a sound mesh
-with a warning for what was left out, or refused in one line that names file and cause."""
+"""Tests broken and malicious mesh files: each loads as a valid mesh with warnings about the omitted
+parts, or is refused in one line with the file and the cause."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def write(path, content):
 
 
 def changed(path, change, **options):
-    """Write the head as GLB, its document changed."""
+    """Write the head as GLB after ``change`` has edited its document."""
     document, binary = files.gltf(mini_head(), **options)
     change(document)
     return write(path, files.join_glb(document, binary))
 
 
 def refused(path, **options):
-    """Return the line with which a file is refused."""
+    """Return the error message about a file, one printable line."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", fr.FacerenderWarning)
         with pytest.raises(fr.InputError) as caught:
@@ -65,7 +65,7 @@ def refused(path, **options):
 
 
 def loaded(path, **options):
-    """Return a mesh, whose values are sound, and what was warned of."""
+    """Load a mesh, check its values, and return it with its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("error")
         warnings.simplefilter("always", fr.FacerenderWarning)
@@ -88,7 +88,7 @@ GONE = object()
 
 
 def changing(changes):
-    """Return what puts values into a document, by their paths with dots."""
+    """Return a function that sets values in a document; keys are paths with dots."""
 
     def change(document):
         for path, value in changes.items():
@@ -196,7 +196,7 @@ JSON: dict[str, tuple[bytes, str]] = {
 
 
 @pytest.mark.parametrize("case", JSON)
-def test_json_that_is_no_gltf(case, tmp_path):
+def test_json_that_is_not_gltf_is_refused(case, tmp_path):
     content, message = JSON[case]
     assert message.replace("\\", "") in refused(write(tmp_path / "a.gltf", content))
 
@@ -214,8 +214,8 @@ def test_glb_chunks(tmp_path):
         assert message in refused(write(tmp_path / "a.glb", bytes(data)))
 
 
-def test_what_is_not_read_may_be_anything(tmp_path):
-    """Names, extras, animations and extensions that nothing is drawn of."""
+def test_unused_properties_may_have_any_value(tmp_path):
+    """This concerns names, extras, animations and extensions, which do not affect the image."""
 
     def change(document):
         document |= {"extras": json.loads("[" * 500 + "]" * 500), "animations": 7}
@@ -223,13 +223,13 @@ def test_what_is_not_read_may_be_anything(tmp_path):
         document["meshes"][0] |= {"name": ["x"], "extras": {"process": True}}
         document["accessors"].append({"componentType": 5126, "count": 3 * 10**8, "type": "VEC3"})
 
-    mesh, told = loaded(changed(tmp_path / "a.glb", change))
-    assert told == ["a.glb has animations: drawn in the stored pose"]
+    mesh, messages = loaded(changed(tmp_path / "a.glb", change))
+    assert messages == ["a.glb has animations: drawn in the stored pose"]
     np.testing.assert_allclose(mesh.bounds, fr.load_mesh(MINI_HEAD).bounds, atol=1e-7)
 
 
-def test_gltf_by_its_content(tmp_path):
-    """A GLB file named .gltf, and the other way round."""
+def test_gltf_is_detected_by_content(tmp_path):
+    """A GLB file may be named .gltf, and a glTF file .glb."""
     expected = fr.load_mesh(MINI_HEAD).bounds
     assert (loaded(write(tmp_path / "a.gltf", MINI_HEAD.read_bytes()))[0].bounds == expected).all()
     path = files.write_gltf(tmp_path / "b.gltf", mini_head())
@@ -238,7 +238,7 @@ def test_gltf_by_its_content(tmp_path):
 
 @pytest.mark.parametrize("shared", [False, True], ids=["two views", "one view"])
 def test_sparse_accessor(tmp_path, shared):
-    """Values of some entries stand beside those of the view."""
+    """Some entries of the accessor replace those of the buffer view."""
     document, binary = files.gltf(mini_head())
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": 20}
     binary += struct.pack("<II3f", 7, 5, 1.0, 2.0, 3.0)
@@ -259,7 +259,7 @@ def test_sparse_accessor(tmp_path, shared):
 
 
 def test_normalised_integers_and_strides(tmp_path):
-    """Positions as 16-bit integers of 8 bytes each, as KHR_mesh_quantization has them."""
+    """Positions are 16-bit integers with a stride of 8 bytes, as in KHR_mesh_quantization."""
     head = mini_head()
     steps = np.round(head.positions * 4 * 32767).astype("<i2")
     padded = np.insert(steps, 3, 0, axis=1).astype("<i2")
@@ -276,7 +276,7 @@ def test_normalised_integers_and_strides(tmp_path):
 
 @pytest.mark.parametrize("mode", [5, 6])
 def test_strips_and_fans(mode, tmp_path):
-    """The corners of a square, once around or from side to side."""
+    """The corners of a square are in fan order or in strip order."""
     around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
     positions = around[[0, 1, 3, 2]] if mode == 5 else around
     head = files.Head(positions, positions, positions[:, :2], np.array([[0, 1, 2]]), b"")
@@ -293,7 +293,7 @@ def test_strips_and_fans(mode, tmp_path):
     assert areas[0, 2] == areas[1, 2]
 
 
-def test_primitives_that_share_their_vertices_keep_their_own(tmp_path):
+def test_primitives_with_shared_vertices_get_their_own(tmp_path):
     document, binary = files.gltf(mini_head())
     count = document["accessors"][3]["count"]
     document["accessors"][3]["count"] = 300
@@ -312,30 +312,30 @@ def test_primitives_that_share_their_vertices_keep_their_own(tmp_path):
 
 def test_factors_outside_their_domain(tmp_path):
     material = {"pbrMetallicRoughness": {"baseColorFactor": [3, 0.5, -1, 1]}}
-    mesh, told = loaded(files.write_glb(tmp_path / "a.glb", mini_head(), material=material))
+    mesh, messages = loaded(files.write_glb(tmp_path / "a.glb", mini_head(), material=material))
     assert mesh.materials[0].albedo == (1.0, 0.5, 0.0)
-    assert told == [
+    assert messages == [
         f"the albedo factor {value} of a.glb is outside [0, 1]: clamped" for value in (3, -1)
     ]
 
 
 @pytest.mark.parametrize("kind", ["occlusion", "normal"])
-def test_a_damaged_map_is_not_left_out_without_a_word(kind, tmp_path):
+def test_damaged_map_is_refused_or_warned_of(kind, tmp_path):
     material = {f"{kind}Texture": {"index": 0}}
     image = {"uri": "page.png"}
     path = files.write_glb(tmp_path / "a.glb", mini_head(), material=material, image=image)
     write(tmp_path / "page.png", "<html></html>")
     assert "page.png (named by a.glb) is not an image that can be read; replace it" in refused(path)
     write(tmp_path / "skin.jpg", mini_head().skin)
-    mesh, told = loaded(path, albedo=tmp_path / "skin.jpg")
-    assert told == ["page.png (named by a.glb) is not an image that can be read: ignored"]
+    mesh, messages = loaded(path, albedo=tmp_path / "skin.jpg")
+    assert messages == ["page.png (named by a.glb) is not an image that can be read: ignored"]
     assert mesh.materials[0].albedo_map is not None
 
 
-def test_a_texture_without_an_image_that_is_understood(tmp_path):
+def test_texture_without_a_supported_image(tmp_path):
     path = changed(tmp_path / "a.glb", changing({"textures": [{"extensions": {"KHR_basisu": {}}}]}))
-    mesh, told = loaded(path)
-    assert told == ["the albedo map of a.glb has no image in a supported format: ignored"]
+    mesh, messages = loaded(path)
+    assert messages == ["the albedo map of a.glb has no image in a supported format: ignored"]
     assert mesh.materials[0].albedo == fr.Material().albedo
 
 
@@ -351,39 +351,39 @@ def test_damaged_draco(tmp_path):
 
 
 @pytest.mark.parametrize("index", [-1, 4, 2**31 - 1, -(2**31)])
-def test_faces_of_no_vertex_in_ply(index, tmp_path):
+def test_invalid_face_indices_in_ply(index, tmp_path):
     good = "3 0 2 1\n3 0 1 3\n"
     path = write(tmp_path / "a.ply", PLY.format(count=3) + good + f"3 0 1 {index}\n")
-    mesh, told = loaded(path)
-    assert "a.ply has 1 faces with invalid vertex indices: dropped" in told
+    mesh, messages = loaded(path)
+    assert "a.ply has 1 faces with invalid vertex indices: dropped" in messages
     assert sum(len(part.faces) for part in mesh.parts) == 2
     path = write(tmp_path / "a.ply", PLY.format(count=1) + f"3 0 1 {index}\n")
     assert "no face of a.ply" in refused(path)
 
 
-def test_faces_of_no_vertex_in_gltf(tmp_path):
+def test_invalid_face_indices_in_gltf(tmp_path):
     head = mini_head()
     faces = head.faces.copy()
     faces[7, 1] = 2**32 - 1
-    mesh, told = loaded(files.write_glb(tmp_path / "a.glb", head.with_faces(faces)))
-    assert told == ["a.glb has 1 faces with invalid vertex indices: dropped"]
+    mesh, messages = loaded(files.write_glb(tmp_path / "a.glb", head.with_faces(faces)))
+    assert messages == ["a.glb has 1 faces with invalid vertex indices: dropped"]
     assert len(mesh.parts[0].faces) == len(faces) - 1
 
 
 @pytest.mark.parametrize("corner", ["999", "0", "-999", "1/9", "1//9"])
-def test_faces_of_no_vertex_in_obj(corner, tmp_path):
+def test_invalid_face_indices_in_obj(corner, tmp_path):
     slash = "/1" if corner == "1/9" else "//1" if corner == "1//9" else ""
     lines = f"vt 0 0\nvn 0 0 1\nf 1{slash} 2{slash} 3{slash}\nf {corner} 2{slash} 3{slash}\n"
-    mesh, told = loaded(write(tmp_path / "a.obj", TRIANGLE + lines.encode()))
-    assert told == ["a.obj has 1 faces with invalid vertex indices: dropped"]
+    mesh, messages = loaded(write(tmp_path / "a.obj", TRIANGLE + lines.encode()))
+    assert messages == ["a.obj has 1 faces with invalid vertex indices: dropped"]
     assert len(mesh.parts[0].faces) == 1
 
 
-def test_references_of_obj_count_backwards_from_their_line(tmp_path):
+def test_negative_indices_of_obj(tmp_path):
     lines = b"f -3 -2 -1\n" + TRIANGLE.replace(b"0 0 0", b"0 0 9") + b"f -3 -2 -1\n"
-    mesh, told = loaded(write(tmp_path / "a.obj", TRIANGLE + lines))
+    mesh, messages = loaded(write(tmp_path / "a.obj", TRIANGLE + lines))
     (part,) = mesh.parts
-    assert not any("dropped" in each for each in told)
+    assert not any("dropped" in each for each in messages)
     np.testing.assert_array_equal(part.positions[part.faces].max(axis=1)[:, 2], [0, 9])
     text, dropped = with_absolute(b"vt 0 0\n" + TRIANGLE + b"f -3/-1 -2/1 3/-1/\nf 1 2 # 3\n")
     assert (text.splitlines()[-2:], dropped) == ([b"f 1/1 2/1 3/1/", b""], 1)
@@ -393,25 +393,27 @@ def test_a_vertex_far_out_is_named(tmp_path):
     positions = mini_head().positions.copy()
     positions[17] = 1e30, 0.0, 0.0
     path = files.write_obj(tmp_path / "a.obj", mini_head().with_positions(positions), uv=False)
-    _, told = loaded(path)
-    (line,) = [each for each in told if "far out" in each]
+    _, messages = loaded(path)
+    (line,) = [each for each in messages if "far out" in each]
     assert line.startswith("a.obj has 1 vertices far out, one at (1e+30, 0, 0); 90 % are within ")
     assert not any("far out" in each for each in loaded(MINI_HEAD)[1])
 
 
-def test_coordinates_that_no_area_can_be_computed_of(tmp_path):
+def test_coordinates_too_small_or_too_large(tmp_path):
     tiny = mini_head().with_positions(mini_head().positions * 1e-150)
     path = files.write_obj(tmp_path / "a.obj", tiny)
     assert "units wide, below 1e-60: scale it up" in refused(path)
     positions = mini_head().positions.copy()
     positions[3] = 1e70
-    mesh, told = loaded(files.write_obj(tmp_path / "a.obj", mini_head().with_positions(positions)))
-    assert any(each.startswith("a.obj has 1 vertices beyond 1e+60: ") for each in told)
+    mesh, messages = loaded(
+        files.write_obj(tmp_path / "a.obj", mini_head().with_positions(positions))
+    )
+    assert any(each.startswith("a.obj has 1 vertices beyond 1e+60: ") for each in messages)
     assert mesh.radius < 1.0
 
 
 @pytest.mark.parametrize("value", ["1e50", "1e200", "nan"])
-def test_a_vertex_of_no_face_counts_for_nothing(value, tmp_path):
+def test_unused_vertices_are_ignored(value, tmp_path):
     mesh, _ = loaded(write(tmp_path / "a.obj", TRIANGLE + f"v {value} 0 0\nf 1 2 3\n".encode()))
     np.testing.assert_array_equal(mesh.bounds, [[0, 0, 0], [1, 1, 0]])
     positions, faces = mini_head().positions.copy(), mini_head().faces
@@ -423,10 +425,10 @@ def test_a_vertex_of_no_face_counts_for_nothing(value, tmp_path):
 
 
 @pytest.mark.parametrize("value", ["1e100", "nan", "-inf"])
-def test_texture_coordinates_of_no_use(value, tmp_path):
+def test_invalid_texture_coordinates(value, tmp_path):
     lines = f"vt {value} 1\nvt 0.5 0\nf 1/1 2/2 3/2\n"
-    mesh, told = loaded(write(tmp_path / "a.obj", TRIANGLE + lines.encode()))
-    assert told == ["a.obj has 1 texture coordinates outside [-1e6, 1e6]: set to 0"]
+    mesh, messages = loaded(write(tmp_path / "a.obj", TRIANGLE + lines.encode()))
+    assert messages == ["a.obj has 1 texture coordinates outside [-1e6, 1e6]: set to 0"]
     assert mesh.parts[0].uv is not None
 
 
@@ -438,7 +440,7 @@ def ply(properties, end="0 0 0\n1 0 0\n0 1 0\n"):
 
 
 def binary_ply(kind, faces):
-    """Four vertices, and two lists with lengths of a type."""
+    """Return a PLY file with four vertices and two faces; ``kind`` is the type of list lengths."""
     head = PLY.replace("ascii", "binary_little_endian").replace("uchar", kind).format(count=2)
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
     return head[: head.index("0 0 0\n")].encode() + vertices.tobytes() + faces
@@ -483,21 +485,21 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "content", "message"), REFUSED, ids=itertools.count())
-def test_content_that_is_refused(name, content, message, tmp_path):
+def test_invalid_content_is_refused(name, content, message, tmp_path):
     assert message in refused(write(tmp_path / name, content))
 
 
-def test_edges_of_a_ply_are_passed_over(tmp_path):
+def test_edges_of_a_ply_are_ignored(tmp_path):
     text = PLY.format(count=1).replace(
         "end_header", "element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header"
     )
-    mesh, told = loaded(write(tmp_path / "a.ply", text + "3 0 1 2\n0 1\n"))
-    assert (len(mesh.parts[0].faces), told) == (1, [])
+    mesh, messages = loaded(write(tmp_path / "a.ply", text + "3 0 1 2\n0 1\n"))
+    assert (len(mesh.parts[0].faces), messages) == (1, [])
 
 
 @pytest.mark.parametrize("content", ["<html></html>", None], ids=["damaged", "missing"])
 def test_texture_of_a_ply(content, tmp_path, capfd):
-    """It is told of, and trimesh's log is not."""
+    """The user sees a warning or an error, but not the log of trimesh."""
     text = PLY.format(count=1).replace("ascii 1.0\n", "ascii 1.0\ncomment TextureFile page.png\n")
     path = write(tmp_path / "a.ply", text + "3 0 1 2\n")
     logging.lastResort.setLevel(logging.WARNING) if logging.lastResort else None
@@ -510,22 +512,22 @@ def test_texture_of_a_ply(content, tmp_path, capfd):
 
 
 @pytest.mark.parametrize("header", [b"", b"solid head"])
-def test_bytes_behind_the_triangles_of_an_stl(tmp_path, header):
-    """Also where a binary file begins as a text one does."""
+def test_bytes_after_the_triangles_of_an_stl(tmp_path, header):
+    """A binary STL may begin with "solid", as a text STL does."""
     data = header + STL[len(header) :]
-    mesh, told = loaded(write(tmp_path / "a.stl", data + b"xyz"))
-    assert told == ["a.stl has 3 bytes after its 6722 triangles: ignored"]
+    mesh, messages = loaded(write(tmp_path / "a.stl", data + b"xyz"))
+    assert messages == ["a.stl has 3 bytes after its 6722 triangles: ignored"]
     assert len(mesh.parts[0].faces) == 6722
 
 
 @pytest.mark.parametrize("line", [b"f 1 2 " + b"9" * 400, b"v " + b"1" * 400 + b" x 0", b"\0" * 99])
-def test_lines_that_are_no_obj(line, tmp_path):
+def test_invalid_lines_of_obj(line, tmp_path):
     path = write(tmp_path / "a.obj", TRIANGLE + line + b"\nf 1 2 3\n")
     with suppress(fr.InputError):
         loaded(path)
 
 
-# --- what the file really is ---------------------------------------------------------------------
+# --- other file types ----------------------------------------------------------------------------
 
 KINDS: dict[str, tuple[bytes, str]] = {
     "git-lfs": (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", "git lfs pull"),
@@ -542,42 +544,42 @@ KINDS: dict[str, tuple[bytes, str]] = {
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj", ".ply", ".stl"])
 @pytest.mark.parametrize("case", KINDS)
-def test_what_a_file_really_is(case, suffix, tmp_path):
+def test_other_file_types_are_named(case, suffix, tmp_path):
     content, message = KINDS[case]
     line = refused(write(tmp_path / f"a{suffix}", content))
     assert line.startswith(f"a{suffix} is not ")
     assert message in line
 
 
-# --- files that are named ------------------------------------------------------------------------
+# --- files that a mesh refers to -----------------------------------------------------------------
 
 
 @pytest.fixture
 def inside(tmp_path):
-    """A folder for the mesh, beside a file that is none of its business."""
+    """A folder for the mesh; the parent folder has a file that must not be opened."""
     write(tmp_path / "secret.jpg", mini_head().skin)
     (tmp_path / "in").mkdir()
     return tmp_path / "in"
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_images_outside_are_not_opened(absolute, inside):
+def test_images_outside_the_folder_are_not_opened(absolute, inside):
     name = str(inside.parent / "secret.jpg") if absolute else "../secret.jpg"
     path = files.write_obj(inside / "a.obj", mini_head(), mtl="a.mtl")
     write(inside / "a.mtl", files.SKIN_MTL.format(texture=name))
-    mesh, told = loaded(path)
-    (line,) = told
+    mesh, messages = loaded(path)
+    (line,) = messages
     assert mesh.materials[0].albedo_map is None
     assert "lies outside" in line
     assert "pass --allow-outside (allow_outside=True)" in line
-    mesh, told = loaded(path, allow_outside=True)
+    mesh, messages = loaded(path, allow_outside=True)
     assert mesh.materials[0].albedo_map is not None
-    assert told == []
-    write(inside / "secret.jpg", mini_head().skin)  # as exporters of other machines have it
+    assert messages == []
+    write(inside / "secret.jpg", mini_head().skin)  # only the name counts
     assert loaded(path)[1] == []
 
 
-def test_buffers_and_libraries_outside_are_not_opened(inside):
+def test_buffers_and_mtl_outside_the_folder_are_not_opened(inside):
     path = files.write_gltf(inside / "a.gltf", mini_head())
     (inside / "a.bin").rename(inside.parent / "b.bin")
     for uri in ("../b.bin", "%2e%2e/b.bin", "../in/../b.bin", str(inside.parent / "b.bin")):
@@ -592,14 +594,14 @@ def test_buffers_and_libraries_outside_are_not_opened(inside):
 
 
 @pytest.mark.parametrize("uri", ["file:///etc/passwd", "http://localhost:1/b.bin", "\0", "", "."])
-def test_uris_that_are_no_files(uri, inside):
+def test_invalid_uris_are_refused(uri, inside):
     path = files.write_gltf(inside / "a.gltf", mini_head())
     document = json.loads(path.read_text())
     document["buffers"][0]["uri"] = uri
     assert "a.gltf" in refused(write(path, json.dumps(document)))
 
 
-def test_a_link_of_the_folder_is_followed(inside):
+def test_symbolic_links_inside_the_folder_are_followed(inside):
     path = files.write_textured_obj(inside / "a.obj", mini_head())
     (inside / "skin.jpg").unlink()
     (inside / "skin.jpg").symlink_to(inside.parent / "secret.jpg")
@@ -610,8 +612,8 @@ def test_data_uris(tmp_path):
     document, binary = files.gltf(mini_head())
     text = base64.b64encode(binary).decode()
     document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{text}"
-    mesh, told = loaded(write(tmp_path / "a.gltf", json.dumps(document)))
-    assert told == []
+    mesh, messages = loaded(write(tmp_path / "a.gltf", json.dumps(document)))
+    assert messages == []
     assert mesh.materials[0].albedo_map is not None
     document["buffers"][0]["uri"] = "data:application/octet-stream,abc"
     assert "but has 3" in refused(write(tmp_path / "a.gltf", json.dumps(document)))
@@ -630,7 +632,7 @@ SPECIAL = {"pipe": pipe, "device": endless, "directory": Path.mkdir}
 
 @pytest.mark.parametrize("what", SPECIAL)
 @pytest.mark.parametrize("place", ["mesh", "buffer", "image", "mtllib", "map"])
-def test_what_is_no_file_is_not_read(what, place, tmp_path):
+def test_special_files_are_not_read(what, place, tmp_path):
     if place == "mesh":
         path = special = tmp_path / "a.glb"
     elif place in ("buffer", "image"):
@@ -644,11 +646,11 @@ def test_what_is_no_file_is_not_read(what, place, tmp_path):
     assert f"{special.name} is a {what}; give " in refused(path)
 
 
-# --- the store -----------------------------------------------------------------------------------
+# --- cache ---------------------------------------------------------------------------------------
 
 
-def test_a_damaged_entry_of_the_cache_is_passed_over(cache_folder):
-    """Whole by its checksum, and yet not what this version wrote."""
+def test_invalid_cache_entry_is_ignored(cache_folder):
+    """The entry has a valid checksum, but not the content that this version writes."""
     expected = fr.load_mesh(MINI_HEAD, cache=True).bounds
     wait_for_cache()
     (entry,) = (cache_folder / "meshes").iterdir()

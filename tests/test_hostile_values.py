@@ -1,5 +1,5 @@
-"""Images, scenes and numbers that nobody should give: a checked value or one line, in bounded
-memory, never a traceback, a picture that is not finite, or an empty one without a word."""
+"""Tests hostile images, scenes and numbers: the result is a valid value or a one-line error, in
+bounded memory. Tracebacks, non-finite images and empty images without a warning must not occur."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def chunk(name: bytes, data: bytes) -> bytes:
 
 
 def refused(read, path: Path) -> str:
-    """The message with which a file is refused."""
+    """Return the error message about a file, one printable line."""
     with pytest.raises(InputError) as caught:
         read(path)
     message = str(caught.value)
@@ -76,7 +76,7 @@ def decode(path: Path) -> None:
 
 @pytest.mark.parametrize("read", [read_image, decode])
 @pytest.mark.parametrize("name", ["IHDR", "gAMA", "pHYs", "cHRM", "sRGB", "tRNS", "acTL", "fcTL"])
-def test_chunks_of_a_png_that_are_cut_off(read, name, tmp_path):
+def test_truncated_chunks_of_png(read, name, tmp_path):
     whole = png(pixels())
     for length in (0, 1, 2, 3, 5, 8, 25):
         path = tmp_path / f"{length}.png"
@@ -133,7 +133,7 @@ IMAGES = {
 
 
 @pytest.mark.parametrize("name", IMAGES)
-def test_images_that_are_none(name, tmp_path, capsys):
+def test_invalid_images_are_refused(name, tmp_path, capsys):
     data, message = IMAGES[name]
     path = tmp_path / name
     path.write_bytes(data)
@@ -148,7 +148,7 @@ def test_images_that_are_none(name, tmp_path, capsys):
     assert err.count("\n") == 1
 
 
-def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):
+def test_zip_bomb_is_refused_before_decompression(tmp_path):
     head = content(
         np.lib.format.write_array_header_1_0,
         {"descr": "<f8", "fortran_order": False, "shape": (16000, 11000, 3)},
@@ -187,14 +187,14 @@ EXTREME = (-(2**31), -(2**31), 2**31 - 1, 2**31 - 1)
         ((5, 5, 2, 2), OWN, "-2 x -2 pixels"),
     ],
 )
-def test_windows_of_an_exr_that_are_too_large(display, data, message, tmp_path):
+def test_large_windows_of_exr_are_refused(display, data, message, tmp_path):
     path = _exr(display, data, tmp_path)
     with pytest.raises(InputError, match=message):
         read_image(path)
     refused(read_image, path)
 
 
-def test_limits_of_images_are_what_they_say():
+def test_limits_of_image_sizes():
     check_pixels("a", 16384, MAX_PIXELS // 16384, 4, 1 << 30)
     for size in ((16385, 1), (1, 16385), (16384, MAX_PIXELS // 16384 + 1), (0, 4), (4, 0)):
         with pytest.raises(InputError):
@@ -203,7 +203,7 @@ def test_limits_of_images_are_what_they_say():
         check_pixels("a", 16384, 10000, 16, 1 << 30)
 
 
-def test_maps_have_their_size_before_they_are_decoded_and_a_limit_together(monkeypatch, tmp_path):
+def test_size_of_maps_is_known_before_decoding_and_limited(monkeypatch, tmp_path):
     Image.fromarray(pixels()).save(tmp_path / "a.png")
     map = fr.Texture.open(tmp_path / "a.png")
     assert map.size == map.channel(1, "green").size == (14, 12)
@@ -218,12 +218,12 @@ def test_maps_have_their_size_before_they_are_decoded_and_a_limit_together(monke
 
 
 @pytest.mark.parametrize("rows", [1, 16, 300, 700])
-def test_strips_give_the_figures_of_the_whole(rows, monkeypatch):
-    """Of an image whose upper half nothing covers: there the alpha of a strip is 0 everywhere."""
+def test_comparison_in_strips_equals_the_whole(rows, monkeypatch):
+    """The upper half is not covered, so that some strips have alpha 0 everywhere."""
     chance = np.random.default_rng(rows)
     a = chance.random((rows, 90, 4), dtype=np.float32)
     a[:, 40:, :3] = 0.3 + 0.002 * a[:, 40:, :3]
-    a[18::16, 50, :3] = 0.0  # in the next strip, and no hole is three rows above it
+    a[18::16, 50, :3] = 0.0  # black also in A, three rows below and in the next strip
     a[..., 3] = np.arange(rows)[:, None] >= rows // 2
     b = a * (1.0 + 0.002 * chance.standard_normal((rows, 90, 1), dtype=np.float32))
     b[15::16, 50, :3] = 0.0
@@ -246,7 +246,7 @@ def test_values_whose_differences_overflow_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("fault", "status", "told"),
+    ("fault", "status", "reason"),
     [
         (ValueError("no\nsuch thing"), INTERNAL_ERROR, r"\(ValueError: no such thing\)"),
         (AssertionError(), INTERNAL_ERROR, r"\(AssertionError\)"),
@@ -254,8 +254,8 @@ def test_values_whose_differences_overflow_are_refused():
         (RecursionError("deep"), INTERNAL_ERROR, "RecursionError"),
     ],
 )
-def test_a_fault_of_compare_is_not_taken_for_a_difference(
-    fault, status, told, monkeypatch, tmp_path, capsys
+def test_internal_errors_of_compare_have_another_exit_status(
+    fault, status, reason, monkeypatch, tmp_path, capsys
 ):
     def fail(*_: object) -> None:
         raise fault
@@ -266,7 +266,7 @@ def test_a_fault_of_compare_is_not_taken_for_a_difference(
     out, err = capsys.readouterr()
     assert not out
     assert err.count("\n") == 1
-    assert re.search(told, err)
+    assert re.search(reason, err)
     assert INTERNAL_ERROR not in (0, 1, 2, 3, 130)
     monkeypatch.setenv("FACERENDER_DEBUG", "1")
     main(command)
@@ -276,7 +276,7 @@ def test_a_fault_of_compare_is_not_taken_for_a_difference(
 # --- numbers -------------------------------------------------------------------------------------
 
 DIGITS = "1" + "0" * 400
-SCENES = {  # beyond single numbers outside a range, which are in test_ranges.py
+SCENES = {  # test_ranges.py has single numbers outside their ranges
     "digits": f"ambient = {DIGITS}",
     "too many digits": f"ambient = 1{'0' * 5000}",
     "list of true": "ambient = [true, 0, 0]",
@@ -318,7 +318,7 @@ def test_numbers_of_lights(text):
         parse_light(text)
 
 
-def test_a_message_tells_a_value_and_not_at_length():
+def test_messages_shorten_long_values():
     with pytest.raises(InputError) as caught:
         fr.Camera(azimuth=10**5000)
     assert len(str(caught.value)) < 200
@@ -327,7 +327,7 @@ def test_a_message_tells_a_value_and_not_at_length():
     assert len(str(caught.value)) < 300
 
 
-# --- pictures ------------------------------------------------------------------------------------
+# --- rendered images -----------------------------------------------------------------------------
 
 
 def beside(*radii: float, mesh: fr.Mesh = HEAD) -> tuple[float, ...]:
@@ -343,19 +343,19 @@ HIDDEN = {
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_a_picture_without_the_mesh_says_why(samples, recwarn):
+def test_image_without_the_mesh_warns_with_the_reason(samples, recwarn):
     with fr.Renderer((64, 48), samples=samples) as renderer:
         renderer.render(fr.Scene(HEAD, fr.Camera(zoom=0.2, target=beside(2.6, 0, 0))))
         assert not recwarn.list
-        for (camera, told), only in product(HIDDEN.values(), (None, "normal")):
+        for (camera, reason), only in product(HIDDEN.values(), (None, "normal")):
             with pytest.warns(
-                fr.FacerenderWarning, match=f"no pixel shows mini_head.glb: .*{told}"
+                fr.FacerenderWarning, match=f"no pixel shows mini_head.glb: .*{reason}"
             ):
                 renderer.render(fr.Scene(HEAD, fr.Camera(**camera)), only=only)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_pixel_that_is_not_finite_does_not_leave(value, monkeypatch):
+def test_non_finite_pixels_raise(value, monkeypatch):
     def read(*arguments: object) -> np.ndarray:
         image = true_read(*arguments)
         image[5, 7, 1] = value
@@ -370,8 +370,8 @@ def test_a_pixel_that_is_not_finite_does_not_leave(value, monkeypatch):
         renderer.render(fr.Scene(HEAD))
 
 
-def test_large_pixels_are_finite(monkeypatch):
-    """The sum of an image may overflow where no pixel has."""
+def test_large_pixels_are_accepted(monkeypatch):
+    """The sum of an image may overflow although every pixel is finite."""
     image = np.full((8, 8, 4), 3e38, np.float32)
     drawing._check(image, fr.Scene(HEAD))
 
@@ -380,7 +380,7 @@ STRONG = {"irradiance": 1e9}
 
 
 def ends(head: fr.Mesh) -> dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
-    """Cameras, lights and materials at the ends of what they may be."""
+    """Return cameras, lights and materials at the ends of their ranges."""
     near = partial(beside, mesh=head)
     return {
         "orbit": ({"azimuth": 3600, "elevation": 90, "fov": 150, "zoom": 1000}, {}, {}),
@@ -408,7 +408,7 @@ def ends(head: fr.Mesh) -> dict[str, tuple[dict[str, Any], dict[str, Any], dict[
     ids=str,
 )
 @pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning")
-def test_ends_of_domains_are_finite(path, samples):
+def test_images_at_the_ends_of_all_ranges_are_finite(path, samples):
     head = fr.load_mesh(path)
     with fr.Renderer((40, 40), samples=samples) as renderer:
         for name, (camera, light, changes) in ends(head).items():
@@ -432,7 +432,7 @@ def test_ends_of_domains_are_finite(path, samples):
         ),
     ],
 )
-def test_places_beyond_what_float32_tells_are_refused(what, changes):
+def test_positions_beyond_float32_precision_are_refused(what, changes):
     with (
         fr.Renderer((16, 16)) as renderer,
         pytest.raises(InputError, match=rf"{what} .* mesh radii .* give at most 1e\+06"),
@@ -441,7 +441,7 @@ def test_places_beyond_what_float32_tells_are_refused(what, changes):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_figures_of_any_two_images_are_finite(seed):
+def test_metrics_of_any_two_images_are_finite(seed):
     chance = np.random.default_rng(seed)
     shape = (*chance.integers(1, 80, 2), int(chance.choice([1, 3, 4])))
     a = (chance.normal(size=shape) * 10.0 ** chance.choice([-40, -5, 0, 10, 27])).astype(np.float32)

@@ -1,4 +1,5 @@
-"""The library in hosts with preprocessors and compilers of their own: each draws as OpenGL does."""
+"""Tests the shader library in hosts with other preprocessors and compilers: each draws the same
+images as OpenGL."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from tests.conftest import missing, require_module
 from tests.verification.hosts import CHOICES, HOSTS, SCENE, desktop, draw
 
 MODULES = {"naga": "wgpu", "glslc": "wgpu", "vispy": "vispy", "Panda3D": "panda3d"}
-HERE = "vispy"  # its GLSL is compiled by Mesa
+HERE = "vispy"  # needs no other compiler, since Mesa compiles its GLSL
 SCENES = [f"{macros}{SCENE}" for macros in CHOICES.values()]
 
 
@@ -19,14 +20,14 @@ def expected(egl) -> list[np.ndarray]:
 
 
 def check(images: list[np.ndarray], expected: list[np.ndarray]) -> None:
-    """Within 1e-6 of the value, or of the largest one where that is less."""
+    """Check that errors are at most 1e-6 of the largest value of each channel."""
     for name, image, other in zip(CHOICES, images, expected, strict=True):
         assert other.max((0, 1)).min() > 0.01, "something is drawn"
         error = np.abs(image - other) / other.max((0, 1))
         assert error.max() < 1e-6, name
 
 
-def test_choices_are_different_pictures(expected):
+def test_choices_give_different_images(expected):
     defaults, choices, small, every = expected
     assert np.abs(choices - defaults).max((0, 1)).min() > 1e-3
     assert 0.0 < np.abs(small - defaults).max() < 1e-5
@@ -37,7 +38,7 @@ def test_choices_are_different_pictures(expected):
     "host",
     [each if each == HERE else pytest.param(each, marks=pytest.mark.compiler) for each in HOSTS],
 )
-def test_hosts_draw_what_opengl_does(host, expected):
+def test_hosts_draw_the_same_as_opengl(host, expected):
     if host in MODULES:
         require_module(MODULES[host])
     try:

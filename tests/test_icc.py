@@ -1,5 +1,5 @@
-"""Images with ICC profiles: sRGB by any name counts as none, others are converted, and what cannot
-be used is refused."""
+"""Tests images with ICC profiles: sRGB profiles of any name are ignored, other profiles are
+converted, and invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb, srgb_to_linear
 from tests.test_cli import Capture, Cli
 
-# XYZ of red, green and blue, adapted to D50 as profiles hold them (Lindbloom).
+# XYZ of red, green and blue, adapted to D50 as in ICC profiles (Lindbloom).
 SRGB = ((0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0971), (0.1431, 0.0606, 0.7141))
 DISPLAY_P3 = ((0.5151, 0.2412, -0.0011), (0.2919, 0.6922, 0.0419), (0.1572, 0.0666, 0.7841))
 WHITE = (0.9642, 1.0, 0.8249)
-OF_MONITOR = (0.9505, 1.0, 1.0891)  # the white that profiles of version 2 tell, as HP's sRGB does
+OF_MONITOR = (0.9505, 1.0, 1.0891)  # white point in version 2 profiles such as HP's sRGB
 CURVE = np.round(65535 * srgb_to_linear(np.linspace(0.0, 1.0, 1024)))
 GAMMA_2_2, GAMMA_1_8 = (np.array([round(256 * gamma)]) for gamma in (2.2, 1.8))
 
 
 def profile(name: str, space: str, curve: np.ndarray, *primaries: tuple[float, ...]) -> bytes:
-    """Write a profile of version 2 (ICC.1:2001-04), of a matrix and curves or of a grey curve."""
+    """Return a profile of version 2 (ICC.1:2001-04) with a matrix and curves, or a grey curve."""
 
     def xyz(values: tuple[float, ...]) -> bytes:
         return b"XYZ \0\0\0\0" + struct.pack(">3i", *(round(65536 * value) for value in values))
@@ -63,7 +63,7 @@ def cli(tmp_path: Path, capsys: Capture) -> Cli:
 
 
 def colors(*channels: int) -> np.ndarray:
-    """Colours that sRGB and wider spaces have."""
+    """Return random colours that are inside sRGB and wider colour spaces."""
     return np.random.default_rng(1).integers(60, 200, (300, 20, *channels), dtype=np.uint8)
 
 
@@ -80,7 +80,7 @@ def saved(path: Path, pixels: np.ndarray, content: bytes | None) -> Path:
     ],
     ids=["version 2", "version 4"],
 )
-def test_srgb_by_any_name_changes_nothing(content, tmp_path):
+def test_srgb_profiles_of_any_name_change_nothing(content, tmp_path):
     for kind in ("png", "jpg"):
         plain = saved(tmp_path / f"plain.{kind}", colors(3), None)
         image = read_image(saved(tmp_path / f"own.{kind}", colors(3), content))
@@ -94,7 +94,7 @@ def as_p3(values: np.ndarray) -> np.ndarray:
     return linear_to_srgb(linear)
 
 
-CONVERTED = {  # name of the profile, its content, channels, what it makes of colours in [0, 1]
+CONVERTED = {  # name of the profile, its content, channels, conversion of colours in [0, 1]
     "RGB": ("Display P3", P3, (3,), as_p3),
     "RGBA": ("Display P3", P3, (4,), as_p3),
     "L": ("Dot gain", GREY, (), lambda values: linear_to_srgb(values**1.8)),
@@ -109,11 +109,11 @@ CONVERTED = {  # name of the profile, its content, channels, what it makes of co
 
 
 @pytest.mark.parametrize("case", CONVERTED)
-def test_other_colours_become_srgb_and_alpha_stays(case, tmp_path):
+def test_other_profiles_are_converted_to_srgb(case, tmp_path):
     name, content, channels, convert = CONVERTED[case]
     pixels = colors(*channels)
     if case == "called sRGB":
-        pixels[:] = 20  # in the dark the curves differ
+        pixels[:] = 20  # the curves differ in dark colours
     image = read_image(saved(tmp_path / "a.png", pixels, content))
     assert image.pixels.shape[2:] == (channels or (1,))
     assert image.profile == name
@@ -148,14 +148,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_profile_that_cannot_be_used(name, cli, tmp_path):
+def test_invalid_profile_is_refused(name, cli, tmp_path):
     content, channels, reason = REFUSED[name]
     path = saved(tmp_path / "a.png", colors(*channels), content)
     message = rf"a\.png has an ICC profile that cannot be used {reason}: save it as sRGB"
     cli.fail(f"^facerender: error: .*{message}", "compare", path, path)
 
 
-def test_profile_that_cannot_be_unpacked(cli, tmp_path):
+def test_profile_that_cannot_be_decompressed_is_refused(cli, tmp_path):
     path = saved(tmp_path / "a.png", colors(3), None)
     data = b"iCCPwide\0\0" + b"no zlib"
     chunk = struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
@@ -164,7 +164,7 @@ def test_profile_that_cannot_be_unpacked(cli, tmp_path):
     cli.fail(r"a\.png has an ICC profile that cannot be used", "compare", path, path)
 
 
-def test_report_says_what_was_converted(tmp_path):
+def test_report_names_the_converted_profile(tmp_path):
     wide = saved(tmp_path / "wide.png", colors(3), P3)
     pair = Pair.of("wide", saved(tmp_path / "plain.png", colors(3), None), wide)
     assert "<td></td><td>Display P3</td>" in entry(pair).section

@@ -1,4 +1,4 @@
-"""sRGB, PNG, EXR, and files that are whole or not there."""
+"""Tests sRGB encoding, PNG and EXR files, and writing files atomically."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_srgb_and_back():
     )
 
 
-def test_table_encoding_stays_within_its_stated_error():
+def test_encoding_by_table_is_within_its_stated_error():
     x = np.linspace(0.0, 1.2, 300_001, dtype=np.float32)
     exact = 255.0 * linear_to_srgb(x.astype(np.float64))
     assert np.abs(encode_srgb8(x) - exact).max() <= 0.6
@@ -64,15 +64,15 @@ def test_png_of_16_bits(shape):
     content = png_bytes(pixels, {"samples": "1"})
     read = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     assert read.dtype == np.uint16
-    order = [2, 1, 0, 3][: shape[2]] if len(shape) > 2 else slice(None)  # OpenCV's is BGR
+    order = [2, 1, 0, 3][: shape[2]] if len(shape) > 2 else slice(None)  # OpenCV uses BGR
     np.testing.assert_array_equal(read, pixels[..., order] if len(shape) > 2 else pixels)
-    if len(shape) == 2:  # of more channels Pillow drops the lower byte
+    if len(shape) == 2:  # Pillow drops the lower byte of images with more channels
         with Image.open(io.BytesIO(content)) as image:
             np.testing.assert_array_equal(np.asarray(image), pixels)
             assert image.info == {"samples": "1"}
 
 
-def test_png_of_pixels_that_are_no_whole_array():
+def test_png_of_array_views():
     pixels = np.random.default_rng(1).integers(0, 65536, (12, 10), dtype=np.uint16)
     for turned in (pixels.T, pixels[::2, ::3], pixels[::-1]):
         for kind in (np.uint8, np.uint16):

@@ -1,5 +1,5 @@
-"""Meshes and maps that a program holds already: arrays, bytes, open files, objects of trimesh; and
-that everything travels: pickles, deep copies, short words for it."""
+"""Tests meshes and maps in memory (arrays, bytes, open files, objects of trimesh), and that public
+objects can be pickled and copied."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HEAD = mini_head()
 
 
 def assert_same(a, b):
-    """The same parts, but for their names, the same factors and the same texels of every map."""
+    """Check that meshes have the same parts except for names, and the same factors and texels."""
     assert len(a.parts) == len(b.parts)
     for part, other in zip(a.parts, b.parts, strict=True):
         for name in ("positions", "normals", "faces", "uv", "colors"):
@@ -62,7 +62,7 @@ def scene_of(path):
 
 
 @pytest.mark.parametrize("write", [None, write_ply, write_stl, write_textured_obj])
-def test_bytes_and_open_files_are_what_their_file_is(write, tmp_path):
+def test_bytes_and_open_files_equal_their_file(write, tmp_path):
     path = MINI_HEAD
     if write:
         path = write(tmp_path / f"a.{write.__name__[-3:]}", HEAD)
@@ -80,7 +80,7 @@ def test_bytes_and_open_files_are_what_their_file_is(write, tmp_path):
     assert_same(fr.load_mesh(content, kind=path.suffix.upper()), known)
 
 
-def test_an_open_file_finds_what_lies_beside_it_and_bytes_do_not(tmp_path):
+def test_open_files_find_their_other_files_and_bytes_do_not(tmp_path):
     path = write_gltf(tmp_path / "a.gltf", HEAD)
     with path.open("rb") as file:
         assert_same(fr.load_mesh(file), fr.load_mesh(path))
@@ -122,13 +122,13 @@ def test_bytes_are_cached(cache_folder, monkeypatch):
         (np.eye(3), {}, "give a path, bytes"),
     ],
 )
-def test_what_is_no_mesh_is_told(source, options, message):
-    with pytest.raises(fr.InputError, match=re.escape(message)) as told:
+def test_invalid_meshes_are_refused(source, options, message):
+    with pytest.raises(fr.InputError, match=re.escape(message)) as error:
         fr.load_mesh(source, **options)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
-def test_a_file_that_is_closed_is_told(tmp_path):
+def test_closed_files_are_refused(tmp_path):
     file = MINI_HEAD.open("rb")
     file.close()
     with pytest.raises(fr.InputError, match="cannot read mini_head.glb: .*closed"):
@@ -137,7 +137,7 @@ def test_a_file_that_is_closed_is_told(tmp_path):
         fr.load_mesh(writing)
 
 
-def test_a_kind_is_told_of_a_file_with_another_name(tmp_path):
+def test_kind_overrides_the_suffix(tmp_path):
     path = tmp_path / "head.bin"
     path.write_bytes(MINI_HEAD.read_bytes())
     with pytest.raises(fr.InputError, match=r"unknown mesh format '\.bin'"):
@@ -150,7 +150,7 @@ def test_a_kind_is_told_of_a_file_with_another_name(tmp_path):
 # --- trimesh -------------------------------------------------------------------------------------
 
 
-def test_a_scene_of_trimesh_is_what_its_file_is():
+def test_trimesh_scene_equals_its_file():
     scene, known = scene_of(MINI_HEAD), fr.load_mesh(MINI_HEAD)
     mesh = fr.load_mesh(scene)
     assert_same(mesh, known)
@@ -159,7 +159,7 @@ def test_a_scene_of_trimesh_is_what_its_file_is():
     assert_same(fr.load_mesh(geometry), known)
 
 
-def test_instances_of_a_scene_lie_where_its_graph_says():
+def test_trimesh_instances_are_placed_by_the_scene_graph():
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=1)
@@ -229,7 +229,7 @@ def test_materials_of_trimesh_cut_and_blend():
     ],
 )
 @pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning", "ignore::RuntimeWarning")
-def test_trimesh_without_faces_is_told(name, arguments, message):
+def test_trimesh_without_faces_is_refused(name, arguments, message):
     import trimesh
 
     options = {"process": False} if arguments else {}
@@ -237,7 +237,7 @@ def test_trimesh_without_faces_is_told(name, arguments, message):
         fr.load_mesh(getattr(trimesh, name)(*arguments, **options))
 
 
-def test_maps_are_given_as_arrays_images_and_textures():
+def test_maps_may_be_arrays_images_and_textures():
     texels = np.arange(8 * 8 * 3, dtype=np.uint8).reshape(8, 8, 3)
     given: list[Any] = [texels, Image.fromarray(texels), fr.Texture.from_array(texels)]
     for each in given:
@@ -258,10 +258,10 @@ def test_maps_are_given_as_arrays_images_and_textures():
         fr.load_mesh,
     ],
 )
-def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make):
+def test_all_ways_to_give_a_mesh_give_the_same_image(make):
     size = (64, 64)
     known = fr.load_mesh(MINI_HEAD)
-    if make is scene_of:  # trimesh does not tell how maps are sampled
+    if make is scene_of:  # trimesh drops the sampling of maps
         known = repeated(known)
     expected = fr.render(known, size=size).linear
     np.testing.assert_allclose(fr.render(make(MINI_HEAD), size=size).linear, expected, atol=1e-6)
@@ -269,7 +269,7 @@ def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make):
     assert isinstance(scene.mesh, fr.Mesh)
 
 
-def test_a_scene_takes_a_file_before_anything_else_was_imported():
+def test_scene_takes_a_file_as_the_first_call():
     code = (
         "import sys, facerender as fr\n"
         "assert 'numpy' not in sys.modules\n"
@@ -290,7 +290,7 @@ def test_a_scene_takes_a_file_before_anything_else_was_imported():
 POSITIONS, FACES = HEAD.positions, HEAD.faces
 
 
-def test_arrays_are_what_their_file_is():
+def test_arrays_equal_their_file():
     known = fr.load_mesh(MINI_HEAD)
     mesh = fr.Mesh.from_arrays(
         POSITIONS,
@@ -354,7 +354,7 @@ def test_colours_of_arrays():
         assert mesh.materials[0].albedo == (1.0, 1.0, 1.0)
 
 
-def test_arrays_are_mended_as_files_are():
+def test_arrays_are_repaired_like_files():
     faces = np.concatenate([FACES, FACES[:3, [0, 0, 1]]])
     with pytest.warns(fr.FacerenderWarning, match="3 degenerate faces"):
         mesh = fr.Mesh.from_arrays(POSITIONS, faces)
@@ -405,11 +405,11 @@ def changed(values, value):
         ({"millimetres": -1.0}, "millimetres = -1.0 is outside"),
     ],
 )
-def test_arrays_that_are_no_mesh_are_told(given, message):
+def test_invalid_arrays_are_refused(given, message):
     arrays: dict[str, Any] = {"positions": POSITIONS, "faces": FACES} | given
-    with pytest.raises(fr.InputError, match=re.escape(message)) as told:
+    with pytest.raises(fr.InputError, match=re.escape(message)) as error:
         fr.Mesh.from_arrays(**arrays)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 # --- textures ------------------------------------------------------------------------------------
@@ -444,7 +444,7 @@ def test_textures_of_arrays(texels, expected):
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "RGBA", "P", "1", "CMYK", "I;16", "F", "LA"])
-def test_textures_of_images_are_those_of_their_files(mode, tmp_path):
+def test_textures_of_images_equal_those_of_their_files(mode, tmp_path):
     image = Image.fromarray(COLOR).convert("L" if mode == "I;16" else mode)
     if mode == "I;16":
         image = Image.fromarray(GREY.astype(np.uint16) * 257)
@@ -471,13 +471,13 @@ def test_textures_of_images_are_those_of_their_files(mode, tmp_path):
         (np.zeros((1, 20000), np.uint8), "at most 16384 a side"),
     ],
 )
-def test_texels_that_are_none_are_told(texels, message):
-    with pytest.raises(fr.InputError, match=re.escape(message)) as told:
+def test_invalid_texels_are_refused(texels, message):
+    with pytest.raises(fr.InputError, match=re.escape(message)) as error:
         fr.Texture.from_array(texels)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
-def test_images_that_are_none_are_told(tmp_path):
+def test_invalid_texture_images_are_refused(tmp_path):
     with pytest.raises(fr.InputError, match="image = 5: give a Pillow image"):
         fr.Texture.from_image(5)  # type: ignore[arg-type]
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(
@@ -488,12 +488,12 @@ def test_images_that_are_none_are_told(tmp_path):
         fr.Texture.from_image(Image.open(io.BytesIO((tmp_path / "b.png").read_bytes())))
 
 
-# --- all of it travels ---------------------------------------------------------------------------
+# --- pickles and copies --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def everything():
-    """One of every public class."""
+    """An object of every public class, by the name of the class."""
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, environment=fr.Environment(fr.Panorama("even", np.ones((2, 4, 3)))))
     with fr.Renderer((16, 16), samples=1) as renderer:
@@ -528,13 +528,13 @@ def everything():
     }
 
 
-def test_every_public_class_is_among_them(everything):
+def test_every_public_class_is_tested(everything):
     classes = {name for name in fr.__all__ if isinstance(getattr(fr, name), type)}
     assert classes - {"Renderer"} <= everything.keys()
 
 
 @pytest.mark.parametrize("way", ["pickle", "copy", "deepcopy"])
-def test_everything_travels(way, everything):
+def test_objects_can_be_pickled_and_copied(way, everything):
     ways: dict[str, Callable[[Any], Any]] = {
         "pickle": lambda value: pickle.loads(pickle.dumps(value)),
         "copy": copy.copy,
@@ -544,7 +544,7 @@ def test_everything_travels(way, everything):
         assert_equal(value, ways[way](value), name)
 
 
-def test_what_travelled_draws_the_same():
+def test_copied_scene_draws_the_same():
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     with fr.Renderer((64, 64)) as renderer:
         frames = [renderer.render(each).linear for each in (scene, copy.deepcopy(scene))]
@@ -552,7 +552,7 @@ def test_what_travelled_draws_the_same():
 
 
 @pytest.mark.parametrize("name", ["Mesh", "Part", "Texture"])
-def test_words_for_arrays_are_short(name, everything):
+def test_repr_of_large_objects_is_short(name, everything):
     assert re.fullmatch(rf"<{name} '.*>", repr(everything[name]))
     assert len(repr(everything[name])) < 100
 
@@ -560,6 +560,6 @@ def test_words_for_arrays_are_short(name, everything):
 def test_a_copy_of_a_texture_stays_upright():
     texels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     texture = pickle.loads(pickle.dumps(fr.Texture.from_array(texels)))
-    for kind in ("color", "data", "normal"):  # each chain takes the place of the image
+    for kind in ("color", "data", "normal"):  # every kind of mip chain
         finest = texture.levels(kind).result()[0]
         np.testing.assert_array_equal(finest[..., :3], texels[::-1])

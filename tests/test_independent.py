@@ -1,4 +1,4 @@
-"""The float64 BRDFs against work that shares no code with them: Mitsuba, and tabulated albedos."""
+"""Tests the float64 BRDFs against independent results: Mitsuba, and a table of albedos."""
 
 from __future__ import annotations
 
@@ -16,56 +16,56 @@ SINGLE = 2.0**-23  # Mitsuba's wheels have no variant in double precision
 def mi():
     try:
         import mitsuba
-    except (ImportError, NameError):  # NameError where a system library is missing
+    except (ImportError, NameError):  # NameError if a system library is missing
         missing("no mitsuba, or not libatomic.so.1 (Debian: libatomic1), which it needs")
     mitsuba.set_variant("scalar_rgb")
     return mitsuba
 
 
 def eye(theta):
-    """Unit vector at theta degrees from N."""
+    """Return the unit vector at theta degrees from N."""
     t = np.radians(theta)
     return np.stack([np.sin(t), 0.0 * t, np.cos(t)], axis=-1)
 
 
 def facet(p, q):
-    """Unit normal of a microfacet with the slopes p and q."""
+    """Return the unit normal of a microfacet with the slopes p and q."""
     h = np.stack(np.broadcast_arrays(p, q, 1.0), axis=-1)
     return h / np.linalg.norm(h, axis=-1, keepdims=True)
 
 
 def mirrored(v, h):
-    """The light that a facet h mirrors into v, and V.H."""
+    """Return the light direction that a facet h mirrors into v, and V.H."""
     v_dot_h = (v * h).sum(axis=-1)
     return 2.0 * v_dot_h[..., None] * h - v, v_dot_h
 
 
 def without_fresnel(n, l, v, m):
-    """Cook-Torrance with F = 1."""
+    """Return Cook-Torrance with F = 1."""
     v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1)
     return brdf.cook_torrance(n, l, v, m, 0.5) / brdf.fresnel_schlick(0.5, v_dot_h)
 
 
 @pytest.mark.parametrize("m", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
-def test_exact_lobe_is_mitsubas(mi, m):
-    root = np.linspace(0.0, 6.0, 121)  # of the exponent tan² γ / m²; at 6, E = 2e-16
+def test_exact_lobe_equals_that_of_mitsuba(mi, m):
+    root = np.linspace(0.0, 6.0, 121)  # square root of the exponent tan² γ / m²; at 6, E = 2e-16
     beckmann = mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, m)
     h = facet(0.6 * m * root, 0.8 * m * root).astype(np.float32).astype(np.float64)
     theirs = np.array([beckmann.eval(mi.Vector3f(*x)) for x in h.tolist()])
     ours = lobes.exact(h[:, 2] / np.linalg.norm(h, axis=-1), m, 4) / (np.pi * m**2)
-    # Single precision: a few roundings of the exponent, and a few of the rest.
+    # Single precision: a few rounding errors of the exponent and of the other factors.
     assert (np.abs(theirs / ours - 1.0) < 4.0 * SINGLE * (1.0 + root**2)).all()
 
 
 @pytest.mark.parametrize("m", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
-def test_cook_torrance_is_mitsubas_rough_conductor_but_for_masking(mi, m):
+def test_cook_torrance_equals_mitsubas_rough_conductor(mi, m):
     beckmann = mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, m)
     conductor = mi.load_dict(
         {"type": "roughconductor", "distribution": "beckmann", "material": "none", "alpha": m}
     )
     context, at = mi.BSDFContext(), mi.SurfaceInteraction3f()
 
-    def rough_conductor(l, v, h):  # D/(4 N.L N.V): Smith's masking divided out
+    def rough_conductor(l, v, h):  # D/(4 N.L N.V), without Smith's masking
         at.wi, light = mi.Vector3f(*v), mi.Vector3f(*l)
         masking = beckmann.G(at.wi, light, mi.Vector3f(*h))
         return conductor.eval(context, at, light)[0] / (masking * l[2])
@@ -83,7 +83,7 @@ def test_cook_torrance_is_mitsubas_rough_conductor_but_for_masking(mi, m):
 
     masking = brdf.masking_v_cavity(h[:, 2], v_dot_h, l[:, 2], v[:, 2])
     ours = without_fresnel(N, l, v, m) / masking
-    # The rounding of h, about SINGLE, divided by m is that of tan γ / m.
+    # The rounding error of h is about SINGLE, and that of tan γ / m is SINGLE / m.
     tolerance = 16.0 * SINGLE * (1.0 + 1.0 / m)
     np.testing.assert_allclose(theirs, ours, rtol=tolerance)
     np.testing.assert_allclose(
@@ -91,9 +91,9 @@ def test_cook_torrance_is_mitsubas_rough_conductor_but_for_masking(mi, m):
     )
 
 
-ANGLES = np.array([0.0, 30.0, 60.0, 75.0, 80.0, 85.0, 88.0, 89.0, 89.9])  # of the eye
+ANGLES = np.array([0.0, 30.0, 60.0, 75.0, 80.0, 85.0, 88.0, 89.0, 89.9])  # of the camera, degrees
 SLOPES = np.array([0.1, 0.2, 0.3, 0.5])
-# Rows for SLOPES, columns for ANGLES; computed without this package.
+# Rows are for SLOPES, columns for ANGLES; computed without this package.
 ALBEDOS = {
     "cook_torrance": [
         [1.0000, 1.0000, 0.9991, 0.9699, 0.9417, 0.9375, 0.9683, 0.9836, 0.9984],
@@ -122,17 +122,18 @@ MODELS = {
 
 
 def gauss(count):
-    """Gauss-Legendre nodes and weights on [0, 1]."""
+    """Return Gauss-Legendre nodes and weights on [0, 1]."""
     x, w = np.polynomial.legendre.leggauss(count)
     return 0.5 * (x + 1.0), 0.5 * w
 
 
 def albedo(model, theta, m):
-    """Integral of f N.L over all lights, for an eye at theta degrees.
+    """Return the integral of f N.L over all light directions, for a camera at theta degrees.
 
-    The facets that mirror light from above the surface into the eye have slopes (p, q) in the disk
-    of radius 1/cos θ about (tan θ, 0). Over it, and within 5 m, Gauss-Legendre: 32 nodes for half
-    of q, and 192 for p, crowded to the edge where N.L = 0, whose kinks are narrow near grazing.
+    The facets that mirror light from above the surface to the camera have slopes (p, q) in the disk
+    of radius 1/cos θ about (tan θ, 0). The integral over the disk, limited to 5 m, uses Gauss-
+    Legendre quadrature with 32 nodes for half of q and 192 for p. The nodes of p are denser at the
+    edge where N.L = 0, since the integrand has narrow kinks there near grazing angles.
     """
     (x, x_weight), (y, y_weight) = gauss(192), gauss(32)
     x, x_weight = x**2, 2.0 * x * x_weight
@@ -145,15 +146,15 @@ def albedo(model, theta, m):
     high = np.minimum((sin + root) / cos, 5.0 * m)
     h = facet(low + (high - low) * x, q)
     l, v_dot_h = mirrored(v, h)
-    # dω of the light is 4 V.H that of h, which is cos³ dp dq.
+    # dω of the light is 4 V.H times dω of h, which is cos³ dp dq.
     values = model(N, l, v, m) * l[..., 2].clip(0.0) * 4.0 * v_dot_h * h[..., 2] ** 3
     return (values * 2.0 * end * y_weight[:, None] * (high - low) * x_weight).sum(axis=(-1, -2))
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_directional_albedo(name):
-    # The table is rounded to 5e-5, and the quadrature has converged to 4e-5; only the table's
-    # Cook-Torrance at 89.9 degrees is off by another 1e-4.
+    # The table is rounded to 5e-5, and the quadrature error is 4e-5. The table's Cook-Torrance at
+    # 89.9 degrees has a further error of 1e-4.
     expected = np.array(ALBEDOS[name])
     result = albedo(MODELS[name], ANGLES, SLOPES[:, None])
     np.testing.assert_allclose(result[:, :-1], expected[:, :-1], rtol=0, atol=1e-4)

@@ -1,4 +1,5 @@
-"""The library in HLSL, WGSL and Metal's language: translated, compiled and run."""
+"""Tests the translations of the shader library to HLSL, WGSL and Metal: text, compilation and
+results."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ from tests.verification.targets import (
     groups_of,
 )
 
-# Every file, and some of those with their choices made.
+# Every file without choices, and every fourth with choices.
 TEXTS = [each for each in CHOICES if each[0] not in UNTRANSLATED]
 TEXTS = [each for i, each in enumerate(TEXTS) if each[1:] == (None, None) or i % 4 == 0]
 SETS = "bool set(out float x) { x = 1.0; return true; }\n"
@@ -36,7 +37,7 @@ MAIN = {
     "hlsl": "float4 main() : SV_Target { return 0; }",
     "wgsl": "@fragment fn main() -> @location(0) vec4f { return vec4f(); }",
 }
-# What the library has, and what it does not have today.
+# GLSL that the translator supports, including features that the library does not use.
 PLAIN = """
 #define TWICE(x) (2.0 * (x))
 // a const before one
@@ -82,8 +83,8 @@ def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
 def check(cases: Mapping[str, Case], target: Remote) -> None:
     results = evaluated(cases, target)
     faults = {name: case.fault(results[name]) for name, case in cases.items()}
-    if told := [f"{name}: {fault}" for name, fault in faults.items() if fault]:
-        pytest.fail("\n".join(told), pytrace=False)
+    if message := [f"{name}: {fault}" for name, fault in faults.items() if fault]:
+        pytest.fail("\n".join(message), pytrace=False)
 
 
 @pytest.mark.vulkan
@@ -104,7 +105,7 @@ def test_models_agree_with_float64(target):
 @pytest.mark.vulkan
 @pytest.mark.smoke
 @pytest.mark.parametrize("target", TRANSLATED, indirect=True)
-def test_plain_glsl_means_the_same(target, egl: Backend):
+def test_translated_glsl_gives_the_same_values(target, egl: Backend):
     random = np.random.default_rng(2)
     inputs = {"c": random.random(500, np.float32), "n": random.random((500, 3), np.float32) - 0.5}
     calls = [f"walked(c, n, {count})" for count in (0, 1, 4, 9)]
@@ -142,7 +143,7 @@ def test_every_file_and_choice_compiles_as_metal():
 
 @pytest.mark.compiler
 @pytest.mark.smoke
-def test_metal_draws_what_opengl_does(egl):
+def test_metal_draws_the_same_as_opengl(egl):
     scenes = [f"{macros}{SCENE}" for macros in SCENES.values()]
     images = metal_drawn([], scenes)
     for image, expected in zip(images, desktop(scenes)[1], strict=True):
@@ -151,7 +152,7 @@ def test_metal_draws_what_opengl_does(egl):
 
 @pytest.mark.parametrize("language", glsl.LANGUAGES)
 def test_translations_are_readable(language):
-    """Every header and comment, every function, and nothing of GLSL's."""
+    """A translation keeps headers, comments and functions, and contains no GLSL syntax."""
     source, text = fr.shader_source("cook_torrance"), fr.shader_source("cook_torrance", language)
     header, _ = (fr.shader_dir() / "facerender/cook_torrance.glsl").read_text().split("\n#", 1)
     assert header in text
@@ -166,7 +167,7 @@ def test_translations_are_readable(language):
 
 
 @pytest.mark.parametrize("language", glsl.LANGUAGES)
-def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
+def test_translation_keeps_the_choices_of_a_users_file(language, tmp_path):
     own = tmp_path / "own.glsl"
     own.write_text(
         "#define FR_LOBE FR_LOBE_D8\n#define FR_MASKING FR_MASKING_NONE\n"
@@ -180,7 +181,7 @@ def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("uniform float x;\n", "'uniform'; only functions and constants"),
         ("float f(sampler2D map) { return 0.0; }\n", "'sampler2D'; only functions and constants"),
@@ -210,10 +211,10 @@ def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
         ("float f() { return 1.0; @ }\n", "not translated: '@"),
     ],
 )  # fmt: skip
-def test_what_is_not_translated_is_said(text, told, tmp_path):
+def test_untranslatable_glsl_is_refused(text, message, tmp_path):
     own = tmp_path / "own.glsl"
     own.write_text(text)
-    with pytest.raises(InputError, match=re.escape(told)) as caught:
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
         fr.shader_source(str(own), "wgsl")
     assert str(caught.value).startswith(f"{own} in WGSL: ") or "#if" in text
     assert "\n" not in str(caught.value)

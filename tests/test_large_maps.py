@@ -1,4 +1,5 @@
-"""Maps of more texels than an image can show: what is left of them, what it costs and loses."""
+"""Tests the reduction of maps with more texels than an image can show: mip levels, error and
+memory."""
 
 import subprocess
 import sys
@@ -27,7 +28,7 @@ def noise(width, height, seed=0):
 
 @pytest.fixture(scope="module")
 def detailed(head):
-    """The built-in head with maps that change from texel to texel."""
+    """The built-in head with maps of noise."""
     maps = {
         name: Texture(lambda seed=seed: noise(1024, 1024, seed), name)
         for seed, name in enumerate(("albedo_map", "roughness_map"))
@@ -43,7 +44,7 @@ def small_is_large(monkeypatch):
 @pytest.mark.parametrize("kind", ["color", "normal", "data"])
 @pytest.mark.parametrize("size", [(256, 128), (128, 320), (200, 104), (1024, 16)])
 @pytest.mark.parametrize("drop", [1, 2, 3])
-def test_coarse_chains_are_the_ends_of_whole_ones(kind, size, drop):
+def test_coarse_mip_chains_equal_the_end_of_whole_ones(kind, size, drop):
     image = noise(*size)
     whole = chain(kind, image)[drop:]
     base = coarse_base(kind, lambda low, high: image.crop((0, low, size[0], high)), size, drop)
@@ -87,8 +88,8 @@ def test_textures_of_textures_can_be_coarse():
 
 
 @pytest.mark.parametrize(("camera", "texels"), [*zip(VIEWS, (512, 2048, 512), strict=True)])
-def test_levels_are_those_that_a_driver_reads(head, camera, texels):
-    """Of a map whose levels have a colour each, the finest that is seen is the one told."""
+def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels):
+    """Each mip level has its own colour, which shows the levels that the driver reads."""
     sides = [texels >> level for level in range(texels.bit_length())]
     levels = [np.full((side, side, 4), 20 * number, np.uint8) for number, side in enumerate(sides)]
     texture = Texture.known(levels[0][..., :3], "levels", {"color": levels})
@@ -99,8 +100,8 @@ def test_levels_are_those_that_a_driver_reads(head, camera, texels):
     seen = linear_to_srgb(gbuffer.albedo[gbuffer.part >= 0][:, 0].astype(np.float64)) * 255.0 / 20.0
     part = mesh.parts[0]
     told = levels_to_spare(mesh, part, part.uv, (texels, texels), view_of(scene, 1.0), SIZE)
-    assert np.quantile(seen, 1e-3) >= told - 0.05  # nothing of a finer one
-    assert np.quantile(seen, 1e-2) < told + 1.0  # and of this one something
+    assert np.quantile(seen, 1e-3) >= told - 0.05  # no finer level is read
+    assert np.quantile(seen, 1e-2) < told + 1.0  # and this level is read
 
 
 @pytest.mark.usefixtures("small_is_large")
@@ -127,7 +128,7 @@ def test_a_nearer_camera_gets_finer_maps(detailed):
 
 
 @pytest.mark.usefixtures("small_is_large")
-def test_two_texels_are_left_of_a_map_that_is_hardly_seen(detailed):
+def test_maps_keep_at_least_two_texels(detailed):
     part = replace(detailed.parts[0], uv=100.0 * detailed.parts[0].uv)
     scene = fr.Scene(replace(detailed, parts=(part,)), fr.Camera(zoom=0.1))
     material = reduced(scene, view_of(scene, 1.0), (16, 16), 1.0).mesh.materials[0]
@@ -145,13 +146,13 @@ def test_anisotropy_keeps_finer_levels(detailed):
     assert sizes[1] == 4 * sizes[0]
 
 
-def test_maps_of_usual_sizes_stay_as_they_are():
+def test_maps_of_usual_sizes_are_not_reduced():
     scene = fr.Scene(fr.load_mesh(), fr.Camera(zoom=0.2))
     assert reduced(scene, view_of(scene, 1.0), (64, 64), 1.0) is scene
 
 
 @pytest.mark.usefixtures("small_is_large")
-def test_the_reference_shades_what_is_drawn(detailed):
+def test_reference_uses_the_reduced_maps(detailed):
     from facerender.drawing.reference import shade
 
     scene, shading = fr.Scene(detailed, fr.Camera(zoom=0.5)), fr.Shading()
@@ -163,7 +164,7 @@ def test_the_reference_shades_what_is_drawn(detailed):
     np.testing.assert_allclose(drawn[inside], expected[inside], rtol=1e-4, atol=1e-5)
 
 
-def test_a_budget_of_memory_is_refused_before_it_is_exceeded():
+def test_memory_limit_is_checked_before_drawing():
     scene = fr.Scene(fr.load_mesh())
     with fr.Renderer((256, 256), memory=64) as renderer, pytest.raises(fr.InputError) as error:
         renderer.render(scene)
@@ -185,8 +186,8 @@ print(int(status["VmHWM:"]) - int(status["RssFile:"]))
 
 
 @pytest.mark.memory
-def test_three_maps_of_8192_take_520_mb_beside_libraries(tmp_path):
-    """Those are 85 MB with Mesa 22, and 97 with Mesa 25."""
+def test_three_maps_of_8192_take_520_mb(tmp_path):
+    """The libraries are not counted; they take 85 MB with Mesa 22 and 97 MB with Mesa 25."""
     tile = noise(512, 512)
     whole = Image.new("RGB", (8192, 8192))
     for place in range(256):

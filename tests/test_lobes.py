@@ -1,4 +1,5 @@
-"""The float64 lobes: against 50-digit arithmetic, the errors that their headers state, domains."""
+"""Tests the float64 lobes (``facerender.lobes``): 50-digit references, the errors stated in shader
+headers, domains and fits."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ def test_exact_from_tangent_agrees_with_exact_from_cosine():
         )
 
 
-# Of the approximations whose errors the registry states by slope.
+# Approximations whose errors the registry states for six slopes.
 STATED = [
     (k, name)
     for name, lobe in lobes.LOBES.items()
@@ -53,8 +54,8 @@ STATED = [
 
 @pytest.mark.parametrize(("k", "name"), STATED)
 def test_stated_errors_of_the_approximations(k, name):
-    """In percent of the peak over 0 to 90 degrees for m = 0.1 to 0.6, as the headers of the shader
-    files state them."""
+    """Errors are in percent of the peak over 0 to 90 degrees for m = 0.1 to 0.6, as in the headers
+    of the shader files."""
     assert len(STATED) == 8
     c = np.cos(np.linspace(0.0, np.pi / 2, 20001)).clip(0.0, 1.0)
     stated = lobes.LOBES[name].errors[k]
@@ -81,7 +82,7 @@ def test_every_lobe_rises_with_the_cosine_from_zero_to_one(name, k, m, c):
 @pytest.mark.parametrize(("name", "k"), lobes.FITTED)
 def test_fitted_lobes_keep_their_bound_between_the_points_of_the_fit(name, k):
     (stated,) = lobes.LOBES[name].errors[k]
-    # 20 times as many slopes and angles as the fit had, in % of the peak
+    # 20 times as many slopes and angles as in the fit; errors in % of the peak.
     slopes = np.array([1e-4, 1e-3, *np.linspace(0.01, lobes.max_slope(name, k), 720)])
     for m in np.array_split(slopes[:, None], 60):
         angle = np.where(m > 0.2, np.pi / 2, 8.0 * m) * np.linspace(0.0, 1.0, 1200)
@@ -92,8 +93,8 @@ def test_fitted_lobes_keep_their_bound_between_the_points_of_the_fit(name, k):
         assert (value[:, 0] == 1.0).all()
 
 
-def test_fit_finds_the_optimum_of_a_single_slope():
-    # Global optima, of g = 4 and 8, from an independent bisection with finer grids.
+def test_fit_finds_the_optimum_of_one_slope():
+    # Global optima for g = 4 and 8, from an independent bisection with finer grids.
     for k, power, degree, m, optimum in (
         (4, 4, 3, 0.3, 0.1571), (4, 4, 3, 0.5, 0.1342), (0, 4, 3, 0.4, 0.1634),
         (4, 8, 3, 0.6, 0.102), (0, 8, 4, 0.4, 0.008),
@@ -116,19 +117,19 @@ def test_constants_are_as_good_as_a_new_fit(name, k):
     assert programs.constants_within(ours / 0.97) is not None
 
 
-def test_fit_says_where_there_is_none():
+def test_impossible_fit_is_refused():
     with pytest.raises(InputError, match="no monotone fit of power 5 for m up to 1.5, k = 4"):
         fit(4, 5, 3, [0.5, 1.5])
 
 
-def test_clamp_keeps_the_power_from_rising_again():
+def test_clamp_prevents_the_power_from_rising_again():
     c = np.cos(np.radians([49.4, 60.0, 90.0])).clip(0.0)
     assert (lobes.g_power(c, 0.2, 4, 16) == 0.0).all()
 
 
 @pytest.mark.parametrize("k", [0, 4])
 @pytest.mark.parametrize("g", [4, 8, 16])
-def test_free_g_power_holds_those_of_the_paper(k, g):
+def test_free_g_power_includes_those_of_the_paper(k, g):
     c = np.linspace(0.0, 1.0, 1001)
     own = GPower(g, 2.0 / g, k / g)
     for m in (1e-4, 0.1, 0.3, 0.7):
@@ -187,12 +188,12 @@ def test_values_outside_the_domain_are_refused(call, message):
         call()
 
 
-def test_domains_reach_their_ends():
+def test_ends_of_domains():
     for k in (0, 4):
         for name in lobes.NAMES:
             end = lobes.max_slope(name, k)
             assert lobes.in_domain([1e-4, np.float32(1e-4), 0.999 * end], name, k).all()
-            if name.startswith("fitted"):  # as float32 rounds a map's squared roughness
+            if name.startswith("fitted"):  # float32 may round a map's squared roughness up
                 assert lobes.in_domain(end * 1.0000002, name, k)
             assert not lobes.in_domain([0.0, 0.99e-4, 1.001 * end, np.nan], name, k).any()
             closed = name == "exact" or k == 0 or name.startswith("fitted")
@@ -205,13 +206,13 @@ def farthest(lobe, m, k):
     return np.abs(lobes.lobe(lobe, c, m, k) - lobes.exact(c, m, k)).max()
 
 
-def test_a_good_g_power():
+def test_fitted_g_power_is_accurate():
     assert farthest(fit_g_power(4, 6, 0.3, 0.3), 0.3, 4) < 0.002
 
 
 @pytest.mark.parametrize("k", [0, 4])
 @pytest.mark.parametrize("g", [4, 8, 16])
-def test_a_fitted_g_power_is_no_worse_than_the_papers(g, k):
+def test_fitted_g_power_is_at_least_as_good_as_the_papers(g, k):
     for m in (1e-4, 1e-3, 0.02, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7):
         found = fit_g_power(k, g, m, m)
         assert found.g == g

@@ -1,4 +1,5 @@
-"""Meshes with fewer triangles: what stays, what is told, and how far the image moves."""
+"""Tests mesh simplification (``facerender.simplified``): preserved properties, warnings, and the
+error of the image."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ def mesh_of(*parts):
 
 
 def grid(rows, columns):
-    """Faces of a grid of (rows + 1) x (columns + 1) vertices."""
+    """Return the faces of a grid of (rows + 1) x (columns + 1) vertices."""
     at = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
     a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
     quads = [np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]
@@ -38,7 +39,7 @@ RING, TUBE = 96, 32
 
 
 def on_torus(uv):
-    """Positions and normals at (u around the ring, v around the tube)."""
+    """Return positions and normals at u around the ring and v around the tube."""
     around, over = 2.0 * np.pi * (uv % 1.0).T
     outwards = np.stack([np.cos(around), np.zeros_like(around), -np.sin(around)], axis=1)
     normals = np.cos(over)[:, None] * outwards + np.sin(over)[:, None] * np.array([0.0, 1.0, 0.0])
@@ -46,14 +47,14 @@ def on_torus(uv):
 
 
 def torus():
-    """Closed, with a seam of texture coordinates both ways."""
+    """Return a closed torus with seams of the texture coordinates in both directions."""
     u, v = np.meshgrid(np.linspace(0, 1, RING + 1), np.linspace(0, 1, TUBE + 1), indexing="ij")
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     return Part(*on_torus(uv), grid(RING, TUBE), uv)
 
 
 def welded(mesh):
-    """Places and faces of all parts, by place."""
+    """Return the distinct positions of all parts, and faces that index them."""
     points = np.concatenate([part.positions for part in mesh.parts])
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
@@ -62,7 +63,7 @@ def welded(mesh):
 
 
 def open_edges(mesh):
-    """Ends of the edges of one face alone, (E, 2, 3)."""
+    """Return the end points of edges that only one face has, (E, 2, 3)."""
     places, faces = welded(mesh)
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, counts = np.unique(pairs, axis=0, return_counts=True)
@@ -74,7 +75,7 @@ def count(mesh):
 
 
 def in_two(mesh, height):
-    """The faces below a height and those above, each with vertices and a material of its own."""
+    """Split a mesh at a height into two parts with separate vertices and materials."""
     (part,) = mesh.parts
     below = part.positions[part.faces][:, :, 1].mean(axis=1) < height
     parts = []
@@ -86,7 +87,7 @@ def in_two(mesh, height):
     return replace(mesh, parts=tuple(parts), materials=materials)
 
 
-def test_a_closed_mesh_stays_closed_and_its_maps_stay_in_place():
+def test_closed_mesh_stays_closed_with_its_maps_in_place():
     whole = mesh_of(torus())
     assert not len(open_edges(whole))
     level = fr.simplified(whole, 1200)
@@ -148,7 +149,7 @@ def test_the_same_arguments_give_the_same_mesh(head):
         )
 
 
-def test_a_mesh_that_is_gone_leaves_no_level():
+def test_levels_are_freed_with_their_mesh():
     whole = mesh_of(torus())
     level = weakref.ref(fr.simplified(whole, 500))
     del whole
@@ -157,13 +158,13 @@ def test_a_mesh_that_is_gone_leaves_no_level():
 
 
 @pytest.mark.parametrize("more", [0, 1, 10**9])
-def test_a_mesh_with_no_more_triangles_is_itself(more):
+def test_mesh_with_few_triangles_is_returned_unchanged(more):
     whole = mesh_of(torus())
     assert fr.simplified(whole, count(whole) + more) is whole
 
 
-@pytest.mark.filterwarnings("ignore:no pixel shows made.glb")  # what is left may be flat
-def test_too_few_triangles_are_told_and_every_part_keeps_one(renderer):
+@pytest.mark.filterwarnings("ignore:no pixel shows made.glb")  # the remaining faces may be flat
+def test_too_few_triangles_warn_and_every_part_keeps_one(renderer):
     small = replace(torus(), positions=0.01 * torus().positions)
     whole = mesh_of(torus(), small)
     with pytest.warns(
@@ -223,18 +224,18 @@ def test_awkward_meshes(name):
 
 
 @pytest.mark.parametrize("value", [0, -5, 1.5, True, "8", None])
-def test_what_is_no_number_of_triangles(value):
+def test_invalid_number_of_triangles_is_refused(value):
     with pytest.raises(fr.InputError, match=rf"triangles = {value!r}: give a whole number"):
         fr.simplified(mesh_of(torus()), value)
 
 
-def test_without_its_package_the_remedy_is_told(no_meshoptimizer):
+def test_missing_meshoptimizer_is_reported_with_a_remedy(no_meshoptimizer):
     with pytest.raises(fr.InputError, match=r"meshoptimizer; pip install 'facerender\[lod\]'"):
         fr.simplified(mesh_of(torus()), 100)
 
 
 @pytest.mark.parametrize(("triangles", "share", "median"), [(50_000, 0.7, 0), (16_000, 13.0, 1)])
-def test_the_image_stays(head, renderer, triangles, share, median):
+def test_image_changes_little(head, renderer, triangles, share, median):
     """In % of the covered pixels, by more than 1/255."""
     exact, level = (
         renderer.render(fr.Scene(mesh, fr.Camera(azimuth=-35)))

@@ -1,4 +1,4 @@
-"""What a measurement measures: costs that are ordered as they must be, errors that are known."""
+"""Tests ``facerender measure``: the order of costs, known errors, JSON files and the command."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def powers(count):
     return "", " + ".join(f"exp2(-c * {i}.0)" for i in range(1, count + 1))
 
 
-def test_slope_sees_what_costs_more(egl):
+def test_costs_grow_with_the_number_of_operations(egl):
     measured = cost.by_slope(
         {"none": ("", cost.OF_COSINE), "four": powers(4), "sixteen": powers(16)},
         cost.OF_COSINE,
@@ -85,7 +85,7 @@ def test_brdf_error():
     assert 0.0 < fine < fitted < d16 < 0.1
 
 
-def test_image_error_tells_a_pixel_from_a_weight():
+def test_image_error_separates_pixels_from_weights():
     reference = np.full((64, 64, 3), 0.5)
     covered = np.ones((64, 64), bool)
     same = error.image_error(reference.astype(np.float32), reference, covered)
@@ -102,7 +102,7 @@ def test_image_error_tells_a_pixel_from_a_weight():
     assert weight.steps == weight.steps_percentile == 3
 
 
-def test_image_errors_are_those_of_the_shadings(egl, head):
+def test_image_errors_are_in_the_order_of_the_lobes(egl, head):
     scene = fr.Scene(head.with_material(m=0.4))
     shadings = [fr.Shading(lobe=lobe) for lobe in ("exact", "fitted", "d16")]
     exact, fitted, d16 = error.image_errors(scene, shadings, (128, 128), egl).errors
@@ -136,7 +136,7 @@ def test_json_of_a_measurement_is_read_and_written_unchanged():
     assert isinstance(d16.error.image, ImageError)
 
 
-def test_json_of_samples_says_how_often_pixels_are_shaded():
+def test_json_of_samples_has_the_shading_rate():
     content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
     lost = {"mean": 0.04, "percentile": 0.2, "over": 0.5}
     row = {"samples": 4, "time": {"value": 2.0, "low": 1.9, "high": 2.1}}
@@ -148,7 +148,7 @@ def test_json_of_samples_says_how_often_pixels_are_shaded():
     assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, per-pixel shading"]
 
 
-def test_parts_of_skin_cost_and_lose(coarse_head, egl):
+def test_parts_of_skin_have_costs_and_errors(coarse_head, egl):
     head = coarse_head
     scene = fr.Scene(head, fr.Camera(-35.0))
     with fr.Renderer((80, 80), backend=egl) as renderer:
@@ -173,7 +173,7 @@ def test_parts_of_skin_cost_and_lose(coarse_head, egl):
     ]
 
 
-def test_json_that_is_no_measurement_of_this_version_is_refused():
+def test_json_of_another_version_is_refused():
     with pytest.raises(
         InputError, match=r"schema is 'facerender.measure/9', not .*; measure again"
     ):
@@ -186,7 +186,7 @@ def test_json_that_is_no_measurement_of_this_version_is_refused():
 
 @pytest.fixture
 def quicker(monkeypatch):
-    """Three repeats of what is timed, and frames of 32 x 32: more only narrows the intervals."""
+    """Three timed repeats and frames of 32 x 32 pixels; more would only narrow the intervals."""
     by_slope, frames = cost.by_slope, cost.frames
     monkeypatch.setattr(
         cost, "by_slope", lambda terms, of, repeats, *rest: by_slope(terms, of, 3, *rest)
@@ -200,7 +200,7 @@ def quicker(monkeypatch):
 
 @pytest.fixture
 def quickest(quicker, monkeypatch):
-    """One repeat, small images of samples and skin, and a nanosecond a term."""
+    """One repeat, small images of samples and skin, and an invented cost of 1 ns per term."""
 
     def by_slope(terms, of, repeats, *rest):
         assert (of, repeats) == (cost.OF_VECTORS, 7)

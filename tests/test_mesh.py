@@ -1,5 +1,5 @@
-"""Mesh files as they come: every case is written from a small head, loaded and drawn, and compared
-with the sound file or with what follows from the case itself."""
+"""Tests mesh files as they occur in practice. Each file is generated from a small head, loaded and
+rendered, and compared with the valid file or with known values."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ Draw = Callable[..., NDArray[np.float32]]
 Make = Callable[[Path], Path]
 
 WHITE = (1.0, 1.0, 1.0)
-# A colour in sRGB bytes, and what IEC 61966-2-1 decodes it to.
+# A colour in 8-bit sRGB, and its linear value by IEC 61966-2-1.
 SRGB = (188, 128, 64)
 LINEAR = (0.50289, 0.21586, 0.05127)
 
 
 @pytest.fixture(scope="module")
 def draw(renderer):
-    """Draw a mesh from a little aside, so that left and right differ."""
-
+    """A function that draws a mesh from an oblique direction, so that left and right differ."""
     def draw(mesh, only=None, azimuth=20.0, **scene):
         return renderer.render(fr.Scene(mesh, fr.Camera(azimuth), **scene), only=only).linear
 
@@ -43,19 +42,19 @@ def draw(renderer):
 
 @pytest.fixture(scope="module")
 def control(tmp_path_factory):
-    """The sound OBJ file: texture, no normals."""
+    """The valid OBJ file, with a texture and without normals."""
     folder = tmp_path_factory.mktemp("control")
     return fr.load_mesh(files.write_textured_obj(folder / "mini.obj", mini_head()))
 
 
 @pytest.fixture(scope="module")
 def plain():
-    """The sound GLB file: texture, which repeats as in the other files, and normals."""
+    """The valid GLB file, with normals and a repeating texture."""
     return files.repeated(fr.load_mesh(files.MINI_HEAD))
 
 
-def assert_same_picture(a, b, share=0.0):
-    """Pixels agree to 1e-3 of white, but for a share of them at silhouettes."""
+def assert_same_image(a, b, share=0.0):
+    """Check that pixels agree to 1e-3, except for a fraction ``share`` at silhouettes."""
     differ = (np.abs(a - b) > 1e-3).any(axis=-1).mean()
     assert differ <= share, f"{differ:.3%} of the pixels differ, by up to {np.abs(a - b).max():g}"
 
@@ -65,13 +64,13 @@ def mean_albedo(view):
 
 
 def angles(a, b):
-    """Degrees between rows of unit vectors."""
+    """Return the angles in degrees between rows of unit vectors."""
     chord = np.linalg.norm(a - b, axis=-1)
     return np.degrees(2.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0)))
 
 
 def warned(path, message):
-    """Load a mesh, with a warning."""
+    """Load a mesh, and check that it causes a matching warning."""
     with pytest.warns(fr.FacerenderWarning, match=message):
         return fr.load_mesh(path)
 
@@ -111,7 +110,7 @@ def test_every_format_gives_the_same_shape(write, suffix, tmp_path, plain, draw)
     assert difference[..., 3].mean() < 1e-3
 
 
-def test_gltf_with_files_beside_it_is_the_glb(tmp_path, plain, draw):
+def test_gltf_with_separate_files_equals_the_glb(tmp_path, plain, draw):
     mesh = fr.load_mesh(files.write_gltf(tmp_path / "mini.gltf", mini_head()))
     np.testing.assert_array_equal(draw(mesh), draw(plain))
 
@@ -136,13 +135,13 @@ def test_obj_texture_in_a_folder_with_a_space(tmp_path, control, draw):
     np.testing.assert_array_equal(draw(fr.load_mesh(path)), draw(control))
 
 
-def test_normalised_mesh_is_the_unit_sphere(control):
+def test_normalised_mesh_fits_the_unit_sphere(control):
     points = control.normalised(control.parts[0].positions)
     assert np.linalg.norm(points, axis=1).max() == pytest.approx(1.0, abs=1e-12)
     np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0.0, atol=1e-12)
 
 
-# --- textures and MTL files that are missing -----------------------------------------------------
+# --- missing textures and MTL files --------------------------------------------------------------
 
 
 def test_missing_texture(tmp_path, draw):
@@ -159,15 +158,15 @@ def test_missing_texture_of_a_glb(tmp_path, draw):
     assert np.isfinite(draw(mesh)).all()
 
 
-def test_missing_mtl_names_the_image_beside_it_and_takes_it(tmp_path, control, draw):
+def test_missing_mtl_suggests_the_image_in_its_folder(tmp_path, control, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head())
     (tmp_path / "mini.mtl").unlink()
     mesh = warned(path, r"mini\.mtl .* not found in .*: .*; pass --albedo skin\.jpg")
-    # trimesh puts a grey image of 2 x 2 texels here.
+    # trimesh would put a grey image of 2 x 2 texels here.
     assert mesh.materials[0].albedo_map is None
     np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), SKIN_ALBEDO, rtol=1e-5)
 
-    remedied = fr.load_mesh(path, albedo=tmp_path / "skin.jpg")  # without a warning
+    remedied = fr.load_mesh(path, albedo=tmp_path / "skin.jpg")  # must not warn
     np.testing.assert_array_equal(draw(remedied), draw(control))
 
 
@@ -192,10 +191,10 @@ def test_flip_v(tmp_path, control, draw):
     upside_down = replace(mini_head(), uv=mini_head().uv * (1, -1) + (0, 1))
     path = files.write_textured_obj(tmp_path / "mini.obj", upside_down)
     assert np.abs(draw(fr.load_mesh(path), "albedo") - draw(control, "albedo")).mean() > 0.01
-    assert_same_picture(draw(fr.load_mesh(path, flip_v=True)), draw(control))
+    assert_same_image(draw(fr.load_mesh(path, flip_v=True)), draw(control))
 
 
-# --- geometry that needs mending -----------------------------------------------------------------
+# --- geometry that needs repair ------------------------------------------------------------------
 
 
 def with_bad_vertices(head):
@@ -207,14 +206,14 @@ def with_bad_vertices(head):
 @pytest.mark.parametrize(
     ("write", "suffix"), [(files.write_textured_obj, ".obj"), (files.write_glb, ".glb")]
 )
-def test_vertices_that_are_no_numbers(write, suffix, tmp_path, draw):
+def test_non_finite_vertices(write, suffix, tmp_path, draw):
     path = write(tmp_path / f"mini{suffix}", with_bad_vertices(mini_head()))
     lost = int(np.isin(mini_head().faces, (10, 50)).any(axis=1).sum())
     mesh = warned(path, rf"mini{suffix} has 2 non-finite vertices: {lost} faces dropped")
     assert_sound(mesh)
     sound = fr.load_mesh(write(tmp_path / f"sound{suffix}", mini_head()))
     assert sum(len(part.faces) for part in mesh.parts) == len(mini_head().faces) - lost
-    assert_same_picture(draw(mesh), draw(sound), share=0.01)
+    assert_same_image(draw(mesh), draw(sound), share=0.01)
 
 
 @pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning")
@@ -232,29 +231,29 @@ def test_degenerate_and_duplicated_faces(tmp_path, control, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", head.with_faces(faces))
     mesh = warned(path, r"mini\.obj has 3 degenerate faces: dropped")
     assert_sound(mesh)
-    # A face that counts twice leans the normals at its rim a little.
+    # Duplicated faces slightly change the normals at their borders.
     assert np.abs(draw(mesh) - draw(control)).mean() < 1e-3
 
 
 @pytest.mark.parametrize("end", ["-8e25 1.4 0", "0 1e-170 0"], ids=["far out", "thin"])
-def test_a_face_whose_area_rounds_to_nothing(end, tmp_path):
-    """Be it that its first corner or its last is where the cross product is measured."""
+def test_face_whose_area_rounds_to_zero(end, tmp_path):
+    """The result must not depend on the order of the face's corners."""
     path = tmp_path / "a.obj"
     places = [end, "0 0 0", "1 0 0", "0 1 0", "0 0 1"]
     path.write_text("".join(f"v {place}\n" for place in places) + "f 1 2 3\nf 3 2 1\nf 2 3 4\n")
-    with pytest.warns(fr.FacerenderWarning) as told:
+    with pytest.warns(fr.FacerenderWarning) as warned_of:
         mesh = fr.load_mesh(path)
-    assert "a.obj has 2 degenerate faces: dropped" in [str(each.message) for each in told]
+    assert "a.obj has 2 degenerate faces: dropped" in [str(each.message) for each in warned_of]
     assert len(mesh.parts[0].faces) == 1
 
 
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1e3, 1e6), (1e-6, 0.0), (1e12, 0.0)], ids=["mm", "micrometre", "huge"]
 )
-def test_scale_and_place_do_not_show(scale, offset, tmp_path, control, draw):
+def test_scale_and_position_do_not_change_the_image(scale, offset, tmp_path, control, draw):
     head = mini_head().with_positions(mini_head().positions * scale + offset)
     mesh = fr.load_mesh(files.write_textured_obj(tmp_path / "mini.obj", head))
-    assert_same_picture(draw(mesh), draw(control), share=1e-4)
+    assert_same_image(draw(mesh), draw(control), share=1e-4)
     depth, expected = draw(mesh, "depth"), draw(control, "depth")
     np.testing.assert_allclose(depth[..., 0] / scale, expected[..., 0], rtol=1e-4)
 
@@ -276,27 +275,27 @@ def flipped(head, every):
 def test_winding_without_normals(every, warning, tmp_path, control, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", flipped(mini_head(), every))
     mesh = warned(path, warning)
-    assert_same_picture(draw(mesh), draw(control))
+    assert_same_image(draw(mesh), draw(control))
 
 
 @pytest.mark.parametrize("every", [1, 2], ids=["inverted", "mixed"])
 def test_winding_against_good_normals(every, tmp_path, plain, draw):
     mesh = fr.load_mesh(files.write_glb(tmp_path / "mini.glb", flipped(mini_head(), every)))
-    assert_same_picture(draw(mesh), draw(plain))
+    assert_same_image(draw(mesh), draw(plain))
 
 
 def test_faces_and_normals_both_inside_out(tmp_path, plain, draw):
     head = replace(flipped(mini_head(), 1), normals=-mini_head().normals)
     path = files.write_glb(tmp_path / "mini.glb", head)
     mesh = warned(path, r"faces of mini\.glb are inside out: turned")
-    assert_same_picture(draw(mesh), draw(plain))
+    assert_same_image(draw(mesh), draw(plain))
 
 
 def test_normals_of_zero_length(tmp_path, control, draw):
     zero = np.zeros_like(mini_head().normals)
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head(), normals=zero)
     mesh = warned(path, r"mini\.obj has 3444 normals of zero length: all recomputed")
-    assert_same_picture(draw(mesh), draw(control))
+    assert_same_image(draw(mesh), draw(control))
 
 
 # --- normals -------------------------------------------------------------------------------------
@@ -304,7 +303,7 @@ def test_normals_of_zero_length(tmp_path, control, draw):
 
 def test_normals_of_an_obj_are_read(tmp_path, plain, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head(), normals=mini_head().normals)
-    assert_same_picture(draw(fr.load_mesh(path)), draw(plain))
+    assert_same_image(draw(fr.load_mesh(path)), draw(plain))
 
 
 def test_computed_normals_have_no_seam(control):
@@ -315,7 +314,7 @@ def test_computed_normals_have_no_seam(control):
 
 
 def sphere(rings=24):
-    """A unit sphere, split at a seam and at the poles, where x is 0 but for rounding."""
+    """Return a unit sphere, split at a seam and at the poles, where rounding changes x slightly."""
     theta, phi = np.meshgrid(
         np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1)
     )
@@ -332,7 +331,7 @@ def sphere(rings=24):
 
 
 def test_computed_normals_do_not_depend_on_the_triangulation(tmp_path):
-    """At the corners of a box its sides count alike, large or small, as one triangle or two."""
+    """At the corners of a box, its sides have equal weight, whatever their size and triangles."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     squares = np.array(
         [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -343,7 +342,7 @@ def test_computed_normals_do_not_depend_on_the_triangulation(tmp_path):
     np.testing.assert_allclose(part.normals, np.sign(part.positions) / 3.0**0.5, atol=1e-12)
 
 
-def test_computed_normals_of_a_sphere_are_its_radii(tmp_path):
+def test_computed_normals_of_a_sphere_point_outwards(tmp_path):
     mesh = fr.load_mesh(files.write_obj(tmp_path / "sphere.obj", sphere()))
     (part,) = mesh.parts
     used = np.unique(part.faces)
@@ -351,7 +350,7 @@ def test_computed_normals_of_a_sphere_are_its_radii(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:.* wound both ways")
-def test_computed_normals_of_the_scan_are_its_own(scan, tmp_path):
+def test_computed_normals_of_the_scan_agree_with_its_own(scan, tmp_path):
     (given,) = fr.load_mesh(scan / "LeePerrySmith.glb").parts
     assert given.uv is not None
     faces = given.faces.astype(np.int64)
@@ -363,8 +362,8 @@ def test_computed_normals_of_the_scan_are_its_own(scan, tmp_path):
 
 
 def test_computed_normals_of_the_scan_from_its_obj(scan):
-    """The OBJ file has no normals, the GLB file has; scale and place differ, and so does the
-    diagonal of every one of the quadrilaterals, which are not flat: hence the degrees."""
+    """The OBJ file has no normals, but the GLB file has them. The files split every quadrilateral
+    along different diagonals; the quadrilaterals are not flat, so normals differ by degrees."""
     from scipy.spatial import cKDTree
 
     obj = warned(scan / "LeePerrySmith.obj", r"Infinite-Level_02\.mtl .*not found")
@@ -388,8 +387,8 @@ def test_computed_normals_of_the_scan_from_its_obj(scan):
 
 
 @pytest.mark.parametrize("normals", [True, False])
-def test_mirrored_node_mirrors_the_picture(normals, tmp_path, plain, draw):
-    """Without a warning: the faces are turned with the mirror, not because they look wrong."""
+def test_mirrored_node_mirrors_the_image(normals, tmp_path, plain, draw):
+    """The mirror turns the faces, and no warning says that they were inside out."""
     nodes = [{"scale": [-1, 1, 1]}]
     path = files.write_glb(tmp_path / "mirrored.glb", mini_head(), nodes, normals=normals)
     if not normals:
@@ -397,13 +396,13 @@ def test_mirrored_node_mirrors_the_picture(normals, tmp_path, plain, draw):
     lights = (fr.Light(-40.0, 30.0, 3.0),)
     mirrored_lights = (fr.Light(40.0, 30.0, 3.0),)
     picture = draw(fr.load_mesh(path), azimuth=25.0, lights=mirrored_lights)
-    assert_same_picture(picture[:, ::-1], draw(plain, azimuth=-25.0, lights=lights), share=2e-3)
+    assert_same_image(picture[:, ::-1], draw(plain, azimuth=-25.0, lights=lights), share=2e-3)
 
 
 def test_z_up_node(tmp_path, plain, draw):
     node = {"rotation": files.Z_UP, "translation": [3.0, -2.0, 1.0], "scale": [2.0, 2.0, 2.0]}
     path = files.write_glb(tmp_path / "mini.glb", mini_head().z_up(), [node])
-    assert_same_picture(draw(fr.load_mesh(path)), draw(plain), share=2e-3)
+    assert_same_image(draw(fr.load_mesh(path)), draw(plain), share=2e-3)
 
 
 def test_nonuniform_node_keeps_normals_perpendicular(tmp_path):
@@ -436,7 +435,7 @@ def test_nested_nodes(tmp_path, plain):
 def test_node_of_scale_0_is_hidden(tmp_path, plain, draw):
     path = files.write_glb(tmp_path / "mini.glb", mini_head(), [{"scale": [0, 0, 0]}, {}])
     mesh = warned(path, r"mini\.glb has 6722 degenerate faces: dropped")
-    assert_same_picture(draw(mesh), draw(plain))
+    assert_same_image(draw(mesh), draw(plain))
 
 
 def test_two_instances(tmp_path, plain, renderer):
@@ -465,10 +464,10 @@ def test_two_materials(tmp_path, control, draw):
     scalp = np.isclose(albedo[..., :3], LINEAR, atol=1e-4).all(axis=-1)
     covered = albedo[..., 3] > 0.0
     assert 0.2 < scalp.sum() / covered.sum() < 0.8
-    assert_same_picture(albedo[~scalp], expected[~scalp], share=0.01)
+    assert_same_image(albedo[~scalp], expected[~scalp], share=0.01)
 
-    # Smooth across the border: as if it were one part.
-    assert_same_picture(draw(mesh, "normal"), draw(control, "normal"), share=1e-4)
+    # Normals are smooth across the border, as in one part.
+    assert_same_image(draw(mesh, "normal"), draw(control, "normal"), share=1e-4)
     one, other = ({tuple(p): n for p, n in border(part)} for part in mesh.parts)
     common = one.keys() & other.keys()
     assert len(common) > 50
@@ -491,7 +490,7 @@ def textured(folder, texture):
 
 
 def half_transparent():
-    """The skin with an alpha channel that is 0 over half of it."""
+    """Return the skin with an alpha channel that is 0 in one half."""
     image = mini_head().image.convert("RGBA")
     alpha = np.full((image.height, image.width), 255, np.uint8)
     alpha[: image.height // 2] = 0
@@ -516,7 +515,7 @@ def palette():
     ],
 )
 def test_image_modes(name, image, tolerance, tmp_path, control, draw):
-    """The tolerance is the mean difference in linear albedo: what 256 colours, or JPEG, cost."""
+    """The tolerance is the mean error of linear albedo due to 256 colours or JPEG."""
     image().save(tmp_path / name)
     albedo, expected = draw(textured(tmp_path, name), "albedo"), draw(control, "albedo")
     assert np.abs(albedo - expected).mean() < tolerance
@@ -559,7 +558,7 @@ def test_truncated_image(tmp_path, draw):
         draw(mesh)
 
 
-def test_texture_that_is_no_image(tmp_path):
+def test_texture_that_is_not_an_image(tmp_path):
     (tmp_path / "page.jpg").write_text("<html>404 not found</html>")
     with pytest.raises(
         fr.InputError,
@@ -568,7 +567,7 @@ def test_texture_that_is_no_image(tmp_path):
         textured(tmp_path, "page.jpg")
 
 
-def test_embedded_texture_that_is_no_image(tmp_path):
+def test_embedded_texture_that_is_not_an_image(tmp_path):
     path = files.write_glb(tmp_path / "mini.glb", replace(mini_head(), skin=b"<html></html>"))
     refused(path, r"mini\.glb.* not an image")
 
@@ -616,7 +615,7 @@ def test_base_color_factor_is_linear(tmp_path, draw):
 
 
 def test_roughness_and_occlusion_of_a_glb(tmp_path, renderer):
-    """Their channels are green and red of one image, and m is the square of the roughness."""
+    """Roughness and occlusion are green and red of one image, and m is the roughness squared."""
     Image.new("RGB", (8, 8), (51, 128, 0)).save(tmp_path / "orm.png")
     material = {
         "pbrMetallicRoughness": {
@@ -727,7 +726,7 @@ def test_broken_file(name, make, message, tmp_path):
 
 
 def boxes(**visual):
-    """Four boxes side by side, as GLB bytes."""
+    """Return four boxes side by side, as bytes of a GLB file."""
     import trimesh
 
     scene = trimesh.Scene()
@@ -790,9 +789,9 @@ def test_draco_without_its_package(tmp_path, monkeypatch):
     refused(path, r"mini\.glb is compressed with Draco: pip install DracoPy")
 
 
-# --- the files that circulate --------------------------------------------------------------------
+# --- awkward files from the wild -----------------------------------------------------------------
 
-# The others are drawn without a warning.
+# All other files are drawn without a warning.
 AWKWARD = {
     "01_missing_texture/mini.obj": ("warn", r"not_here\.jpg .*not found"),
     "02_missing_mtl/mini.obj": ("warn", r"gone\.mtl .*not found.*skin\.jpg"),

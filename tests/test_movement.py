@@ -22,13 +22,13 @@ from facerender.images.read import read_image
 
 SIZE = (160, 160)
 STRANDS = 40
-# Of blocks and textures the range says nothing.
+# The range does not apply to these checks.
 OTHERS = dict.fromkeys(("block", "trend", "grain", "texture"), HIGHEST)
 MISSING = Updates(missing=True)
 
 
 def strands() -> fr.Mesh:
-    """Dark strands, half a pixel wide, before a bright plane that is a bit askew."""
+    """Return dark strands, half a pixel wide, in front of a bright, slightly irregular quad."""
     rng = np.random.default_rng(0)
     top = rng.uniform(-0.8, 0.8, STRANDS)
     bottom, width = top + rng.uniform(-0.3, 0.3, STRANDS), 0.5 * 2.0 / SIZE[0]
@@ -62,7 +62,7 @@ def studio(request, egl) -> Iterator[Studio]:
 
 @pytest.fixture(scope="module")
 def goldens(studio, tmp_path_factory) -> tuple[Path, Path]:
-    """Without the range, and with it."""
+    """Paths of a golden without the range, and of one with it."""
     folder = tmp_path_factory.mktemp("goldens")
     plain, kept = folder / "plain.exr", folder / "kept.exr"
     check("plain", studio.draw(), plain, MISSING)
@@ -70,14 +70,14 @@ def goldens(studio, tmp_path_factory) -> tuple[Path, Path]:
     return plain, kept
 
 
-def test_movements_lie_around(goldens):
+def test_shifts_surround_the_centre(goldens):
     places = np.array(SHIFTS)
     assert np.hypot(*places.T).max() == pytest.approx(FARTHEST, rel=1e-4)
     np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("move", [(0.02, 0.0), (0.05, 0.0), (0.03, -0.04), (-0.08, 0.0)])
-def test_movement_passes_where_the_golden_knows_it(studio, goldens, move):
+def test_movement_passes_with_a_range_in_the_golden(studio, goldens, move):
     plain, kept = goldens
     image = studio.draw(*move)
     assert compare(kept, image, **OTHERS), str(compare(kept, image, **OTHERS))
@@ -85,7 +85,7 @@ def test_movement_passes_where_the_golden_knows_it(studio, goldens, move):
         assert not compare(plain, image, **OTHERS)
 
 
-def test_movement_that_was_drawn_changes_no_coverage(studio, goldens):
+def test_coverage_of_a_drawn_shift_is_explained(studio, goldens):
     image = studio.draw(*SHIFTS[1])
     assert compare(goldens[0], image).coverage > 0.0
     assert compare(goldens[1], image).coverage == 0.0
@@ -100,24 +100,24 @@ def test_wrong_pixels_fail(goldens, value, seed):
     pixels[rows, columns, :3] = value
     broken = replace(plain, pixels=pixels)
     assert compare(kept, broken).same == compare(plain, broken).same
-    assert not compare(kept, broken) or value == 0.0  # a black pixel among strands may be one
+    assert not compare(kept, broken) or value == 0.0  # a black pixel may look like a strand
 
 
-def test_black_pixel_is_no_background(goldens):
-    """Where a movement uncovers it, only a pixel that is not covered is explained."""
+def test_black_pixel_does_not_count_as_background(goldens):
+    """If a shift uncovers the background, the range explains only pixels that are not covered."""
     kept = read_image(goldens[1])
     uncovers = (kept.shift_range.high[..., 3] - kept.shift_range.low[..., 3] > 0.2) & (
         kept.coverage >= 1.0
     )
     assert uncovers.any()
-    black = np.full_like(kept.color, 0.012)  # as the background is
+    black = np.full_like(kept.color, 0.012)  # similar to the background
     assert not explained(kept.shift_range, black, kept.coverage, 0.005)[0][uncovers].any()
     gone = kept.shift_range.low[..., 3].astype(np.float32)
     bare = uncovers & (gone < 0.5)
     assert explained(kept.shift_range, black, gone, 0.005)[0][bare].all()
 
 
-def test_range_is_in_layers_that_others_read(goldens, studio):
+def test_range_is_stored_in_standard_exr_layers(goldens, studio):
     plain, kept = goldens
     with OpenEXR.File(str(kept), separate_channels=True) as file:
         names = set(file.channels())
@@ -136,7 +136,7 @@ def test_range_is_in_layers_that_others_read(goldens, studio):
         assert (b.shift_range.high >= linear)[covered].all()
 
 
-def test_range_is_rounded_outwards_and_ends_where_half_floats_do():
+def test_range_is_rounded_outwards_within_half_floats():
     values = np.array([[[0.1, 1e6, -0.1]]], np.float32)
     least, most = range_of(
         [ImageData(values, "linear", "a"), ImageData(2.0 * values, "linear", "b")]
@@ -147,7 +147,7 @@ def test_range_is_rounded_outwards_and_ends_where_half_floats_do():
 
 
 @pytest.mark.parametrize("studio", [1], indirect=True)
-def test_draw_is_called_for_a_golden_that_is_written_alone(studio, goldens, tmp_path):
+def test_draw_is_called_only_when_a_golden_is_written(studio, goldens, tmp_path):
     before = studio.calls
     image = studio.draw()
     check("a", image, goldens[0], draw=studio.draw)
@@ -165,7 +165,7 @@ def test_draw_is_called_for_a_golden_that_is_written_alone(studio, goldens, tmp_
         (1.0, (80, 80), r"the result of draw\(0.1, 0\) is 80 x 80 pixels: render both at one size"),
     ],
 )
-def test_draw_that_does_something_else(studio, tmp_path, factor, size, message):
+def test_wrong_draw_functions_are_refused(studio, tmp_path, factor, size, message):
     def draw(x: float, y: float) -> np.ndarray:
         pixels = studio.draw(factor * x, factor * y).linear
         return pixels[: size[1], : size[0]]
@@ -175,7 +175,7 @@ def test_draw_that_does_something_else(studio, tmp_path, factor, size, message):
     assert not list(tmp_path.iterdir())
 
 
-def test_shifted_scene_lies_to_the_right_and_below(studio):
+def test_shifted_scene_moves_right_and_down(studio):
     linear, moved = studio.draw().linear, studio.draw(3.0, 2.0).linear
     np.testing.assert_allclose(moved[2:, 3:], linear[:-2, :-3], atol=0.02)
     np.testing.assert_allclose(studio.renderer.render(studio.scene).linear, linear, atol=1e-3)

@@ -1,4 +1,4 @@
-"""MTL files: what their statements make of materials and maps."""
+"""Tests MTL files: the materials and maps that their statements define, and warnings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.verification.fuzz.seeds import octahedron
 
 
 def load(folder, mtl, head=octahedron(), **images):
-    """Load a mesh with an MTL file of the material skin; images lie beside it as PNG."""
+    """Load a mesh with an MTL file for the material skin; ``images`` are saved as PNG files."""
     for name, image in images.items():
         image.save(folder / f"{name}.png")
     (folder / "a.mtl").write_text(f"newmtl skin\n{mtl}\n")
@@ -28,9 +28,9 @@ def load(folder, mtl, head=octahedron(), **images):
 
 
 def material(folder, mtl, **images):
-    """Load it without a warning."""
-    mesh, told = load(folder, mtl, **images)
-    assert told == []
+    """Load an MTL file without warnings, and return the material."""
+    mesh, messages = load(folder, mtl, **images)
+    assert messages == []
     return mesh.materials[0]
 
 
@@ -59,7 +59,7 @@ def test_factors(tmp_path):
     assert material(tmp_path, "Ks 1 1 1\nNs 0").m == fr.Material().m
 
 
-def test_what_is_not_drawn_is_told(tmp_path):
+def test_unsupported_statements_warn(tmp_path):
     for mtl, said in (
         ("Ks 0 0 0", "has Ks 0 in its MTL"),
         ("Tr 1", "Tr 1 in its MTL"),
@@ -74,9 +74,9 @@ def test_what_is_not_drawn_is_told(tmp_path):
         ("map_Kd -cc on skin.png", "the albedo map of a.obj has the option -cc: ignored"),
         ("map_Kd -t 1 1 1 skin.png", "the albedo map of a.obj has the option -t: ignored"),
     ):
-        told = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
-        assert len(told) == 1, mtl
-        assert said in told[0]
+        messages = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
+        assert len(messages) == 1, mtl
+        assert said in messages[0]
     for mtl in ("Pm 0\nNi 1.5\nTf 1 1 1\nKa 0 0 0", "map_Kd -mm 0 1 -cc off skin.png"):
         material(tmp_path, mtl)
 
@@ -90,8 +90,8 @@ map_Pr rough.png
 norm -bm 0.5 normal.png"""
     images = {"my skin": flat(1, 2, 3), "cut": flat(9, 9, 9, 60), "shine": flat(1, 77, 3)}
     images |= {"glow": flat(4, 5, 6), "rough": flat(128), "normal": flat(128, 128, 255)}
-    mesh, told = load(tmp_path, mtl, **images)
-    assert told == []
+    mesh, messages = load(tmp_path, mtl, **images)
+    assert messages == []
     found, part = mesh.materials[0], mesh.parts[0]
     assert found.albedo_map.sampling == (("clamp", "clamp"), False)
     for name, value in (
@@ -110,12 +110,12 @@ norm -bm 0.5 normal.png"""
     np.testing.assert_allclose(part.uv, plain * (2, 3) + (0.5, 0))
 
 
-def test_grey_is_what_is_left_without_alpha(tmp_path):
+def test_opacity_map_without_alpha_uses_its_grey(tmp_path):
     assert (texels(material(tmp_path, "map_d cut.png", cut=flat(60)).opacity_map) == 60).all()
 
 
 def waves(mode):
-    """Heights: a sine of eight periods along u, from 0 to the most."""
+    """Return a height map: a sine with eight periods along u, from 0 to the maximum."""
     u = (np.arange(256) + 0.5) / 256
     heights = np.tile(0.5 + 0.5 * np.sin(2 * np.pi * 8 * u), (64, 1))
     if mode == "16 bits":
@@ -126,7 +126,7 @@ def waves(mode):
 @pytest.mark.parametrize("mode", ["L", "RGB", "16 bits"])
 @pytest.mark.parametrize("key", ["map_Bump", "bump"])
 def test_heights_become_normals(key, mode, tmp_path):
-    """The slope is that of the sine, and the multiplier is left to the material."""
+    """The slope is the derivative of the sine; the multiplier becomes the material's strength."""
     found = material(tmp_path, f"{key} -bm 3 wave.png", wave=waves(mode))
     assert found.normal_strength == 3.0
     normals = texels(found.normal_map) / 127.5 - 1.0
@@ -138,7 +138,7 @@ def test_heights_become_normals(key, mode, tmp_path):
 
 
 def test_green_is_up(tmp_path):
-    """A height that grows upwards turns its normal down."""
+    """If the height grows upwards, the normal tilts down."""
     ramp = Image.new("L", (8, 64))
     ramp.paste(255, (0, 0, 8, 32))
     normals = texels(material(tmp_path, "bump ramp.png", ramp=ramp).normal_map)
@@ -147,7 +147,7 @@ def test_green_is_up(tmp_path):
 
 
 def test_a_bump_map_may_be_a_normal_map(tmp_path):
-    """As MakeHuman writes it: told by the colours."""
+    """MakeHuman writes normal maps as map_Bump; they are detected by their colours."""
     slopes = np.random.default_rng(0).normal(0.0, 0.2, (32, 32, 2))
     unit = np.concatenate([slopes, np.ones((32, 32, 1))], axis=-1)
     unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
@@ -156,14 +156,14 @@ def test_a_bump_map_may_be_a_normal_map(tmp_path):
     np.testing.assert_array_equal(texels(found.normal_map), np.asarray(image)[::-1])
 
 
-def test_relief_of_a_bump_map_is_seen(tmp_path, renderer):
-    """A head as MakeHuman writes it: its picture has more contrast than without the map."""
+def test_bump_map_is_visible(tmp_path, renderer):
+    """With an MTL file as MakeHuman writes it, the bump map increases the image's contrast."""
     mtl = "Ka 1 1 1\nKd 0.8 0.6 0.5\nKs 0.5 0.5 0.5\nNs 20\nd 1\nillum 2\n"
     texture = np.random.default_rng(0).random((64, 64))
     bumps = Image.fromarray((255 * texture).astype(np.uint8)).resize((512, 512), Image.BICUBIC)
     plain = material(tmp_path, mtl)
-    mesh, told = load(tmp_path, mtl + "map_Bump pores.png", mini_head(), pores=bumps)
-    assert told == []
+    mesh, messages = load(tmp_path, mtl + "map_Bump pores.png", mini_head(), pores=bumps)
+    assert messages == []
     assert plain.normal_map is None
 
     def roughness(mesh):
@@ -174,14 +174,14 @@ def test_relief_of_a_bump_map_is_seen(tmp_path, renderer):
     assert roughness(mesh) > 1.25 * without
 
 
-def test_tiles_of_udim(tmp_path):
+def test_udim_tiles(tmp_path):
     head = mini_head()
     head = replace(head, uv=np.clip(head.uv, 0.0, 1.0) * (1.999, 0.999))
     for tile, color in ((1001, (255, 0, 0)), (1002, (0, 255, 0))):
         Image.new("RGB", (4, 4), color).save(tmp_path / f"skin.{tile}.png")
     (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.<UDIM>.png\n")
-    mesh, told = loaded(files.write_obj(tmp_path / "a.obj", head, mtl="a.mtl"))
-    assert told == []
+    mesh, messages = loaded(files.write_obj(tmp_path / "a.obj", head, mtl="a.mtl"))
+    assert messages == []
     assert len(mesh.parts) == 2
     assert sum(len(part.faces) for part in mesh.parts) == len(head.faces)
     for part, found, color in zip(
@@ -192,9 +192,9 @@ def test_tiles_of_udim(tmp_path):
         assert (middle >= 0).all()
         assert (middle <= 1).all()
     (tmp_path / "skin.1002.png").unlink()
-    told = loaded(tmp_path / "a.obj")[1]
-    assert len(told) == 1
-    assert "skin.1002.png" in told[0]
+    messages = loaded(tmp_path / "a.obj")[1]
+    assert len(messages) == 1
+    assert "skin.1002.png" in messages[0]
     (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.1001.png\n")
     assert "write <UDIM> instead of 1001" in loaded(tmp_path / "a.obj")[1][0]
 
@@ -205,12 +205,12 @@ def test_libraries_of_several_names(tmp_path):
     (tmp_path / "b.mtl").write_text("newmtl scalp\nd 0.25\n")
     groups = {"skin": head.upper, "scalp": ~head.upper}
     path = files.write_obj(tmp_path / "a.obj", head, mtl="a.mtl b.mtl", groups=groups)
-    mesh, told = loaded(path)
-    assert told == []
+    mesh, messages = loaded(path)
+    assert messages == []
     assert sorted(each.opacity for each in mesh.materials) == [0.25, 0.5]
 
 
-def test_a_damaged_bump_map_is_told(tmp_path):
+def test_damaged_bump_map_is_refused(tmp_path):
     buffer = BytesIO()
     waves("RGB").save(buffer, "PNG")
     (tmp_path / "wave.png").write_bytes(buffer.getvalue()[:-60])
@@ -221,10 +221,10 @@ def test_a_damaged_bump_map_is_told(tmp_path):
 
 
 def test_hostile_statements(tmp_path):
-    """Whatever stands in an MTL file, the head is drawn or the line is told."""
+    """Invalid statements cause no exception, and a missing map causes a warning."""
     for mtl in ("map_Kd", "map_Kd -s", "bump -bm", "Ns inf", "Ke 1e308 0 0", "d 1e400", "Ks -1"):
         mesh, _ = load(tmp_path, mtl)
         assert math.isfinite(mesh.materials[0].m)
-    mesh, told = load(tmp_path, "map_Kd nowhere.png")
-    assert len(told) == 1
+    mesh, messages = load(tmp_path, "map_Kd nowhere.png")
+    assert len(messages) == 1
     assert mesh.materials[0].albedo == SKIN_ALBEDO

@@ -1,4 +1,4 @@
-"""Normal maps whose green points down, and their strength, in files, jobs and the command."""
+"""Tests normal maps whose green points down, and the strength of normal maps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 
 @pytest.fixture
 def maps(tmp_path: Path) -> tuple[Path, Path]:
-    """A map of waves in both directions, and the same with green the other way."""
+    """Paths of a normal map of waves with green up, and of the same map with green down."""
     y, x = np.mgrid[0:64, 0:64] * (2.0 * np.pi / 16.0)
     texels = np.stack([128 + 60 * np.sin(x), 128 + 60 * np.sin(y), 220 + 0 * x], axis=-1)
     up = texels.astype(np.uint8)
@@ -41,7 +41,7 @@ def test_green_that_points_down(maps: tuple[Path, Path]):
     assert np.array_equal(normals(copy.deepcopy(turned)), wanted)
 
 
-def test_maps_of_the_mesh_file_are_turned_as_well(maps: tuple[Path, Path], tmp_path: Path):
+def test_green_down_applies_to_maps_of_the_mesh_file(maps: tuple[Path, Path], tmp_path: Path):
     document, binary = split_glb(MINI_HEAD.read_bytes())
     document["images"].append({"uri": "down.png"})
     document["textures"].append({"source": len(document["images"]) - 1, "sampler": 0})
@@ -53,7 +53,7 @@ def test_maps_of_the_mesh_file_are_turned_as_well(maps: tuple[Path, Path], tmp_p
     assert np.array_equal(normals(fr.load_mesh(path, normal_map_y="down")), wanted)
 
 
-def test_the_cache_tells_them_apart(
+def test_cache_distinguishes_the_green_direction(
     maps: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("FACERENDER_CACHE_MIB", "100")
@@ -66,7 +66,7 @@ def test_the_cache_tells_them_apart(
     assert not np.allclose(found[0], found[1], atol=0.05)
 
 
-def test_the_command(maps: tuple[Path, Path], tmp_path: Path):
+def test_options_of_render(maps: tuple[Path, Path], tmp_path: Path):
     start = ["render", str(MINI_HEAD), "--size", "32", "--samples", "1", "-o"]
     up, down, flat, plain = (str(tmp_path / f"{name}.png") for name in "abcd")
     assert main([*start, up, "--normal-map", str(maps[0])]) == 0
@@ -79,7 +79,7 @@ def test_the_command(maps: tuple[Path, Path], tmp_path: Path):
     assert np.abs(c - d).max() <= 1
 
 
-def test_what_is_no_direction():
+def test_invalid_green_direction_is_refused():
     for make in (lambda: fr.load_mesh(normal_map_y="left"), lambda: fr.MeshFile(normal_map_y="x")):
         with pytest.raises(fr.InputError, match="normal_map_y = '.*': give up or down"):
             make()

@@ -1,4 +1,5 @@
-"""Occlusion baked at vertices: against geometry and rays, in float64, kept, and absent when off."""
+"""Tests occlusion baked at vertices: against geometry, rays and float64 shading, in the cache, and
+absent when off."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from tests.verification.occlusion import occlusion_error
 
 @pytest.fixture(scope="module")
 def bare():
-    """A small head whose file has no occlusion map."""
+    """A small head without an occlusion map."""
     mesh = fr.load_mesh(MINI_HEAD)
     assert mesh.materials[0].occlusion_map is None
     return mesh
@@ -35,19 +36,19 @@ def baked(bare):
 
 
 def strip(across, up, normal):
-    """A band along z, which runs through places (x, y)."""
+    """Return a band along z through the points (x, y)."""
     places = [(x, y, z) for x, y in zip(across, up, strict=True) for z in np.linspace(-60, 60, 41)]
     normals = np.tile(np.array(normal, dtype=float), (len(places), 1))
     return Part(np.array(places, dtype=float), normals, grid(len(across) - 1, 40))
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_before_a_wall_it_is_that_of_geometry(turned):
-    """At a distance d from a wall of height h that has no ends, (1 - d / sqrt(d^2 + h^2)) / 2 is
-    hidden: half of all light at its foot, also where floor and wall share their places."""
+def test_occlusion_at_a_wall_agrees_with_geometry(turned):
+    """At distance d from an infinitely long wall of height h, the hidden fraction is
+    (1 - d / sqrt(d^2 + h^2)) / 2, also at d = 0, where floor and wall share vertices."""
     across, up = np.array([0.0, 0.2, 0.5, 1.0, 3.0]), np.array([0.0, 0.5, 1.0])
     mesh = mesh_of(strip(across, 0.0 * across, (0, 1, 0)), strip(0.0 * up, up, (1, 0, 0)))
-    if turned:  # no axis is special
+    if turned:  # the result must not depend on the axes
         turn, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
         mesh = mesh_of(
             *(
@@ -61,8 +62,8 @@ def test_before_a_wall_it_is_that_of_geometry(turned):
     np.testing.assert_allclose(wall, 1.0 - hidden, atol=0.02)
 
 
-def test_everywhere_in_a_bowl_half_of_it_is_left():
-    """A part of a sphere hides its share of the sphere's surface, wherever one stands in it."""
+def test_occlusion_in_a_hemisphere_is_half():
+    """Seen from any point on a sphere, a part of it hides its fraction of the sphere's area."""
     around, over = np.meshgrid(np.linspace(0, 2 * np.pi, 129), np.linspace(0, np.pi / 2, 49)[1:])
     outwards = np.stack(
         [np.sin(over) * np.cos(around), -np.cos(over), np.sin(over) * np.sin(around)], axis=-1
@@ -82,7 +83,7 @@ def test_everywhere_in_a_bowl_half_of_it_is_left():
         pytest.param("scan_mesh", 0.015, 4000, marks=pytest.mark.slow),
     ],
 )
-def test_pixels_are_near_to_rays(renderer, name, bound, pixels, request):
+def test_pixels_are_close_to_ray_tracing(renderer, name, bound, pixels, request):
     mesh = request.getfixturevalue(name).with_material(occlusion_map=None)
     found = occlusion_error(renderer, fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6)), pixels)
     assert found.baked < bound
@@ -91,11 +92,11 @@ def test_pixels_are_near_to_rays(renderer, name, bound, pixels, request):
 
 @pytest.fixture(scope="module")
 def ring():
-    """A torus with occlusion."""
+    """A torus with baked occlusion."""
     return fr.with_occlusion(mesh_of(torus())).parts[0]
 
 
-def test_places_in_common_have_a_value_in_common(ring):
+def test_vertices_at_the_same_position_have_the_same_value(ring):
     part = ring
     _, seams = np.unique(part.positions, axis=0, return_inverse=True)
     for number in np.unique(seams):
@@ -114,7 +115,7 @@ VARIANTS = {
 
 @pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("deferred", [False, True])
-def test_every_pixel_is_float64_shading(egl, baked, name, deferred, monkeypatch):
+def test_every_pixel_agrees_with_float64(egl, baked, name, deferred, monkeypatch):
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     (whole,) = baked.parts
     changes = dict(VARIANTS[name])
@@ -131,7 +132,7 @@ def test_every_pixel_is_float64_shading(egl, baked, name, deferred, monkeypatch)
         image = renderer.render(scene, shading).linear[..., :3]
     covered = gbuffer.part >= 0
     expected = reference.shade(gbuffer, scene, shading)
-    # Mesa 25 interpolates colours of vertices with an error of 5e-6.
+    # Mesa 25 interpolates vertex colours with an error of 5e-6.
     least = 0.1 if name == "with colours alone" else 0.01
     assert (np.abs(image - expected) / np.maximum(expected, least))[covered].max() < 1e-4
     near = part.occlusion[
@@ -149,7 +150,7 @@ def nearest(places, points):
     return np.array([np.linalg.norm(places - point, axis=1).argmin() for point in points])
 
 
-def test_off_is_as_before(bare, baked):
+def test_occlusion_is_compiled_only_if_present(bare, baked):
     for mesh, on in ((bare, False), (baked, True)):
         (part,), (material,) = mesh.parts, mesh.materials
         features = surface_features(part, material, fr.Shading())
@@ -159,7 +160,7 @@ def test_off_is_as_before(bare, baked):
         assert ("in_occlusion" in part_columns(part, mesh)) == on
 
 
-def test_a_part_with_a_map_keeps_it(head, ring):
+def test_parts_with_occlusion_maps_are_not_baked(head, ring):
     with pytest.warns(fr.FacerenderWarning, match=r"head\.glb has occlusion maps for all"):
         assert fr.with_occlusion(head) is head
     mapped = head.materials[0].occlusion_map
@@ -174,7 +175,7 @@ def test_a_part_with_a_map_keeps_it(head, ring):
     assert unused.parts[0].occlusion is not None
 
 
-def test_simplified_meshes_and_plans_keep_it(baked, bare, egl):
+def test_simplified_meshes_and_plans_keep_occlusion(baked, bare, egl):
     level = fr.simplified(baked, 2000)
     (part,), (whole,) = level.parts, baked.parts
     assert part.occlusion.shape == part.positions.shape[:1]
@@ -198,7 +199,7 @@ def test_simplified_meshes_and_plans_keep_it(baked, bare, egl):
     assert np.count_nonzero(lost > 9) <= 0.2 * np.count_nonzero(frames[0].linear[..., 3])
 
 
-def test_it_is_kept_by_what_it_depends_on(bare, baked, cache_folder, monkeypatch):
+def test_cache_key_of_occlusion_is_the_geometry(bare, baked, cache_folder, monkeypatch):
     place = cache_folder / "occlusion"
     first = fr.with_occlusion(bare, cache=True)
     np.testing.assert_array_equal(first.parts[0].occlusion, baked.parts[0].occlusion)
@@ -217,7 +218,7 @@ def test_it_is_kept_by_what_it_depends_on(bare, baked, cache_folder, monkeypatch
         fr.with_occlusion(bare, cache=True)
 
 
-def test_without_embreex_the_remedy_is_told(bare, monkeypatch):
+def test_missing_embreex_is_reported_with_a_remedy(bare, monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
     with pytest.raises(fr.InputError, match=r"embreex; pip install 'facerender\[rays\]'"):
         fr.with_occlusion(bare)
@@ -230,7 +231,7 @@ def test_large_meshes_are_baked_in_pieces(bare, baked, monkeypatch):
     )
 
 
-def test_vertices_that_no_face_uses_do_no_harm(bare, baked):
+def test_unused_vertices_are_ignored(bare, baked):
     (part,) = bare.parts
     odd = np.array([(np.nan, 0.0, 0.0), (1e300, 0.0, 0.0), (0.0, 0.0, 0.0)])
     more = Part(
@@ -244,7 +245,7 @@ def test_vertices_that_no_face_uses_do_no_harm(bare, baked):
     np.testing.assert_array_equal(own.occlusion[-3:], 1.0)
 
 
-def test_render_draws_it(tmp_path, capsys, egl, baked, cache_folder, monkeypatch):
+def test_render_with_occlusion(tmp_path, capsys, egl, baked, cache_folder, monkeypatch):
     place = cache_folder / "occlusion"
     (tmp_path / "out").mkdir()
     cli = Cli(tmp_path / "out", capsys)

@@ -1,5 +1,5 @@
-"""Where results go: nothing that is read is replaced, no stream and no disk gives a traceback, a
-signal leaves nothing half done, and long work shows itself."""
+"""Tests outputs: inputs are never overwritten, full disks and closed streams cause no traceback,
+signals leave no partial files, and long work reports its progress."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def process(*arguments, **options):
     return subprocess.run(command, check=False, **options)
 
 
-# --- outputs that are read -----------------------------------------------------------------------
+# --- outputs that are also inputs ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="session")
 def files(tmp_path_factory):
-    """A folder with one file of each kind."""
+    """A folder with one input file of each kind."""
     folder = tmp_path_factory.mktemp("files")
     for name in ("skin.png", "other.png", "mask.png"):
         Image.new("RGB", (32, 32), (200, 150, 120)).save(folder / name)
@@ -62,14 +62,14 @@ def files(tmp_path_factory):
 
 @pytest.fixture
 def inputs(files, tmp_path, monkeypatch):
-    """A copy of that folder, in which the command runs."""
+    """A copy of ``files``, which is the working directory of the command."""
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def linked(how, name, suffix):
-    """Another name of a file."""
+    """Create a symbolic or hard link to a file, and return its name."""
     other = f"other{suffix}"
     Path(other).unlink(missing_ok=True)
     (os.symlink if how == "symlink" else os.link)(os.path.abspath(name), other)
@@ -106,11 +106,11 @@ READ = [
         (*case, how)
         for case in READ
         for how in ("same", "symlink", "hard link")
-        if how != "same" or case[0].endswith(case[2])  # which the command takes as a name
+        if how != "same" or case[0].endswith(case[2])  # the command accepts this suffix
     ],
 )
-def test_what_is_read_is_not_replaced(read, arguments, suffix, how, inputs, capsys, monkeypatch):
-    monkeypatch.setattr(Renderer, "of", None)  # nothing is drawn
+def test_inputs_are_not_overwritten(read, arguments, suffix, how, inputs, capsys, monkeypatch):
+    monkeypatch.setattr(Renderer, "of", None)  # drawing would fail
     output = read if how == "same" else linked(how, read, suffix)
     before = {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
     status = main([*arguments, output])
@@ -120,7 +120,7 @@ def test_what_is_read_is_not_replaced(read, arguments, suffix, how, inputs, caps
     assert before == {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
 
 
-def test_what_the_mesh_file_names_is_not_replaced(inputs, capsys):
+def test_files_of_a_mesh_are_not_overwritten(inputs, capsys):
     output = linked("hard link", "skin.jpg", ".png")
     status = main([*RENDER, "-o", output])
     printed = capsys.readouterr()
@@ -143,14 +143,14 @@ def test_many_outputs_are_checked_in_linear_time(tmp_path):
         return time.process_time() - began
 
     few, many = (min(seconds(count) for _ in range(3)) for count in (250, 2000))
-    assert many < 24.0 * few  # 8 times as many: 64 times where each is compared with each
+    assert many < 24.0 * few  # 8 times as many outputs; quadratic time would be 64 times
     with pytest.raises(fr.InputError, match=r"/0.png is written twice"):
         check_outputs([*names, tmp_path / "." / "0.png"])
     with pytest.raises(fr.InputError, match=r"/0.png is both input and output"):
         check_outputs(names, [tmp_path / "9.png", names[0]])
 
 
-def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
+def test_job_table_in_the_output_folder_is_refused(inputs, capsys):
     before = (inputs / "out/jobs.jsonl").read_bytes()
     status = main(["batch", "out/jobs.jsonl", "-o", "out", "--workers", "1"])
     printed = capsys.readouterr()
@@ -159,7 +159,7 @@ def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
     assert os.listdir(inputs / "out") == ["jobs.jsonl"]
 
 
-# --- places --------------------------------------------------------------------------------------
+# --- paths and disks -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
         (f"{'x' * 300}.png", "file name too long; give a file in a writable folder"),
     ],
 )
-def test_places_that_cannot_be_written(name, message, tmp_path, monkeypatch, capsys):
+def test_invalid_output_paths_are_refused(name, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Renderer, "of", None)
     (tmp_path / "folder.png").mkdir()
@@ -199,14 +199,14 @@ def test_the_longest_name(tmp_path, egl):
 
 
 @pytest.mark.parametrize(("name", "size"), [("a.png", 32), ("a.exr", 4)])
-def test_a_disk_without_room(name, size, tmp_path, egl):
+def test_full_disk_keeps_the_old_file(name, size, tmp_path, egl):
     (tmp_path / name).write_bytes(b"old")
 
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (512, 512))
 
     small = ("--size", size, "--samples", "1", "--no-cache")
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # which would be cut off
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # truncated bytecode would remain
     options = {"preexec_fn": limit, "env": environment}
     done = process("render", MINI_HEAD, *small, "-o", tmp_path / name, **options)
     assert_error(
@@ -233,7 +233,7 @@ def test_two_writers_of_one_file(tmp_path):
     assert os.listdir(tmp_path) == ["a.png"]
 
 
-def test_what_killed_runs_have_left_is_removed(tmp_path, egl):
+def test_old_temporary_files_are_removed(tmp_path, egl):
     old, new = tmp_path / ".facerender-0", tmp_path / ".facerender-1"
     for path in (old, new, tmp_path / ".other"):
         path.touch()
@@ -247,7 +247,7 @@ def test_what_killed_runs_have_left_is_removed(tmp_path, egl):
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("shaders", "list")])
-def test_standard_output_that_is_full(arguments):
+def test_full_standard_output(arguments):
     with open("/dev/full", "w") as full:
         done = process(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False)
     assert_error(done.returncode, "", done.stderr, "cannot write standard output: no space left")
@@ -265,10 +265,10 @@ def test_both_streams_full(tmp_path, egl):
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_closed_streams(closed, tmp_path, egl):
-    """A file that is opened must not get a stream's number."""
+    """An opened file must not get the descriptor of a closed stream."""
     path = tmp_path / "a.png"
     mesh = write_textured_obj(tmp_path / "head.obj", read_mini_head())
-    (tmp_path / "skin.jpg").unlink()  # which is warned of
+    (tmp_path / "skin.jpg").unlink()  # causes a warning
     words = f"render {mesh} {' '.join(SMALL)} -o {path}"
     command = f"{sys.executable} -m facerender {words} {closed}"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
@@ -278,7 +278,7 @@ def test_closed_streams(closed, tmp_path, egl):
         written.load()
 
 
-def test_a_reader_that_has_gone():
+def test_closed_pipe_ends_with_sigpipe():
     reading, writing = os.pipe()
     os.close(reading)
     done = process("shaders", "list", stdout=writing, stderr=subprocess.PIPE, capture_output=False)
@@ -287,7 +287,7 @@ def test_a_reader_that_has_gone():
 
 
 @pytest.mark.parametrize("encoding", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}])
-def test_letters_that_a_stream_has_not(encoding, tmp_path, egl):
+def test_unencodable_characters_in_paths(encoding, tmp_path, egl):
     path = tmp_path / "Gesicht ä\udcff.png"
     environment = os.environ | encoding | {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     command = [sys.executable, "-m", "facerender", "render", str(MINI_HEAD), *SMALL, "-o"]
@@ -303,8 +303,8 @@ def test_letters_that_a_stream_has_not(encoding, tmp_path, egl):
 # --- signals -------------------------------------------------------------------------------------
 
 
-def heeds(process):
-    """Tell whether it catches SIGTERM."""
+def catches_sigterm(process):
+    """Return whether a process catches SIGTERM."""
     lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
     (caught,) = [line.split()[1] for line in lines if line.startswith("SigCgt")]
     return int(caught, 16) >> signal.SIGTERM - 1 & 1
@@ -313,10 +313,10 @@ def heeds(process):
 @pytest.mark.parametrize(
     ("sent", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")]
 )
-def test_a_signal_among_the_imports(sent, word, tmp_path):
+def test_signal_during_imports(sent, word, tmp_path):
     command = [sys.executable, "-m", "facerender", "render", "-o", str(tmp_path / "a.png")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
-        while running.poll() is None and not heeds(running):
+        while running.poll() is None and not catches_sigterm(running):
             time.sleep(0.001)
         running.send_signal(sent)
         _, said = running.communicate(timeout=60)
@@ -352,7 +352,7 @@ print("went on")
 """
 
 
-def test_a_signal_undoes_what_is_half_done(tmp_path):
+def test_signal_removes_partial_results(tmp_path):
     (tmp_path / "a.png").write_bytes(b"old")
     command = [sys.executable, "-c", ENDED, tmp_path / "a.png"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
@@ -384,19 +384,19 @@ write_whole(sys.argv[1], write)
 """
 
 
-def test_a_worker_that_is_ended_undoes_what_is_half_done(tmp_path):
+def test_terminated_worker_removes_partial_results(tmp_path):
     command = [sys.executable, "-c", DRIVEN, tmp_path / "a.png"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    told = done.returncode, done.stdout, done.stderr
-    assert told == (-signal.SIGTERM, "goes on\n", "")
+    reported = done.returncode, done.stdout, done.stderr
+    assert reported == (-signal.SIGTERM, "goes on\n", "")
     assert os.listdir(tmp_path) == []
 
 
-def test_workers_of_a_batch_heed_their_coordinator():
+def test_workers_of_a_batch_obey_their_coordinator():
     ours, theirs = socket.socketpair()
     command = [sys.executable, "-m", "facerender.batch.worker", str(theirs.fileno())]
     with ours, theirs, subprocess.Popen(command, pass_fds=[theirs.fileno()]) as running:
-        while not heeds(running) and running.poll() is None:
+        while not catches_sigterm(running) and running.poll() is None:
             time.sleep(0.01)
         running.terminate()
     assert running.returncode == -signal.SIGTERM
@@ -420,35 +420,35 @@ class Terminal(io.StringIO):
 
 @pytest.mark.parametrize("quiet", [False, True])
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])
-def test_a_bar_is_on_terminals_alone(stream, quiet, monkeypatch):
+def test_progress_bar_appears_only_on_terminals(stream, quiet, monkeypatch):
     error = stream()
     monkeypatch.setattr(sys, "stderr", error)
     with Bar(quiet) as progress:
         for what in ("views", "shadings"):
             for done in (0.0, 0.5, 1.0):
                 progress(what, done)
-    told = error.getvalue()
+    reported = error.getvalue()
     if stream is Terminal and not quiet:
-        assert "views   0%" in told
-        assert "shadings   0%" in told
-        assert told.rpartition("\r")[0].rpartition("\r")[2].strip() == ""  # it has vanished
+        assert "views   0%" in reported
+        assert "shadings   0%" in reported
+        assert reported.rpartition("\r")[0].rpartition("\r")[2].strip() == ""  # the bar was erased
     else:
-        assert told == ""
+        assert reported == ""
 
 
-def test_a_plan_tells_what_it_does(egl):
-    told = []
+def test_plan_reports_its_progress(egl):
+    reported = []
     with fr.Renderer((24, 24), samples=1, backend=egl) as renderer:
         scene = fr.Scene(fr.load_mesh(MINI_HEAD))
-        fr.plan(scene, "1/255", renderer=renderer, progress=lambda *step: told.append(step))
-    whats = list(dict.fromkeys(what for what, _ in told))
+        fr.plan(scene, "1/255", renderer=renderer, progress=lambda *step: reported.append(step))
+    whats = list(dict.fromkeys(what for what, _ in reported))
     assert whats == ["views", "prices", "samples and triangles", "shadings", "frames", "decisions"]
-    assert all(0.0 <= done <= 1.0 for _, done in told)
-    shares = [done for what, done in told if what == "shadings"]
+    assert all(0.0 <= done <= 1.0 for _, done in reported)
+    shares = [done for what, done in reported if what == "shadings"]
     assert shares == sorted(shares)
 
 
-def test_commands_say_nothing_where_no_terminal_is(inputs, capsys, egl):
+def test_commands_print_no_progress_without_a_terminal(inputs, capsys, egl):
     (inputs / "a").mkdir()
     for name in ("0.png", "1.png"):
         Image.new("RGB", (32, 32)).save(inputs / "a" / name)
@@ -467,7 +467,7 @@ def test_quiet_keeps_warnings_and_errors(inputs, capsys, egl):
     assert "facerender: error: " in capsys.readouterr().err
 
 
-def test_a_batch_says_what_informs_unless_it_is_told_not_to(tmp_path, capsys, egl):
+def test_batch_prints_its_progress_unless_quiet(tmp_path, capsys, egl):
     jobs = tmp_path / "jobs.jsonl"
     jobs.write_text(json.dumps({"mesh": str(MINI_HEAD), "image.size": 32}) + "\n")
     assert main(["batch", str(jobs), "-o", str(tmp_path / "a")]) == 0

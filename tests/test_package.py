@@ -1,4 +1,4 @@
-"""The wheel works away from the checkout, and the package's rooms keep their doors."""
+"""Tests the package: the wheel works outside the checkout, and modules respect the import rules."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.conftest import require_backend
 
 ROOT = Path(__file__).parents[1]
 
-# What may be imported without OpenGL; see the arrows in CONTRIBUTING.md.
+# Modules that must not import OpenGL; see the import rules in CONTRIBUTING.md.
 WITHOUT_GL = [
     *("errors", "system.data", "images.read", "lobes", "brdf", "shading", "loading"),
     *("glsl.library", "glsl.catalogue", "glsl.includes"),
@@ -34,7 +34,7 @@ def import_graph(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, tool, folder], capture_output=True, text=True)
 
 
-def test_no_circle_no_arrow_up_no_opengl_by_accident():
+def test_import_graph_has_no_cycle_and_no_wrong_arrow():
     done = import_graph(ROOT / "facerender")
     assert (done.returncode, done.stderr) == (0, "")
     arrows = {room: set(below) for room, *below in map(str.split, done.stdout.splitlines())}
@@ -42,7 +42,7 @@ def test_no_circle_no_arrow_up_no_opengl_by_accident():
     assert arrows["terms"] == {"errors"}
 
 
-def test_wrong_imports_are_told(tmp_path):
+def test_wrong_imports_are_reported(tmp_path):
     folder = tmp_path / "facerender"
     shutil.copytree(ROOT / "facerender", folder, ignore=shutil.ignore_patterns("*.json", "*.pyc"))
     for module, line in {
@@ -86,11 +86,11 @@ def test_modules_without_opengl_do_not_import_it():
     done = subprocess.run(
         [*command, *WITHOUT_GL, "drawing.context"], check=True, capture_output=True, text=True
     )
-    told = done.stdout.splitlines()
-    assert [line.partition(":")[0] for line in told] == ["drawing.context"], told
+    lines = done.stdout.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["drawing.context"], lines
 
 
-def test_importing_the_package_leaves_the_heavy_ones_alone():
+def test_importing_the_package_imports_no_heavy_module():
     code = "import sys, facerender\nprint(*{'trimesh', 'scipy', 'PIL'} & set(sys.modules))"
     output = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True

@@ -1,5 +1,5 @@
-"""The shell of the pages: text stays text, pictures lie inside, and every colour can be read, on
-light and on dark."""
+"""Tests ``facerender.page``: text is escaped, images are embedded, and every colour has enough
+contrast in light and dark mode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PNG = b64decode(
 )
 VERDICTS = ("differs", "error", "same", "holds", "fails", "undecided")
 
-# Of each element with text of its own: contrast with what lies behind, as WCAG 2 defines it.
+# For each element that has text: the contrast with its background, as defined by WCAG 2.
 CONTRASTS = """() => {
     const context = new OffscreenCanvas(1, 1).getContext("2d", {willReadFrequently: true});
     const bytes = (...colours) => {
@@ -41,7 +41,7 @@ CONTRASTS = """() => {
 }"""
 
 
-def test_parts_of_a_page() -> None:
+def test_page_elements() -> None:
     page = document("a < b & c", figure(PNG, 'x < "y"'))
     assert "<title>a &lt; b &amp; c</title>" in page
     assert "<h1>a &lt; b &amp; c</h1>" in page
@@ -58,7 +58,7 @@ def test_parts_of_a_page() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_colour_can_be_read(browser, tmp_path, scheme) -> None:
+def test_every_colour_has_enough_contrast(browser, tmp_path, scheme) -> None:
     rows = [row(kind, ['<b class="verdict">word</b>'], kind) for kind in VERDICTS]
     rows += [row("name", ['<span class="over">1</span>', "figure"], "changed"), row("n", "1")]
     body = (

@@ -1,4 +1,5 @@
-"""The suite of image pairs: what is drawn and counted of it, and the comparison on some of it."""
+"""Tests the suite of image pairs (``tests.verification.pairs``): its files and index, and the
+comparison of some pairs."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -32,7 +33,7 @@ HARMLESS = [
     *("mean of other samples", "sample moved by 0.1 pixels", "vertices snapped", "noise of 5e-4"),
     *("dither of 1 step", "sRGB profile"),
 ]
-# One of these scenes has several samples for each pixel.
+# Changes that do not apply to a scene, because of its number of samples per pixel.
 NOT_IN = {
     "head-front": ("samples mirrored", "mean of other samples"),
     "head-three-quarter": ("sample moved by 0.1 pixels",),
@@ -56,7 +57,7 @@ def suite(scene, tmp_path_factory, egl) -> tuple[Path, list[Pair]]:
 
 @pytest.fixture
 def room(request, egl) -> Iterator[Room]:
-    """A setting in a small size."""
+    """The room of a setting in a small size."""
     name, size = request.param
     room = Room(replace(SETTINGS[name], size=size))
     yield room
@@ -64,7 +65,7 @@ def room(request, egl) -> Iterator[Room]:
 
 
 @pytest.mark.parametrize("change", [*BROKEN, *HARMLESS])
-def test_the_comparison_fails_what_must_fail_and_passes_what_must_pass(suite, scene, change):
+def test_comparison_judges_the_pairs_correctly(suite, scene, change):
     folder, pairs = suite
     own = [pair for pair in counted(pairs) if pair.change == change]
     assert bool(own) == (change not in NOT_IN[scene])
@@ -73,7 +74,7 @@ def test_the_comparison_fails_what_must_fail_and_passes_what_must_pass(suite, sc
         assert result.same == (pair.must == "pass"), (pair.image, str(result))
 
 
-def test_the_index_says_what_is_drawn_and_nothing_is_drawn_twice(suite, scene):
+def test_index_lists_all_files_and_only_missing_files_are_drawn(suite, scene):
     folder, pairs = suite
     assert read_pairs(folder / INDEX) == pairs
     files = {folder / each for pair in pairs for each in (pair.golden, pair.image)}
@@ -103,13 +104,13 @@ def test_the_halves_share_no_head_camera_or_light():
         assert a.point is None or a.point != b.point
 
 
-def test_every_change_has_a_name_of_its_own_for_its_files():
+def test_file_names_of_changes_are_unique():
     for a, b in combinations(SUITE, 2):
         assert slug(a) != slug(b)
 
 
 @pytest.mark.parametrize("room", [("head-front", 64)], indirect=True)
-def test_a_camera_that_moves_shifts_the_picture(room):
+def test_moved_camera_shifts_the_image(room):
     by = room.moved((1.0, -2.0))
     places = np.column_stack([0.05 * np.random.default_rng(1).normal(size=(50, 3)), np.ones(50)])
     a, b = (places @ view.matrix for view in (room.view, by))
@@ -117,7 +118,7 @@ def test_a_camera_that_moves_shifts_the_picture(room):
     np.testing.assert_allclose(moved, np.broadcast_to([-1.0, 2.0], moved.shape), rtol=0.1)
 
 
-def test_steps_are_the_8_bit_picture_before_rounding():
+def test_steps_are_the_8_bit_image_before_rounding():
     linear = np.random.default_rng(1).uniform(0.0, 1.2, (8, 8, 4)).astype(np.float32)
     linear[..., :3] *= linear[..., 3:]
     for transparent in (False, True):

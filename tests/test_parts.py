@@ -1,4 +1,5 @@
-"""Parts of meshes: what readers call them, which are drawn, what tells of them."""
+"""Tests parts of meshes: their names in each file format, selecting and hiding them, and
+``facerender info``."""
 
 from __future__ import annotations
 
@@ -34,13 +35,13 @@ def names(mesh):
 
 
 def obj(path, *heads):
-    """Load an OBJ file with a tetrahedron behind each of these lines."""
+    """Load an OBJ file with a tetrahedron after each of the given lines."""
     path.write_text(VERTICES + "".join(f"{head}\n{FACES}" for head in heads))
     return fr.load_mesh(path)
 
 
 def row(*parts):
-    """Return squares side by side, 1 wide, 2 apart, each another colour."""
+    """Return squares in a row with different colours; they are 1 wide and start 2 apart."""
     places = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
     up, faces = np.tile((0.0, 0.0, 1.0), (4, 1)), np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
     made = [
@@ -66,7 +67,7 @@ def row(*parts):
         (("g a\r", "g b\r"), ["a", "b"]),
     ],
 )
-def test_an_obj_names_its_parts(heads, expected, tmp_path):
+def test_names_of_parts_in_obj(heads, expected, tmp_path):
     if not heads:
         return
     mesh = obj(tmp_path / "a.obj", *heads)
@@ -75,7 +76,7 @@ def test_an_obj_names_its_parts(heads, expected, tmp_path):
     assert total == 4 * len(heads)
 
 
-def test_groups_of_one_material_stay_apart_with_their_colours_and_maps(tmp_path):
+def test_groups_with_one_material_stay_separate(tmp_path):
     head = mini_head()
     left = head.positions[head.faces].mean(axis=1)[:, 0] < 0.0
     whole = write_obj(tmp_path / "whole.obj", head, mtl="a.mtl", groups={"skin": left | True})
@@ -113,7 +114,7 @@ def test_ply_and_stl_have_no_names(write, tmp_path):
     assert names(fr.load_mesh(write(path, mini_head()))) == [""]
 
 
-def test_solids_of_an_stl_are_numbered(tmp_path):
+def test_solids_of_stl_are_numbered(tmp_path):
     facet = "facet normal 0 0 1\nouter loop\n{}endloop\nendfacet\n"
     corners = "vertex 0 0 0\nvertex 1 0 {0}\nvertex 0 1 {0}\n"
     solids = [f"solid s{i}\n{facet.format(corners.format(i))}endsolid s{i}\n" for i in range(3)]
@@ -135,7 +136,7 @@ def test_solids_of_an_stl_are_numbered(tmp_path):
         ([{"name": "x" * 500}], {}, [None], ["x" * 40 + " ... " + "x" * 40]),
     ],
 )
-def test_a_gltf_file_names_its_parts(nodes, mesh, materials, expected, tmp_path):
+def test_names_of_parts_in_gltf(nodes, mesh, materials, expected, tmp_path):
     document, binary = gltf(mini_head(), nodes)
     primitive = document["meshes"][0]["primitives"][0]
     document["materials"] = [{} if each is None else {"name": each} for each in materials]
@@ -149,7 +150,7 @@ def test_a_gltf_file_names_its_parts(nodes, mesh, materials, expected, tmp_path)
 
 
 @pytest.mark.parametrize("place", ["nodes", "meshes", "materials"])
-def test_a_name_that_is_no_text_is_none(place):
+def test_names_that_are_not_text_are_ignored(place):
     document, binary = gltf(mini_head())
     document[place][0]["name"] = 5
     assert names(fr.load_mesh(join_glb(document, binary))) == [""]
@@ -191,7 +192,7 @@ def test_parts_are_chosen_by_names_and_wildcards(chosen, left):
         ({"hide": ["eye", None]}, "hide = ['eye', None]: give names of parts"),
     ],
 )
-def test_names_that_no_part_has_are_told(chosen, message):
+def test_unknown_names_are_refused(chosen, message):
     with pytest.raises(fr.InputError, match=re.escape(message)):
         row("eye", "hair").select(**chosen)
     with pytest.raises(fr.InputError, match="its 1 parts have no names"):
@@ -211,7 +212,7 @@ def test_names_survive_simplification_occlusion_and_the_cache(tmp_path, cache_fo
     assert names(fr.with_occlusion(kept)) == ["Head"]
 
 
-def test_a_mesh_file_has_parts_and_hides_some(tmp_path):
+def test_mesh_file_selects_and_hides_parts(tmp_path):
     obj(tmp_path / "a.obj", "g eye", "g hair", "g lash")
     path = str(tmp_path / "a.obj")
     file = fr.MeshFile(path, parts="eye, hair", hide=["hair"])
@@ -226,7 +227,7 @@ def test_a_mesh_file_has_parts_and_hides_some(tmp_path):
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_masks_and_numbers_of_parts(samples):
+def test_masks_and_part_numbers(samples):
     mesh = row("a", "b", "c")
     with fr.Renderer((120, 40), samples=samples) as renderer:
         scene = fr.Scene(mesh)
@@ -241,7 +242,7 @@ def test_masks_and_numbers_of_parts(samples):
     colors = {tuple(each) for each in parts.srgb8().reshape(-1, 3)}
     assert len(colors) == 4
     assert (0, 0, 0) in colors
-    # Framed anew, also by a renderer that has drawn the part with others.
+    # The part is framed on its own, although the renderer drew it with others before.
     assert alone.linear[..., 0].sum() > 2.0 * (gbuffer.part == 1).sum()
 
 
@@ -251,17 +252,17 @@ def test_colours_of_parts_differ():
     steps = frame.srgb8().reshape(-1, 3).astype(int)
     apart = np.abs(steps[:, None] - steps[None]).max(axis=2) + 255 * np.eye(64, dtype=int)
     assert apart.min() > 4
-    assert np.abs(np.diff(steps, axis=0)).max(axis=1).min() > 60  # neighbours
-    assert steps.max(axis=1).min() > 80  # none is nearly black
+    assert np.abs(np.diff(steps, axis=0)).max(axis=1).min() > 60  # consecutive parts
+    assert steps.max(axis=1).min() > 80  # no colour is nearly black
 
 
 def run(capsys, *words):
     status = main([*map(str, words)])
-    told = capsys.readouterr()
-    return status, told.out, told.err
+    printed = capsys.readouterr()
+    return status, printed.out, printed.err
 
 
-def test_the_command_draws_some_parts(tmp_path, capsys):
+def test_render_selects_parts(tmp_path, capsys):
     obj(tmp_path / "a.obj", "g eye", "g hair")
     path, out = tmp_path / "a.obj", tmp_path / "o.png"
     small = ("--size", 32, "-o", out)
@@ -278,7 +279,7 @@ def test_the_command_draws_some_parts(tmp_path, capsys):
     assert not out.exists()
 
 
-def test_info_tells_what_a_file_holds(tmp_path, capsys):
+def test_info_prints_the_content_of_a_file(tmp_path, capsys):
     path = write_glb(
         tmp_path / "a.glb",
         mini_head(),
@@ -311,7 +312,7 @@ def test_info_tells_what_a_file_holds(tmp_path, capsys):
     assert f"albedo_map {size[0]} x {size[1]}, srgb" in out
 
 
-def test_info_tells_what_was_mended_and_what_a_head_would_be(tmp_path, capsys):
+def test_info_prints_repairs_and_a_size_for_heads(tmp_path, capsys):
     head = mini_head()
     faces = np.concatenate([head.faces, head.faces[:3, [0, 0, 1]]])
     path = write_obj(tmp_path / "a.obj", head.with_faces(faces))

@@ -50,7 +50,7 @@ def renderer(egl, monkeypatch, tmp_path):
         pytest.param(4, False, marks=pytest.mark.slow),
     ],
 )
-def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples, deferred, monkeypatch):
+def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, deferred, monkeypatch):
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *scene: deferred)
     scene = fr.Scene(head.with_material(m=0.3), background=None)
     view = view_of(scene, 1.0)
@@ -83,7 +83,7 @@ def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples, def
     assert (joined[::2, ::2, 3][~covered] == 1.0).all()
 
 
-def test_what_a_scene_does_not_need_is_no_pass(renderer, head, monkeypatch):
+def test_only_needed_passes_are_drawn(renderer, head, monkeypatch):
     drawn = []
     draw = renderer._resources.draw
     monkeypatch.setattr(

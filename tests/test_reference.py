@@ -23,7 +23,7 @@ from facerender.scenes.environment import studio
 from facerender.scenes.view import view_of
 
 
-def told(shading: fr.Shading) -> str:
+def shading_name(shading: fr.Shading) -> str:
     term = shading.term
     return f"{term.model}-{term.lobe}-{term.fresnel}"
 
@@ -108,7 +108,7 @@ def transparent(backend: Backend) -> Iterator[fr.Renderer]:
 @pytest.mark.parametrize(
     ("scene_of", "shading"),
     [*((lit, each) for each in SHADINGS), *((mixed, each) for each in REDUCED)],
-    ids=lambda each: told(each) if isinstance(each, fr.Shading) else each.__name__,
+    ids=lambda each: shading_name(each) if isinstance(each, fr.Shading) else each.__name__,
 )
 def test_every_term_of_a_light(transparent, mesh, scene_of, shading, request):
     scene = scene_of(request.getfixturevalue(mesh))
@@ -339,7 +339,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
 
 
 @pytest.mark.parametrize(
-    ("scene_of", "full", "budgets", "values", "told"),
+    ("scene_of", "full", "budgets", "values", "shading_name"),
     [
         (lone, {}, ("1/255", "6/255"), {"two_lobes": (True, False)},
          ("two, constant 0.3: one, constant", "one, constant 0.3")),
@@ -349,7 +349,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
          ("samples", "samples")),
     ],
 )  # fmt: skip
-def test_plans_are_sound(head, scene_of, full, budgets, values, told):
+def test_plans_are_sound(head, scene_of, full, budgets, values, shading_name):
     scene, exact = scene_of(head), fr.Shading(**full)
     with fr.Renderer((32, 32), samples=1) as renderer:
         plans = [
@@ -363,7 +363,7 @@ def test_plans_are_sound(head, scene_of, full, budgets, values, told):
             assert plan.cost.total < plan.cost.full_total or scene_of is not lone
     for name, wanted in values.items():
         assert tuple(getattr(plan.shading, name) for plan in plans) == wanted
-    assert all(words in plan.explain() for words, plan in zip(told, plans, strict=True))
+    assert all(words in plan.explain() for words, plan in zip(shading_name, plans, strict=True))
     near, far = plans
     assert fr.Shading.from_dict(json.loads(json.dumps(far.shading.as_dict()))) == far.shading
     if scene_of is lone:

@@ -78,7 +78,10 @@ def status(output: str) -> dict[str, int]:
         jobs = int(json.loads(storage.get(ABOUT))["jobs"])
         heads = [read_head(storage, name) for name in record_names(storage)]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{output} is not a batch ({ABOUT}: {error!r}); give its folder") from None
+        raise InputError(
+            f"{output} is not a batch: its {ABOUT} cannot be read ({reason(error)}); "
+            "give the output folder of facerender batch"
+        ) from None
     done, failed = (sum(head[name] for head in heads) for name in ("done", "failed"))
     return {"jobs": jobs, "done": done, "failed": failed, "left": jobs - done - failed}
 

@@ -61,7 +61,7 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
             raise InputError(f"{file} is not a regular file; give a table")
         yield from read(file)
     except OSError as error:
-        raise InputError(f"cannot read {file}: {reason(error)}") from None
+        raise InputError(f"cannot read {file}: {reason(error)}; give a job table") from None
 
 
 def _nested(row: Any) -> Table | InputError:

@@ -228,7 +228,7 @@ def _constant_slope(
         raise InputError(f"m = {m:g} without a lobe: give a lobe, which determines m's domain")
     powers = list(dict.fromkeys(model.k for model in MODELS.values() if has(model)))
     powers = powers or list(TITLES)
-    for each in [lobe_entry(lobe)] if isinstance(lobe, GPower) else used:
+    for each in used if lobe is None else [lobe_entry(lobe)]:
         for k in powers:
             each.check(m, k)
 

@@ -60,7 +60,7 @@ def _read(path: Path) -> NDArray[np.float32]:
 
 
 def _read_hdr(path: Path) -> NDArray[np.float32]:
-    content = read_file(path, "an environment", MAX_BYTES)
+    content = read_file(path, "an environment map", MAX_BYTES)
     try:
         import OpenImageIO as oiio
     except ImportError:

@@ -92,7 +92,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     check_path("scene file", path)
     name = clipped(Path(path).name)
-    tables = tables_of(read_file(path, "a scene as TOML", MOST_BYTES), name)
+    tables = tables_of(read_file(path, "a scene file", MOST_BYTES), name)
     try:
         return {key: scene_value(key, value) for key, value in tables.items()}
     except InputError as error:

@@ -47,7 +47,10 @@ class Range:
         InputError : the value is outside the range or has another type
         """
         if value not in self:
-            raise InputError(f"{name} = {shown(value)} is outside [{self.low:g}, {self.high:g}]")
+            ends = f"[{self.low:g}, {self.high:g}]"
+            raise InputError(
+                f"{name} = {shown(value)} is outside {ends}: give a value in this range"
+            )
         return value
 
 

@@ -19,8 +19,8 @@ from .unwrap import Unwrapped
 GENERATOR = "facerender tools/head"
 METRES_PER_CM = 0.01
 
-# JPEG quality, and whether chroma keeps the full resolution. Maps of numbers need it, because errors
-# in their channels are more visible than errors of colour.
+# JPEG quality, and whether chroma keeps the full resolution. Maps of numbers need full resolution,
+# because errors in their channels are more visible than errors of colour.
 ALBEDO_JPEG, NORMAL_JPEG, OCCLUSION_ROUGHNESS_JPEG = (86, False), (83, True), (90, True)
 
 # Constants of glTF, with the names in its specification.

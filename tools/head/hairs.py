@@ -69,7 +69,7 @@ def _brow_hairs(random: np.random.Generator) -> Iterator[Hair]:
 
 
 def _lash_hairs(random: np.random.Generator) -> Iterator[Hair]:
-    """Yield the dark line of the lash roots, thin at the inner corner, and outward-curved lashes."""
+    """Yield the dark line of the lash roots, thin at the inner corner, and the curved lashes."""
     inner, outer = landmarks.INNER_CORNER + 0.12, landmarks.OUTER_CORNER - 0.02
     for mirror in (-1, 1):
         ends = np.linspace(inner, outer, 40)

@@ -26,9 +26,9 @@ from .fields import (
 
 # --- cranium and mask ---------------------------------------------------------------------------
 
-# The mask, the face from hairline to chin, is a stack of horizontal superelliptic outlines. Columns:
-# height; front; half width; middle (z of the widest place); back; exponent of the front half of the
-# outline (2 is an ellipse, larger values are boxier).
+# The mask, the face from hairline to chin, is a stack of horizontal superelliptic outlines.
+# Columns: height; front; half width; middle (z of the widest place); back; exponent of the front
+# half of the outline (2 is an ellipse, larger values are boxier).
 MASK_OUTLINES = (
     (14.0, 3.50, 4.00, -1.0, -6.0, 2.10),  # crown, hidden in the cranium
     (11.0, 6.00, 5.80, -1.0, -8.0, 2.10),
@@ -139,7 +139,7 @@ EAR_CENTRE = (7.60, -1.35, -1.05)
 EAR_LEAN = 12.0  # backward tilt of the ear's top, degrees
 EAR_FLARE = 26.0  # angle between the ear and the side of the head, degrees
 EAR_HALF_HEIGHT = 3.10
-EAR_BOX = (2.3, 4.5, 3.0)  # half sizes of a box around an ear, which includes EAR_MARGIN
+EAR_BOX = (2.3, 4.5, 3.0)  # half sizes of a box around an ear, at least EAR_MARGIN away
 EAR_MARGIN = 0.6
 EAR_THICKNESS = 0.17  # half thickness of the ear's plate
 EAR_RIM, EAR_ROLLED_RIM = 0.19, 0.29  # radius of the rim at the lobe, and at the top
@@ -271,7 +271,7 @@ def _nostrils(side: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _wing_groove(side: Floats, y: Floats, z: Floats) -> Floats:
-    """Return the depth, from 0 to 1, of the grooves between the wings of the nose and the cheeks."""
+    """Return the depth, from 0 to 1, of the groove between a wing of the nose and the cheek."""
     across, up = side - WING_GROOVE_CENTRE[0], y - WING_GROOVE_CENTRE[1]
     ring = bell((np.hypot(across, up) - WING_GROOVE_RADIUS) / 0.15)
     outer_and_upper = ramp(0.15, 0.6, across + 0.35 * up)
@@ -295,8 +295,8 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
     out, ahead = cosine * out + sine * ahead, cosine * ahead - sine * out
     frame = (np.asarray(out), np.asarray(up), np.asarray(ahead))
 
-    # The plate is egg-shaped, wider at the top, and slightly concave. ``edge`` is the distance to its
-    # outline.
+    # The plate is egg-shaped, wider at the top, and slightly concave. ``edge`` is the distance to
+    # its outline.
     half_width = 1.66 + 0.34 * np.clip(up / 3, -1.1, 1)
     centred = ahead - 0.18 * np.clip(-up - 0.8, 0, 2)
     across, along = centred / half_width, up / EAR_HALF_HEIGHT
@@ -306,7 +306,7 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
     ear = smooth_maximum(np.abs(out - plate) - EAR_THICKNESS, edge + EAR_RIM, 0.2)
     ear = smooth_minimum(ear, EAR_LOBE.distance(*frame), 0.4)
 
-    # The helix is the rim, rolled from the front over the top, and at least as thick as a grid cell.
+    # The helix is the rim, rolled from the front over the top, at least as thick as a grid cell.
     angle = np.arctan2(along, across)
     angle = np.where(angle < -1.4, angle + 2 * np.pi, angle)
     rolled = ramp(2.9, 1.2, np.abs(angle - 2.0))
@@ -318,8 +318,8 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
         ear = smooth_maximum(ear, -hollow.distance(*frame), 0.2)
     step = np.float32(0.05)
     lean = (_antihelix_forward(up + step) - _antihelix_forward(up - step)) / (2 * step)
-    across = (ahead - _antihelix_forward(up)) / np.hypot(1, lean)
-    ridge = np.hypot(across, out - plate - EAR_ANTIHELIX_LIFT) - _antihelix_radius(up)
+    offset = (ahead - _antihelix_forward(up)) / np.hypot(1, lean)
+    ridge = np.hypot(offset, out - plate - EAR_ANTIHELIX_LIFT) - _antihelix_radius(up)
     ear = smooth_minimum(ear, np.asarray(ridge, np.float32), 0.25)
     for part, blend in (
         (EAR_LOWER_LEG, 0.30),
@@ -336,7 +336,7 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
 def ear_distance(points: Floats) -> Floats:
     """Return the signed distance of points (N, 3) to the outer ears, in cm.
 
-    Outside a box around each ear, the result is approximate but larger than the radius of any blend.
+    Outside a box around each ear, the result is approximate, but larger than any blend radius.
     """
     places = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     offsets = [place - middle for place, middle in zip(places, EAR_CENTRE, strict=True)]

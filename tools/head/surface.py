@@ -1,7 +1,7 @@
-"""The implicit head as a triangle mesh with normals.  Texture coordinates are made elsewhere."""
+"""The implicit head as a triangle mesh with normals, without texture coordinates."""
 
 # mypy: disable-error-code="no-untyped-call"
-# (scikit-image comes without types.)
+# scikit-image has no type annotations.
 
 from dataclasses import dataclass
 
@@ -17,10 +17,10 @@ from .shape import gradient, head_distance, in_blocks, unit
 
 Faces = NDArray[np.int32]
 
-NECK_CUT = -16.4  # height at which the neck ends, cm
+NECK_CUT = -16.4  # height of the neck's lower end, cm
 
-# Spacing of the grid, (place, cells of this size there) along each axis, all in cm: fine where the
-# face has features, coarse on the back of the head.  The side axis is mirrored.
+# Spacing of the grid along each axis: (place, cell size there), in cm. It is fine at the features
+# of the face and coarse at the back of the head. The side axis is mirrored.
 SIDE_SPACING = (
     (0, 0.20),
     (2, 0.21),
@@ -55,20 +55,20 @@ DEPTH_SPACING = (
     (9, 0.19),
     (12.2, 0.21),
 )
-COARSE_STRIDE = 4  # every how many grid points the distance is evaluated first
-NEAR_SURFACE = 1.3  # coarse distance below which it is evaluated at every grid point, cm
+COARSE_STRIDE = 4  # the first pass evaluates the distance at every fourth grid point per axis
+NEAR_SURFACE = 1.3  # the second pass evaluates all grid points below this coarse distance, cm
 RELAXING_STEPS = 12
-SHARPEST_TURN = 26.0  # degrees between the normals at both ends of an edge that is left whole
-SHORTEST_EDGE = 0.10  # of those that are halved, cm
+SHARPEST_TURN = 26.0  # largest angle between the normals of an edge that is not split, degrees
+SHORTEST_EDGE = 0.10  # shorter edges are not split, cm
 REFINEMENTS = 2
 REFINED_RELAXING_STEPS = 2
-SETTLING_STEPS = 3  # at the end, straight onto the surface
+SETTLING_STEPS = 3  # final steps that only move vertices onto the surface
 GRADIENT_STEP = 0.05  # cm; about a quarter of a cell, so that edges of the ear get one normal
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with outward normals, in cm; faces are wound counter-clockwise outward."""
+    """Triangles with outward normals, in cm; faces are counter-clockwise seen from outside."""
 
     positions: Floats
     normals: Floats
@@ -88,7 +88,10 @@ def _grid_points(axes: list[Floats]) -> Floats:
 
 
 def _extract() -> tuple[Floats, Faces]:
-    """Marching cubes on the uneven grid; only its largest connected piece is kept."""
+    """Extract the surface by marching cubes on the non-uniform grid.
+
+    Returns only the largest connected component.
+    """
     half = _grid_axis(SIDE_SPACING)
     axes = [
         np.concatenate([-half[:0:-1], half]),
@@ -117,23 +120,23 @@ def _extract() -> tuple[Floats, Faces]:
 
 
 def _adjacency(faces: Faces, count: int) -> csr_matrix:
-    """Symmetric matrix with a 1 for every edge between two vertices."""
+    """Return the symmetric matrix with a 1 for each pair of vertices that share an edge."""
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     both_ways = np.vstack([edges, edges[:, ::-1]])
     matrix = csr_matrix((np.ones(len(both_ways)), both_ways.T), shape=(count, count))
-    matrix.data[:] = 1  # an edge of two faces was added twice
+    matrix.data[:] = 1  # an edge of two faces occurs twice
     return matrix
 
 
 def _relax(positions: Floats, faces: Faces, steps: int) -> Floats:
-    """Slide vertices along the surface to even out triangles, then put them back onto it."""
+    """Move vertices along the surface to equalise triangles, and project them back onto it."""
     neighbours = _adjacency(faces, len(positions))
     counts = np.asarray(neighbours.sum(1)).reshape(-1, 1)
     on_cut = positions[:, 1] <= np.float32(NECK_CUT)
     for step in range(steps + SETTLING_STEPS):
         slope = gradient(head_distance, positions, GRADIENT_STEP)
         distance = in_blocks(head_distance, positions)
-        # One step of Newton's method: chords across a thin rim would otherwise shave it off.
+        # One step of Newton's method. Without it, smoothing would erode thin rims.
         back = np.clip(distance / np.maximum((slope * slope).sum(1), 0.05), -0.15, 0.15)
         shift = -back[:, None] * slope
         if step < steps:
@@ -148,10 +151,10 @@ def _relax(positions: Floats, faces: Faces, steps: int) -> Floats:
 
 
 def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
-    """Halve the edges along which the surface turns by more than ``SHARPEST_TURN``.
+    """Split edges whose normals differ by more than ``SHARPEST_TURN``.
 
-    Short edges stay whole, as in folds that no mesh resolves.  A face is parted in two, three or
-    four, by how many of its edges are halved.
+    Edges up to ``SHORTEST_EDGE`` are not split, because some folds are too fine for the mesh. A
+    face becomes two, three or four faces if one, two or three of its edges are split.
     """
     normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
     sides = np.stack([faces, np.roll(faces, -1, 1)], 2).reshape(-1, 2)
@@ -164,7 +167,7 @@ def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
     middle = middles[edge_of_side].reshape(-1, 3)
     halved = middle >= 0
     count = halved.sum(1)
-    # Turn each face so that its first edge is halved and, of two, the second one as well.
+    # Rotate the corners of each face so that its split edges come first.
     first = np.where(count == 1, halved.argmax(1), (halved.argmin(1) + 1) % 3)
     order = (first[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(faces, order, 1).T
@@ -180,7 +183,7 @@ def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
 
 
 def face_normals(positions: Floats, faces: Faces) -> Floats:
-    """Normals of the faces, as long as twice their areas."""
+    """Return the face normals; their lengths are twice the areas."""
     corners = positions[faces]
     return np.asarray(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), np.float32
@@ -188,7 +191,7 @@ def face_normals(positions: Floats, faces: Faces) -> Floats:
 
 
 def build_mesh() -> Mesh:
-    """The head as a mesh, open at the cut of the neck."""
+    """Return the head as a mesh that is open at the lower end of the neck."""
     positions, faces = _extract()
     positions = _relax(positions, faces, RELAXING_STEPS)
     for _ in range(REFINEMENTS):

@@ -1,6 +1,6 @@
-"""Paints the maps of the skin from 3D positions.  Regions and single hairs are found elsewhere.
+"""The maps of the skin, computed from the 3D positions of texels.
 
-Colour is linear until it is written; heights and distances are cm.
+Colours are linear until the output; heights and distances are in cm.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from .unwrap import Texels, Unwrapped, find_texels
 
 Colour = tuple[float, float, float]
 
-# Colours as 8-bit sRGB.
+# 8-bit sRGB colours.
 SKIN: Colour = (224, 180, 156)
 LIPS: Colour = (182, 108, 100)
 STUBBLE: Colour = (92, 84, 84)
@@ -28,22 +28,22 @@ SCALP_HAIR: Colour = (62, 51, 45)
 BROW: Colour = (58, 44, 36)
 LASHES: Colour = (46, 34, 30)
 
-# What one unit of a pigment takes from red, green, blue: the exponent of its transmission.
+# Absorption of red, green and blue by one unit of a pigment: the exponent of its transmission.
 BLOOD: Colour = (0.03, 0.26, 0.24)
 MELANIN: Colour = (0.26, 0.46, 0.71)
 CAROTENE: Colour = (0.00, 0.02, 0.14)
 VEIN: Colour = (0.11, 0.05, -0.016)
 
-# How many there are on the whole head, and how wide each is (standard deviation, cm).
+# Number of marks on the whole head, and the size of each (standard deviation, cm).
 PORES, PORE_SIZE = 110_000, 0.022
 NOSE_PORES, NOSE_PORE_SIZE = 30_000, 0.030
 FOLLICLES, FOLLICLE_SIZE = 150_000, 0.020
 STUBBLES, STUBBLE_SIZE = 30_000, 0.017
 FRECKLES, FRECKLE_SIZE = 900, 0.018
 MOLES, MOLE_SIZE = 9, 0.045
-REACH = 0.15  # beyond this distance none of them shows
+REACH = 0.15  # largest distance at which a mark is visible, cm
 
-# Heights of the fine relief in the normal map.
+# Heights of the fine relief in the normal map, cm.
 PORE_DEPTH = 0.0075
 NOSE_PORE_DEPTH = 0.0085
 LUMP_HEIGHT = 0.0030
@@ -53,18 +53,18 @@ LID_LINE_HEIGHT = 0.004
 FOREHEAD_LINE_DEPTH = 0.005
 UNDER_EYE_LINE_DEPTH = 0.003
 CROWS_FOOT_DEPTH = 0.006
-CROWS_FOOT_HEIGHT = -0.1  # of the corner of the eye from which the lines radiate
+CROWS_FOOT_HEIGHT = -0.1  # y of the eye corner from which the lines radiate, cm
 SCALP_HAIR_HEIGHT = 0.005
 BROW_HEIGHT = 0.010
 LASH_HEIGHT = 0.006
-STEEPEST = 0.6  # slope at which fine relief is cut off
-SHALLOWEST = 0.50  # least part of a mapped normal along that of the mesh, before it is made unit
+STEEPEST = 0.6  # maximum slope of the fine relief
+SHALLOWEST = 0.50  # minimum component of a mapped normal along the mesh normal, before scaling to 1
 NOSTRIL_OPENING = (0.0, -0.95, 0.31)  # direction from which light enters the nostrils
 
-OCCLUSION_REACH = (0.12, 0.3, 0.6, 1.1, 1.8)  # distances at which the open space is measured, cm
+OCCLUSION_REACH = (0.12, 0.3, 0.6, 1.1, 1.8)  # distances along the normal of occlusion samples, cm
 OCCLUSION_STRENGTH = 0.62
 
-# Beckmann rms slope of the skin: its base, and what each region adds.
+# Roughness m of the skin, the RMS slope: a base value, and the offset of each region.
 SLOPE_BASE = 0.33
 SLOPE_ADDED = {
     "nose": -0.07,
@@ -77,29 +77,29 @@ SLOPE_ADDED = {
     "scalp": 0.10,
     "nostril": 0.15,
 }
-SLOPE_RANGE = (0.19, 0.54)  # a little inside 0.18 to 0.55, which JPEG may blur
+SLOPE_RANGE = (0.19, 0.54)  # narrower than the required 0.18 to 0.55, because JPEG adds errors
 
 
 @dataclass(frozen=True)
 class Maps:
-    """The textures of the head as images, row 0 on top."""
+    """The textures of the head as images, row 0 at the top."""
 
     albedo: Image.Image
     normal: Image.Image
-    occlusion_roughness: Image.Image  # red: occlusion, green: square root of the rms slope
+    occlusion_roughness: Image.Image  # red: occlusion, green: square root of m
 
 
 @dataclass(frozen=True)
 class Scattered:
-    """Which of many marks on the skin is nearest to each texel."""
+    """The nearest of many marks on the skin, for each texel."""
 
-    distance: Floats  # to it, cm; infinite beyond REACH
-    rank: Floats  # a random number from 0 to 1 that belongs to it
+    distance: Floats  # distance to the mark, cm; infinite beyond REACH
+    rank: Floats  # random number of the mark, from 0 to 1
 
 
 @dataclass(frozen=True)
 class Marks:
-    """What is scattered on the skin, and how much each texel is covered by brows and lashes."""
+    """The marks on the skin, and the coverage of each texel by brows and lashes."""
 
     pores: Scattered
     nose_pores: Scattered
@@ -113,13 +113,13 @@ class Marks:
 
 
 def _linear(colour: Colour) -> Floats:
-    """8-bit sRGB to linear."""
+    """Convert 8-bit sRGB to linear."""
     value = np.array(colour, np.float32) / 255
     return np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def _encoded(linear: Floats) -> Floats:
-    """Linear to sRGB, from 0 to 1."""
+    """Convert linear to sRGB, in [0, 1]."""
     value = np.clip(linear, 0, 1)
     return np.where(value < 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
 
@@ -133,7 +133,7 @@ def _cover(colour: Floats, amount: Floats, over: Colour) -> Floats:
     return np.asarray(colour * (1 - share) + _linear(over) * share, np.float32)
 
 
-# How dense marks are at some points (N, 3), in relative numbers.
+# Relative densities of marks at points (N, 3).
 
 
 def _pore_density(points: Floats) -> Floats:
@@ -161,8 +161,8 @@ def _freckle_density(points: Floats) -> Floats:
 
 
 def _mole_density(points: Floats) -> Floats:
-    beside_middle = (points[:, 2] > 1) & (np.abs(points[:, 0]) > 2.5)
-    return np.asarray(0.1 + beside_middle, np.float32)
+    off_centre = (points[:, 2] > 1) & (np.abs(points[:, 0]) > 2.5)
+    return np.asarray(0.1 + off_centre, np.float32)
 
 
 def _scatter_marks(mesh: Mesh, points: Floats, random: np.random.Generator) -> Marks:
@@ -189,7 +189,7 @@ def _scatter_marks(mesh: Mesh, points: Floats, random: np.random.Generator) -> M
 
 
 def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -> Floats:
-    """Relief too fine for the mesh: pores, lines, hairs."""
+    """Return the height of relief that is too fine for the mesh: pores, lines, hairs."""
     x, y, _ = points.T
     side = np.abs(x)
     skin = regions.plain_skin
@@ -210,11 +210,11 @@ def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
     height -= FOREHEAD_LINE_DEPTH * across_forehead * bell((wave - 1) / 0.12)
     wave = np.sin(16 * (y + 0.22 * (side - 2.9)) + 1.5 * noise(points, 1.2, 43))
     height -= UNDER_EYE_LINE_DEPTH * regions.under_eye * wave
-    # Crow's feet: rays from the outer corner of the eye.
+    # Crow's feet are rays from the outer corner of the eye.
     out, up = side - 4.55, y - CROWS_FOOT_HEIGHT
     ray = np.arctan2(up, out) + 0.12 * noise(points, 1.1, 45)
-    beside_eye = ramp(0.25, 0.7, out) * ramp(2.0, 1.1, out) * bell(up / 0.6) * (points[:, 2] > 3)
-    height -= CROWS_FOOT_DEPTH * beside_eye * bell((np.cos(9 * ray) - 1) / 0.25)
+    near_corner = ramp(0.25, 0.7, out) * ramp(2.0, 1.1, out) * bell(up / 0.6) * (points[:, 2] > 3)
+    height -= CROWS_FOOT_DEPTH * near_corner * bell((np.cos(9 * ray) - 1) / 0.25)
 
     height += SCALP_HAIR_HEIGHT * regions.scalp * noise(points, 9, 51, layers=2)
     height += BROW_HEIGHT * marks.brow + LASH_HEIGHT * marks.lash
@@ -222,20 +222,20 @@ def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
 
 
 def _tangent_normals(texels: Texels, height: Floats, nostril: Floats) -> Floats:
-    """Normals in the texture's own frame: x along u, z out of the mesh.
+    """Return tangent-space normals: x along u, z along the mesh normal.
 
-    They replace the mesh's smooth normals by those of the surface with its fine folds, tilted by
-    the slope of ``height``.  Inside the nostrils they are bent to where light comes in, so that
-    walls which face the light behind the skin stay dark without shadows.
+    They encode the normals of the surface with its fine folds, tilted by the slope of ``height``.
+    Inside the nostrils, normals point to the opening. Otherwise a renderer without shadows would
+    light their walls through the skin.
     """
     normals = texels.normals
     along_u, along_v = texels.differences(texels.positions)
     height_u, height_v = texels.differences(height)
-    # Slope of the height in space, from its changes along two directions that need not be square.
+    # Gradient of the height in space, from its changes along u and v, which may be non-orthogonal.
     uu, vv = (along_u * along_u).sum(1), (along_v * along_v).sum(1)
     uv = (along_u * along_v).sum(1)
     area = uu * vv - uv * uv
-    # Texels on the border of a chart, whose neighbours lie elsewhere on the head, stay smooth.
+    # Texels at the border of a chart get no relief: their neighbours are elsewhere on the head.
     whole = (uu < 0.04) & (vv < 0.04) & (area > 0.01 * uu * vv)
     area = np.where(whole, area, np.inf)
     slope = ((vv * height_u - uv * height_v) / area)[:, None] * along_u
@@ -256,7 +256,7 @@ def _tangent_normals(texels: Texels, height: Floats, nostril: Floats) -> Floats:
 
 
 def _occlusion(texels: Texels, regions: Regions) -> Floats:
-    """Share of open space around each point, from 1 in the open to 0 in a pit."""
+    """Return the unoccluded fraction of the space around each point, from 0 to 1."""
     blocked = np.zeros(len(texels.positions), np.float32)
     for step, reach in enumerate(OCCLUSION_REACH):
         outside = texels.positions + texels.normals * np.float32(reach)
@@ -267,7 +267,7 @@ def _occlusion(texels: Texels, regions: Regions) -> Floats:
 
 
 def _skin_colour(points: Floats, regions: Regions, marks: Marks, noise: Noise) -> Floats:
-    """Skin without hair: pigments over an even base."""
+    """Return the colour of skin without hair: pigments over a uniform base."""
     blood = 0.16 * noise(points, 0.35, 71, layers=3) + 0.15 * noise(points, 1.8, 73, layers=3)
     blood += 0.13 * noise(points, 8, 75, layers=2)
     blood += 0.85 * regions.cheek + 0.80 * regions.nose + 0.35 * regions.nose_wings
@@ -308,7 +308,8 @@ def _add_lips(colour: Floats, points: Floats, regions: Regions, noise: Noise) ->
 def _add_hair(
     colour: Floats, points: Floats, regions: Regions, marks: Marks, noise: Noise
 ) -> Floats:
-    # Hairs thin out towards the edge of scalp and beard: each appears where there is enough of it.
+    # Hairs become sparse towards the edge of scalp and beard: a hair appears if the region's weight
+    # exceeds the hair's rank.
     shadow = 0.16 * (1 + 0.4 * noise(points, 2, 97, layers=2))
     single = (
         0.55 * bell(marks.stubbles.distance / STUBBLE_SIZE) * (marks.stubbles.rank < regions.beard)
@@ -333,7 +334,7 @@ def _albedo(
     colour = _skin_colour(points, regions, marks, noise)
     colour = _add_lips(colour, points, regions, noise)
     colour = _add_hair(colour, points, regions, marks, noise)
-    # Little light leaves a pit, and what leaves is redder.
+    # Pits reflect less light, and redder light.
     open_share = 0.60 + 0.40 * occlusion
     open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.36 * regions.mouth_seam)
     return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
@@ -347,13 +348,13 @@ def _rms_slope(points: Floats, regions: Regions, noise: Noise) -> Floats:
 
 
 def _picture(texels: Texels, values: Floats) -> Image.Image:
-    """Values from 0 to 1 at the covered texels as an 8-bit image, row 0 on top."""
+    """Convert values in [0, 1] at the covered texels to an 8-bit image, row 0 at the top."""
     image = np.clip(255 * texels.image(values) + 0.5, 0, 255).astype(np.uint8)
     return Image.fromarray(image[::-1])
 
 
 def paint(unwrapped: Unwrapped, size: int, seed: int) -> Maps:
-    """Paint the maps; ``size`` is in texels, that of occlusion and roughness is half of it."""
+    """Compute the maps; ``size`` is their width in texels, halved for occlusion and roughness."""
     random = np.random.default_rng(seed)
     noise = Noise(seed)
     texels = find_texels(unwrapped, size)

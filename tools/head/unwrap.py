@@ -1,9 +1,9 @@
-"""Texture coordinates of the mesh, and the surface point under every texel.  Nothing is painted.
+"""Texture coordinates of the mesh, and the surface point of every texel.
 
-Most of the head lies in one chart, unrolled like a cylinder whose scale grows towards the face.
-What that chart would cover with another part of the head lies in small charts in a strip along
-the bottom of the texture: the skull behind the ears, the backs of the ears, and the inside of the
-nostrils.  Here v points up in the image, as in OpenGL; the file turns it over.
+Most of the head is in one chart, unrolled like a cylinder, with a higher resolution at the face.
+Parts that would overlap in this chart are in small charts in a strip along the bottom of the
+texture: the skull behind the ears, the backs of the ears, and the inside of the nostrils. Here v
+points up in the image, as in OpenGL; ``glb`` flips it.
 """
 
 from dataclasses import dataclass
@@ -16,48 +16,48 @@ from .fields import Floats, ramp
 from .shape import belongs_to_ear
 from .surface import Faces, Mesh, face_normals
 
-# Texel density around the head against the angle from straight ahead (degrees), and along its
-# height against the unrolled height (cm); relative numbers.
+# Relative texel density around the head by the angle from straight ahead (degrees), and along its
+# height by the unrolled height (cm).
 DENSITY_FRONT, DENSITY_BACK = 2.30, 0.75
 ANGLE_FRONT, ANGLE_BACK = 45.0, 122.0
 DENSITY_FACE, DENSITY_ENDS = 2.10, 0.55
 UNROLLED_LOWEST, UNROLLED_HIGHEST = -21.2, 14.8
-UNROLLED_FACE = ((-18.5, -15.8), (5.5, 2.0))  # fades in from below, and from above
+UNROLLED_FACE = ((-18.5, -15.8), (5.5, 2.0))  # the density fades in from below, and from above
 
-DOME_BASE = 2.6  # above this height the dome of the skull is unrolled by angle, cm
+DOME_BASE = 2.6  # above this height, the skull is unrolled by angle, cm
 DOME_RADIUS = 9.3
-UNDERCUT_SHEAR = 0.38  # how much of the depth counts as height: opens nose and chin from below
-NECK_AXIS_SHIFT = -3.2  # z of the middle of the neck; that of the head is 0
-STRIP_HEIGHT = 0.075  # of the small charts, as a share of the texture
+UNDERCUT_SHEAR = 0.38  # fraction of the depth added to the height, to show nose and chin from below
+NECK_AXIS_SHIFT = -3.2  # z of the neck's axis; the axis of the head has z = 0
+STRIP_HEIGHT = 0.075  # height of the strip of small charts, as a fraction of the texture
 
-GRAZING = 8e-5  # a face with less than this area of texture per area (1/cm2) is nearly edge on
-POCKET_FILL = 0.90  # share of its place that a small chart fills; the rest is a gap
-HIDDEN_DEPTH = 0.25  # a face this far under the outermost surface gets a small chart, cm
-PROBE_SIZE = 512  # texels across when looking for hidden faces
+GRAZING = 8e-5  # faces with less texture area per surface area (1/cm2) count as edge-on
+POCKET_FILL = 0.90  # fraction of its slot that a small chart fills; the rest is a gap
+HIDDEN_DEPTH = 0.25  # faces deeper than this below the outermost surface get a small chart, cm
+PROBE_SIZE = 512  # width in texels of the image that finds hidden faces
 
 
 @dataclass(frozen=True)
 class Pocket:
-    """A small chart: hidden faces in a box that look one way, projected along that way."""
+    """A small chart: hidden faces in a box with similar normals, projected along one direction."""
 
-    looks: tuple[int, int, int]  # the way its faces look
-    right: tuple[int, int, int]  # which way u grows
-    up: tuple[int, int, int]  # which way v grows; right x up = looks
-    lower: tuple[float, float, float]  # corners of the box that holds it, cm
+    looks: tuple[int, int, int]  # approximate direction of the normals
+    right: tuple[int, int, int]  # direction of increasing u
+    up: tuple[int, int, int]  # direction of increasing v; right x up = looks
+    lower: tuple[float, float, float]  # corners of the box, cm
     upper: tuple[float, float, float]
     on_ear: bool  # whether its faces belong to an ear
 
 
 POCKETS = (
-    # Skull behind the left and the right ear, then the backs of these ears.
+    # Skull behind the left ear and the right ear, then the backs of these ears.
     Pocket((1, 0, 0), (0, 0, -1), (0, 1, 0), (4.5, -6.0, -5.5), (12, 3.0, 2.5), False),
     Pocket((-1, 0, 0), (0, 0, 1), (0, 1, 0), (-12, -6.0, -5.5), (-4.5, 3.0, 2.5), False),
     Pocket((-1, 0, 0), (0, 0, 1), (0, 1, 0), (4.5, -6.0, -5.5), (12, 3.0, 2.5), True),
     Pocket((1, 0, 0), (0, 0, -1), (0, 1, 0), (-12, -6.0, -5.5), (-4.5, 3.0, 2.5), True),
-    # Bowls of the ears from behind, where they face back and a little outward.
+    # Rear sides of the bowls of the ears, which face back and slightly outward.
     Pocket((0, 0, -1), (-1, 0, 0), (0, 1, 0), (5.0, -6.0, -5.5), (7.7, 3.0, -0.8), True),
     Pocket((0, 0, -1), (-1, 0, 0), (0, 1, 0), (-7.7, -6.0, -5.5), (-5.0, 3.0, -0.8), True),
-    # The walls of the bowls that face forward, and a little inward.
+    # Walls of the bowls that face forward and slightly inward.
     Pocket((0, 0, 1), (1, 0, 0), (0, 1, 0), (5.0, -6.0, -5.5), (12, 3.0, 2.5), True),
     Pocket((0, 0, 1), (1, 0, 0), (0, 1, 0), (-12, -6.0, -5.5), (-5.0, 3.0, 2.5), True),
     # Inside of the nostrils, seen from below.
@@ -67,7 +67,7 @@ POCKETS = (
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """A mesh with texture coordinates; vertices on seams are doubled."""
+    """A mesh with texture coordinates; vertices on seams are duplicated."""
 
     mesh: Mesh
     coordinates: Floats
@@ -84,11 +84,11 @@ class Texels:
     source: NDArray[np.int32]  # (size, size): the row of the covered texel nearest to each texel
 
     def image(self, values: Floats) -> Floats:
-        """Values of the covered texels as an image; the others copy their nearest one."""
+        """Return an image of the covered texels' values; other texels copy the nearest one."""
         return np.asarray(values[self.source], np.float32)
 
     def differences(self, values: Floats) -> tuple[Floats, Floats]:
-        """Change of values from texel to texel along u and along v, at the covered texels."""
+        """Return the change of values per texel along u and along v, at the covered texels."""
         image = self.image(values)
         along_u = (np.roll(image, -1, 1) - np.roll(image, 1, 1)) / 2
         along_v = np.gradient(image, axis=0)
@@ -101,14 +101,14 @@ def _running_share(density: Floats) -> Floats:
 
 
 def _axis_distance(positions: Floats) -> tuple[Floats, Floats]:
-    """Angle around the axis of head and neck, and distance from it."""
+    """Return the angle around the axis of head and neck, and the distance from it."""
     x, y, z = positions.T
     z = z - NECK_AXIS_SHIFT * ramp(-7, -12.5, y)
     return np.asarray(np.arctan2(x, z), np.float32), np.asarray(np.hypot(x, z), np.float32)
 
 
 def _unroll(positions: Floats) -> Floats:
-    """Coordinates in the main chart."""
+    """Return coordinates in the main chart."""
     angles = np.linspace(-np.pi, np.pi, 2001, dtype=np.float32)
     facing = ramp(ANGLE_BACK, ANGLE_FRONT, np.abs(np.degrees(angles)))
     around = _running_share(DENSITY_BACK + (DENSITY_FRONT - DENSITY_BACK) * facing)
@@ -130,7 +130,7 @@ def _unroll(positions: Floats) -> Floats:
 
 
 def _project(pocket: Pocket, slot: int, positions: Floats) -> Floats:
-    """Coordinates in a small chart that fills its place in the strip."""
+    """Return coordinates in a small chart that fills its slot in the strip."""
     flat = positions @ np.transpose([pocket.right, pocket.up])
     lower, upper = flat.min(0), flat.max(0)
     place = np.array([1 / len(POCKETS), STRIP_HEIGHT])
@@ -142,7 +142,7 @@ def _project(pocket: Pocket, slot: int, positions: Floats) -> Floats:
 def _split(
     faces: Faces, chosen: NDArray[np.bool_], source: NDArray[np.int32]
 ) -> tuple[Faces, NDArray[np.int32]]:
-    """Give the chosen faces vertices of their own; ``source`` tells what each vertex copies."""
+    """Duplicate the vertices of the chosen faces; ``source`` is the original of each vertex."""
     vertices = np.unique(faces[chosen])
     renumbered = np.arange(len(source), dtype=np.int32)
     renumbered[vertices] = len(source) + np.arange(len(vertices))
@@ -152,7 +152,7 @@ def _split(
 
 
 def _hidden(mesh: Mesh, coordinates: Floats) -> NDArray[np.bool_]:
-    """Faces that the main chart covers with others, or shows from behind or nearly edge on."""
+    """Return the faces that are covered by others in the main chart, reversed or nearly edge-on."""
     corners = coordinates[mesh.faces]
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     in_chart = edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]
@@ -162,7 +162,7 @@ def _hidden(mesh: Mesh, coordinates: Floats) -> NDArray[np.bool_]:
     texels, rows, shares = _rasterise(coordinates, mesh.faces, distance, PROBE_SIZE)
     outermost = np.zeros(PROBE_SIZE * PROBE_SIZE, np.float32)
     outermost[texels] = (distance[mesh.faces[rows]] * shares).sum(1)
-    # A face is probed in its middle and close to its corners.
+    # Test each face at its centre and near its corners.
     hidden = turned
     middle = np.full(3, 1 / 3)
     for shares_at in (middle, *(0.25 * middle + 0.75 * np.eye(3))):
@@ -175,9 +175,9 @@ def _hidden(mesh: Mesh, coordinates: Floats) -> NDArray[np.bool_]:
 
 
 def unwrap(mesh: Mesh) -> Unwrapped:
-    """Lay the mesh out in the texture."""
+    """Assign texture coordinates to the mesh."""
     coordinates = _unroll(mesh.positions)
-    # Faces across the back of the head get u above 1 on one side: the texture repeats there.
+    # Faces across the back of the head get u above 1 on one side, because the texture repeats.
     faces = mesh.faces
     span = np.ptp(coordinates[faces][:, :, 0], axis=1)
     source = np.arange(len(mesh.positions), dtype=np.int32)
@@ -214,10 +214,10 @@ def unwrap(mesh: Mesh) -> Unwrapped:
 def _rasterise(
     coordinates: Floats, faces: Faces, height: Floats, size: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Every texel centre inside every face: texel, face, and the shares of its corners.
+    """Return texel, face and barycentric weights of every texel centre inside every face.
 
-    The result is in order of the faces' ``height``, so that writing it in order leaves what is on
-    top.  Texels beyond u = 1 wrap round.
+    The result is sorted by the faces' ``height``, so that the top face of a texel is written last.
+    Texels beyond u = 1 wrap around.
     """
     order = np.argsort(height[faces].mean(1), kind="stable")
     corners = coordinates[faces[order]].astype(np.float64) * size - 0.5
@@ -242,7 +242,7 @@ def _rasterise(
 
 
 def find_texels(unwrapped: Unwrapped, size: int) -> Texels:
-    """The surface point under every texel of a square texture ``size`` across."""
+    """Return the surface points of the covered texels of a square texture ``size`` texels wide."""
     mesh = unwrapped.mesh
     height = _axis_distance(mesh.positions)[1]
     texel, face, shares = _rasterise(unwrapped.coordinates, mesh.faces, height, size)
