@@ -1,21 +1,22 @@
-# make render   a picture of the built-in head: out/head.png
-# make test     ruff, mypy, and the tests to run before every commit
-# make test-all    all tests
-# make test-rest   the tests that make test leaves out
-# make fuzz MINUTES=10   files changed at random for every reader: what breaks is put into out/fuzz
-# make docs     the tables of README and docs anew, from their data
-# make site     the documentation as a web site: out/site
-# make head     assets/head.glb anew from its generator
-# make npm      the shaders as an npm package: out/npm
-# make install-shaders PREFIX=/usr/local [DESTDIR=]   the GLSL library, for pkg-config and CMake
-# The others make .venv and install what is missing; see tools/system-libraries for what apt installs.
+# make render      render the built-in head to out/head.png
+# make test        run ruff, mypy and the tests for every commit
+# make test-all    run all tests
+# make test-rest   run the tests that `make test` omits
+# make fuzz MINUTES=10   fuzz all file readers; inputs that cause errors are in out/fuzz
+# make docs        regenerate the tables of README and docs from their data
+# make site        build the documentation as a web site in out/site
+# make head        regenerate assets/head.glb
+# make npm         build the npm package of the shaders in out/npm
+# make install-shaders PREFIX=/usr/local [DESTDIR=]   install the GLSL library for pkg-config and CMake
+# All targets except install-shaders create .venv if it is missing. All of these except npm also
+# install missing system libraries with apt (tools/system-libraries).
 
 PYTHON ?= python3
 VENV = .venv/bin
-# One worker per core, so each draws with one thread. Bytecode is written, because tests start processes,
-# and each would compile the package anew.
+# One worker per core, so llvmpipe gets one thread. Bytecode is written, because tests start
+# processes, and without bytecode each process would compile the package again.
 PYTEST = LP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(VENV)/pytest -n auto --dist worksteal
-# Markers of pyproject.toml: `make test` runs one smoke test of each.
+# Markers in pyproject.toml. `make test` runs one smoke test of each.
 LEFT_OUT = browser or cluster or compiler or memory or node or osmesa or slow or vulkan or wheel
 
 MINUTES ?= 10

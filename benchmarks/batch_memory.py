@@ -2,10 +2,12 @@
 
     python benchmarks/batch_memory.py [--jobs 2000] [--size 256] [--sweep NAME ...]
 
-Each sweep starts a new worker and varies one setting from job to job: the camera, the mesh (40
-files, each the built-in head with another material), m, the environment map (a generated one, one
-file, four files), lights with shadows, or the image size. Prints resident MiB after every tenth of
-the jobs. The growth of a sweep is its increase after the second tenth.
+Each sweep starts a new worker and varies one setting from job to job: the camera, the mesh, m, the
+environment map, lights with shadows, or the image size. The meshes are 40 files of the built-in
+head with different materials. The environment maps are a generated one, one file, and four files.
+
+Prints resident MiB after every tenth of the jobs. The growth of a sweep is its increase after the
+second tenth.
 """
 
 from __future__ import annotations

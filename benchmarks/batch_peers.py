@@ -93,8 +93,8 @@ def script(python: str, name: str, jobs: Path) -> Callable[[str], list[str]]:
 def rates(command: list[str], out: Path, count: int) -> tuple[float, float, float]:
     """Run a command that writes ``count`` PNG files.
 
-    Returns images per second of the whole run, images per second of the last three quarters of the
-    files by modification time, and CPU milliseconds per image of the whole run.
+    Returns images per second of the whole run and of the last three quarters of the files, and CPU
+    milliseconds per image of the whole run. The second rate is computed from modification times.
     """
     out.mkdir(parents=True)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)

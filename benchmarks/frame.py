@@ -117,7 +117,7 @@ def plan_of(
         return renderer.render(scene, found.shading, **values)
 
     def drawn() -> object:
-        with patch("facerender.drawing.renderer.pays", lambda *_: False):
+        with patch("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False):
             return renderer.render(subject.scene, found.full)
 
     text = found.budget.text
@@ -153,7 +153,7 @@ def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> d
             return renderer.render(scene).linear
 
         def drawn() -> np.ndarray:
-            with patch("facerender.drawing.renderer.pays", lambda *_: False):
+            with patch("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False):
                 return renderer.render(scene).linear
 
         time = ratio(deferred, drawn, 9)

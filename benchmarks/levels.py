@@ -51,7 +51,7 @@ def frame_times(meshes: Sequence[fr.Mesh], size: int, samples: int) -> list[floa
                 start = time.process_time()
                 renderer.render(scene)
                 times[-1].append(time.process_time() - start)
-    ratios = np.array(times[1:]) / np.array(times[1:])[:, :1]  # the first round uploads
+    ratios = np.array(times[1:]) / np.array(times[1:])[:, :1]  # skip the first: it uploads
     return [float(value) for value in np.median(ratios, axis=0)]
 
 

@@ -170,8 +170,8 @@ def compiled(found: Plan, family: str) -> float:
 def brute(subject: Subject, renderer: fr.Renderer) -> tuple[int, int]:
     """Compare plans with an exhaustive search.
 
-    Returns the number of candidate shadings, and the number of pairs of budget and price table for
-    which the plan costs more than the cheapest shading within the budget.
+    Returns the number of candidate shadings, and the number of plans that cost more than the
+    cheapest shading within the budget. There is a plan for each budget and price table.
     """
     found = {
         (budget, kind): plan(subject.scene, budget, full=subject.full, cost=kind, renderer=renderer)
@@ -204,7 +204,7 @@ def plans_of(
 ) -> None:
     """Add the plans of a scene for all budgets and price tables, with their image errors."""
     around = fr.turntable(subject.scene.camera, TURNTABLE)
-    planned = Views(renderer, subject, around)  # the first camera is that of the scene
+    planned = Views(renderer, subject, around)  # the first is the scene's camera
     for (mode, results), budget, kind in product(modes.items(), BUDGETS, KINDS):
         own: dict[str, Any] = {"cameras": around} if mode == "around" else {}
         start = time.perf_counter()

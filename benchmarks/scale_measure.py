@@ -44,7 +44,7 @@ TICK = os.sysconf("SC_CLK_TCK")
 
 
 def row(index: int) -> dict[str, Any]:
-    """Return a job like those of training data: a camera, a material, two lights."""
+    """Return a typical job for training data: a camera, a material, two lights."""
     lights = [
         {"azimuth": index * 0.37 % 180.0, "elevation": 35.0, "irradiance": 3.0},
         {"azimuth": index * 0.11 % 180.0, "elevation": -20.0, "irradiance": 1.0},
@@ -150,7 +150,7 @@ def cpu_s(pid: int) -> float:
 
 
 def nothing(seconds: float, number: int, jobs: Any) -> dict[str, Any]:
-    """Sleep in place of rendering a chunk, and return a result like that of a chunk."""
+    """Sleep instead of rendering a chunk, and return the result of a finished chunk."""
     time.sleep(seconds)
     return {"chunk": number, "done": len(jobs), "failed": [], "bytes": 0, "seconds": seconds}
 

@@ -1,4 +1,4 @@
-"""A head with eyes behind clear shells, made of arrays, drawn in several views and forms.
+"""Build a head with eyes behind transparent shells from arrays, and save views in several formats.
 
 Run: python head_of_parts.py [FOLDER]
 """
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 import facerender as fr
 
-EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # metres, on the built-in head
+EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # eye centres of the built-in head, m
 RADIUS = 0.0128
 
 
 def ball(
     centre: tuple[float, float, float], radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Positions (N, 3) and faces (F, 3) of a sphere."""
+    """Return positions (N, 3) and faces (F, 3) of a sphere."""
     rows, columns = 24, 48
     polar, around = np.meshgrid(
         np.linspace(0.01, np.pi - 0.01, rows), np.linspace(0.0, 2.0 * np.pi, columns), indexing="ij"
@@ -37,7 +37,7 @@ def ball(
 
 
 def eyes() -> list[fr.Mesh]:
-    """Eyeballs, and clear shells over them."""
+    """Return eyeballs and the transparent shells over them."""
     white = fr.Material(albedo=(0.8, 0.8, 0.8), m=0.3)
     clear = fr.Material(albedo=(1.0, 1.0, 1.0), alpha="blend", opacity=0.1, m=0.05)
     return [
@@ -65,7 +65,7 @@ def main(folder: Path) -> None:
         face.save(folder / "face.jpg")
         print(face, face.image.size)
         numbers = renderer.render(fr.Scene(mesh), only="parts").linear[..., 0]
-        print("parts seen:", sorted(map(int, np.unique(numbers))))
+        print("visible parts:", sorted(map(int, np.unique(numbers))))
         bare = renderer.render(fr.Scene(mesh.select(hide="shell*"), fr.Camera(frame="face")))
         content = BytesIO()
         bare.save(content, format="png")

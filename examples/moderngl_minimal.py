@@ -1,5 +1,7 @@
-"""A sphere with moderngl, whose programs include the library's files by name:
-``python examples/moderngl_minimal.py [OUT.png]``."""
+"""Render a sphere with moderngl; its programs include files of the shader library by name.
+
+python examples/moderngl_minimal.py [OUT.png]
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,11 @@ SIZE = 512
 
 
 def draw() -> NDArray[np.float32]:
-    """Return the sphere's linear RGB and its specular term as alpha, row 0 on top."""
+    """Return linear RGB of the sphere, with the specular radiance as alpha; row 0 at the top."""
     gl = moderngl.create_context(
         standalone=True, backend="egl", libegl="libEGL.so.1", libgl="libGL.so.1"
     )
-    fr.moderngl_includes(gl)  # for the line #include "facerender/cook_torrance.glsl"
+    fr.moderngl_includes(gl)  # enables #include "facerender/cook_torrance.glsl"
     program = gl.program(
         vertex_shader=SHADER.with_suffix(".vert").read_text(encoding="utf-8"),
         fragment_shader=SHADER.with_suffix(".frag").read_text(encoding="utf-8"),

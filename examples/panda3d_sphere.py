@@ -1,5 +1,7 @@
-"""A sphere in Panda3D, whose own includes do not go on in an included file: the library resolves
-them in the text. ``python examples/panda3d_sphere.py [OUT.png]``."""
+"""Render a sphere with Panda3D. Panda3D does not resolve nested includes, so facerender does.
+
+python examples/panda3d_sphere.py [OUT.png]
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ SETTINGS = "load-display p3headlessgl\naudio-library-name null\ngl-version 3 3"
 
 
 def shader() -> core.Shader:
-    """Return the shader of files whose includes are the library's."""
+    """Return the shader of the two files, with resolved includes."""
     texts = [
         fr.resolve_includes(SHADER.with_suffix(end).read_text(encoding="utf-8"))
         for end in (".vert", ".frag")
@@ -32,7 +34,7 @@ def shader() -> core.Shader:
 
 
 def target(engine: core.GraphicsEngine) -> tuple[core.GraphicsOutput, core.Texture]:
-    """Return a float target without a window, and the texture that it fills."""
+    """Return an off-screen float render target and its texture."""
     pipe = core.GraphicsPipeSelection.get_global_ptr().make_default_pipe()
     flags = core.GraphicsPipe.BF_refuse_window
     properties = core.FrameBufferProperties.get_default()
@@ -51,7 +53,7 @@ def target(engine: core.GraphicsEngine) -> tuple[core.GraphicsOutput, core.Textu
 
 
 def draw() -> NDArray[np.float32]:
-    """Return the sphere's linear RGB and its specular term as alpha, row 0 on top."""
+    """Return linear RGB of the sphere, with the specular radiance as alpha; row 0 at the top."""
     core.load_prc_file_data("", SETTINGS)
     engine = core.GraphicsEngine.get_global_ptr()
     output, texture = target(engine)

@@ -1,5 +1,7 @@
-"""A sphere with PyOpenGL and EGL, which know no includes: the library resolves them in the text.
-``python examples/pyopengl_include.py [OUT.png]``."""
+"""Render a sphere with PyOpenGL and EGL. OpenGL has no includes, so facerender resolves them.
+
+python examples/pyopengl_include.py [OUT.png]
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,11 @@ from OpenGL.GL.shaders import compileProgram, compileShader
 
 SHADER = Path(__file__).with_name("sphere")
 SIZE = 512
-EGL_PLATFORM_SURFACELESS_MESA = 0x31DD  # PyOpenGL does not have it
+EGL_PLATFORM_SURFACELESS_MESA = 0x31DD  # missing in PyOpenGL
 
 
 def make_context_current() -> None:
-    """Make an OpenGL 3.3 core context without a window current."""
+    """Create an OpenGL 3.3 core context without a window, and make it current."""
     display = EGL.eglGetPlatformDisplay(EGL_PLATFORM_SURFACELESS_MESA, None, None)
     EGL.eglInitialize(display, None, None)
     EGL.eglBindAPI(EGL.EGL_OPENGL_API)
@@ -38,12 +40,12 @@ def make_context_current() -> None:
 
 
 def compiled(path: Path, kind: int) -> int:
-    """Return a shader from a file whose includes are the library's."""
+    """Return the compiled shader of a file, with resolved includes."""
     return compileShader(fr.resolve_includes(path.read_text(encoding="utf-8")), kind)
 
 
 def draw() -> NDArray[np.float32]:
-    """Return the sphere's linear RGB and its specular term as alpha, row 0 on top."""
+    """Return linear RGB of the sphere, with the specular radiance as alpha; row 0 at the top."""
     make_context_current()
     colour = GL.glGenRenderbuffers(1)
     GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, colour)

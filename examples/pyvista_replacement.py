@@ -1,8 +1,11 @@
-"""A sphere with PyVista, where VTK's shader replacement puts Cook-Torrance in the place of Phong's
-specular term: ``python examples/pyvista_replacement.py [OUT.png]``.
+"""Render a sphere with PyVista. A VTK shader replacement replaces Phong's specular term with
+Cook-Torrance.
 
-The mesh keeps VTK's material: ``specular`` is the weight ks, ``specular_color`` its colour. The
-code is for one directional light; VTK calls the next one's lightColor1 and lightDirectionVC1.
+    python examples/pyvista_replacement.py [OUT.png]
+
+The mesh keeps its VTK material: ``specular`` is the weight ks, ``specular_color`` its colour. The
+code supports one directional light. The variables of a second light in VTK are lightColor1 and
+lightDirectionVC1.
 """
 
 from __future__ import annotations
@@ -17,8 +20,8 @@ M = 0.2
 F0 = 0.04
 LIGHT = (-1.0, 1.0, 1.5)
 
-# What follows VTK's own code for lights, in its names. A light of colour 1 shows a white diffuse
-# surface as 1, so that its irradiance is pi.
+# GLSL that follows VTK's lighting code and uses its variables. In VTK, a light of colour 1 gives a
+# white diffuse surface the radiance 1, so its irradiance is pi.
 SHADING = f"""//VTK::Light::Impl
   vec3 eye = cameraParallel != 0 ? vec3(0.0, 0.0, 1.0) : normalize(-vertexVC.xyz);
   vec3 received = FR_PI * df * lightColor0;

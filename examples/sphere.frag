@@ -1,6 +1,6 @@
 #version 330 core
-// A diffuse sphere with a Cook-Torrance highlight, seen along -z in parallel
-// projection. RGB is linear radiance; alpha is the specular term alone.
+// A diffuse sphere with a Cook-Torrance highlight, in orthographic projection
+// along -z. RGB is linear radiance; alpha is the specular radiance alone.
 #include "facerender/cook_torrance.glsl"
 
 in vec2 p;
@@ -8,7 +8,7 @@ out vec4 radiance;
 
 const vec3 light = normalize(vec3(-1.0, 1.0, 1.5));
 const vec3 eye = vec3(0.0, 0.0, 1.0);
-const float irradiance = FR_PI;  // shows white as 1
+const float irradiance = FR_PI;  // gives a white diffuse surface the radiance 1
 const float ambient = 0.05;
 const vec3 albedo = vec3(0.46, 0.25, 0.17);
 const float m = 0.2;

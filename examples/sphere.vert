@@ -1,7 +1,7 @@
 #version 330 core
-// One triangle over a square picture, from three vertices without attributes.
+// One triangle that covers a square image, from three vertices without attributes.
 
-out vec2 p;  // across the picture; 1 is the sphere's radius
+out vec2 p;  // position in the image, in radii of the sphere
 
 void main() {
     vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);

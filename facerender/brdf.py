@@ -1,6 +1,6 @@
 """Public API of the BRDFs in float64: models, Fresnel and masking terms, sampling, slope variance.
 
-``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order; see ``terms/``."""
+``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order; see ``terms/``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Public API of the lobes in float64: E/c^k, its approximations and their domains.
 
-``lobes.f`` is ``fr_lobe_f`` in GLSL; see ``terms/lobe.py``."""
+The lobe ``lobes.NAME`` is ``fr_lobe_NAME`` in GLSL; see ``terms/lobe.py``."""
 
 from facerender.terms.lobe import (
     FITTED,

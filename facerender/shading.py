@@ -1,5 +1,5 @@
 """The shading of a scene: the specular term of each light, and the features to leave out, with
-conversion from and to TOML and JSON. ``glsl/code.py`` generates the GLSL. No OpenGL here."""
+conversion from and to TOML and JSON. ``glsl/code.py`` generates the GLSL of the terms."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of,
 
 S = TypeVar("S")
 
-_INDEX = re.compile("[0-9]{1,9}")  # index of a light
+_INDEX = re.compile("[0-9]{1,9}")  # Pattern for the index of a light.
 
-Changes = tuple[tuple[str, Any], ...]  # (field of a term, value)
+Changes = tuple[tuple[str, Any], ...]  # Pairs (field of a term, value).
 
 OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
-SMALL_SLOPE = 0.2  # m at and above which the exact lobe is accurate without FR_SMALL_SLOPE
-WEIGHTS = Range(0.0, 1e6)  # specular and diffuse weights
+SMALL_SLOPE = 0.2  # Lowest m at which the exact lobe is accurate without FR_SMALL_SLOPE.
+WEIGHTS = Range(0.0, 1e6)  # Specular and diffuse weights.
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
@@ -43,8 +43,8 @@ class Term:
         "schlick", "v-cavity". The lobe may be a :class:`facerender.lobes.GPower`. Only
         Cook-Torrance has a Fresnel and a masking term
     m : one RMS slope, a constant of the program; None (default) for the m of each material
-    small_slope : compute the exact lobe accurately for small angles; None (default) to do so for m
-        below 0.2
+    small_slope : whether to compute the exact lobe accurately for small angles; None (default):
+        only if m is below 0.2
 
     Raises
     ------
@@ -80,7 +80,7 @@ class Term:
         return replace(self, **dict(FRONTAL)) if self.entry.factors else self
 
     def for_slopes(self, smallest: float, largest: float, outside: str = "error") -> Term:
-        """Return the term for a material: this term, or the same with the exact lobe.
+        """Return the term for a material: this term, or a copy of it with the exact lobe.
 
         Parameters
         ----------
@@ -128,7 +128,7 @@ class Term:
         InputError : a vector that is not a unit vector, or a value outside its domain
         """
         at, lobe = (n, l, v, self.slope(m)), self.lobe
-        if not self.entry.factors:  # the factor f0 makes all models equal where n = l = v
+        if not self.entry.factors:  # The factor f0 makes all models equal where n = l = v.
             return np.asarray(f0 * self.entry.evaluate(*at, lobe=lobe))
         factors = {"fresnel_term": self.fresnel, "masking_term": self.masking}
         return self.entry.evaluate(*at, f0, lobe=lobe, **factors)
@@ -137,7 +137,7 @@ class Term:
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
 
 
-_OF_TERM: Any = object()  # default of parameters that come from `term`
+_OF_TERM: Any = object()  # Default of parameters that come from `term`.
 
 
 @dataclass(frozen=True, init=False)
@@ -149,25 +149,27 @@ class Shading:
     model, lobe, fresnel, masking, m, small_slope : fields of :class:`Term`, which override the
         fields of ``term``
     term : specular term of all lights; default ``Term()``
-    lights : fields in which the terms of some lights differ, by index of the light, such as
+    lights : changed fields in the terms of single lights, keyed by the index of the light, such as
         ``{1: {"lobe": "d16"}}``
     specular_lights : indices of the lights with a specular term; None (default) for all
     shadow_lights : indices of the lights whose shadows are drawn; None (default) for all that cast
         shadows
-    frontal_lights : indices of lights near the camera, where the Fresnel term is f0 and masking has
-        no effect. Their term omits both; Cook-Torrance only
+    frontal_lights : indices of lights near the camera, for which the Fresnel term is f0 and masking
+        has no effect. The terms of these lights omit both; only for Cook-Torrance
     outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
         for the exact lobe
     ks : one specular weight that replaces the weights of materials and specular maps; default None
-    diffuse : "lambert" (default), or "coupled" for the energy-conserving diffuse term. It assumes
-        Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavity masking
-    normal_map, ambient, environment, two_lobes : whether to use them, default true. Without
-        two_lobes, only the first lobe of each material is used
-    environment_samples : directions per lobe in which the environment is sampled, an even number up
-        to 4096, default 32; 0 leaves its specular part out
+    diffuse : "lambert" (default), or "coupled" for the energy-conserving diffuse term, which
+        assumes Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavity masking
+    normal_map : whether to use normal maps, default true
+    ambient : whether to use ambient light, default true
+    environment : whether to use environment maps, default true
+    two_lobes : whether to use both lobes of a material, default true; false for only the first lobe
+    environment_samples : number of sampled directions per lobe, an even number up to 4096, default
+        32; 0 leaves the specular environment light out
     slope_filter : specular antialiasing of normal maps, default true: widen the lobe by the slopes
-        that a pixel does not resolve
-    curvature : widen the lobe by the curvature of the mesh within a pixel, default false
+        of the map that a pixel does not resolve
+    curvature : whether to widen the lobe by the curvature of the mesh within a pixel, default false
     scatter_samples : subsurface samples per pixel: 8, 16 (default), 32 or 64; 0 leaves scattering
         out
 
@@ -265,8 +267,8 @@ class Shading:
             )
 
     def replace(self, **changes: Any) -> Shading:
-        """Return a copy with changed parameters. Terms of single lights keep their differences,
-        unless ``lights`` or ``frontal_lights`` is given."""
+        """Return a copy with changed parameters. The terms of single lights keep their changed
+        fields, unless ``lights`` or ``frontal_lights`` is given."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         return Shading(**own | changes)
 
@@ -278,7 +280,7 @@ class Shading:
 
     @cached_property
     def _own(self) -> dict[int, Term]:
-        """The terms of the lights in ``lights``, by index."""
+        """The terms of the lights in ``lights``, keyed by the index of the light."""
         return {light: replace(self.term, **dict(changes)) for light, changes in self.lights}
 
     @cached_property
@@ -345,7 +347,7 @@ _KEYS = (
 
 
 def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[int, Changes]:
-    """Return the changes, with the frontal term for these lights and for no others."""
+    """Return the changes, with the frontal term for these lights and for no other lights."""
     frontal = _indices("frontal_lights", lights)
     if frontal and not term.entry.factors:
         raise InputError(
@@ -353,7 +355,7 @@ def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[
         )
     others = {light: _without_frontal(own) for light, own in changes.items()}
     for own in others.values():
-        replace(term, **dict(own))  # validates values that the frontal term overrides
+        replace(term, **dict(own))  # Validates values that the frontal term overrides.
     near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
     return others | near
 
@@ -418,7 +420,7 @@ def _lobe(table: Any) -> Any:
 
 
 def _lights(table: Any) -> dict[int, Mapping[str, Any]]:
-    """Return changes by index of the light from a table of TOML or JSON, whose keys are strings."""
+    """Return changes keyed by the light's index, from a TOML or JSON table with string keys."""
     remedy = 'give a table such as { 1 = { lobe = "d16" } }'
     if not isinstance(table, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in table):
         raise InputError(f"lights = {shown(table)} of the shading: {remedy}")

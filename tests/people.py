@@ -72,7 +72,7 @@ def shoulders() -> list[Any]:
 
 
 def hair(length: float) -> list[Any]:
-    """Return a shell around the head, open in front of the face; ``length`` is that of the back."""
+    """Return a shell around the head, open at the face; ``length`` is the height of its back."""
     import trimesh
 
     cap = ball((0, 0.03, -0.01), (0.105, 0.11, 0.115))

@@ -167,8 +167,8 @@ def test_factors_survive_scene_files_and_jobs(tmp_path):
     mesh = mesh_of([quad()], [Material(**FACTORS)])
     path = tmp_path / "scene.toml"
     path.write_text(scene_toml(fr.Scene(mesh), fr.Shading()))
-    told = load_scene(path)["material"]
-    assert mesh_of([quad()], [Material()]).with_material(**told).materials == mesh.materials
+    loaded = load_scene(path)["material"]
+    assert mesh_of([quad()], [Material()]).with_material(**loaded).materials == mesh.materials
     job = Job(material=FACTORS)
     assert Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
     path.write_text(job.toml())
@@ -470,7 +470,7 @@ def looked_up(texels, uv, wraps, nearest):
 
 
 def test_features_without_effect_are_not_compiled(head):
-    """The programs and deferred shading are those of a scene without the features."""
+    """Programs and deferred shading are the same as in a scene without the features."""
     solid = grey(np.ones((2, 2)))
     idle = [
         {"alpha": "mask", "opacity_map": solid},

@@ -112,7 +112,7 @@ def process(jobs: str, output: Path, *options: str, **how: Any) -> subprocess.Co
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    """Return the files of a batch's folder, except those that depend on its path."""
+    """Return the files of a batch's folder, except files that depend on its path."""
     files = [path for path in folder.rglob("*") if path.is_file()]
     names = {str(path.relative_to(folder)): path.read_bytes() for path in files}
     return {name: data for name, data in names.items() if name not in ("batch.json", ".lock")}

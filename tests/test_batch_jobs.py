@@ -213,7 +213,7 @@ def test_row_overrides_common_values():
 
 
 def test_row_overrides_its_scene(tmp_path):
-    """It also overrides options; the scene of a row replaces that of the command."""
+    """It also overrides options. The scene of a row replaces the scene of the command."""
     text = "[camera]\nfov = 20\nzoom = 2\n[planned]\nsizes = [[48, 48]]\nsamples = 4"
     write("a.toml", f"ambient = 0.5\n{text}")
     write("b.toml", "background = 'none'\n[material]\nm = 0.2")
@@ -499,12 +499,14 @@ def test_check_counts_and_names_faults():
     checked = check_jobs(name)
     assert (checked.rows, checked.meshes, checked.more) == (9, 2, 0)
     assert checked.faults == [
-        "rows.jsonl, row 2 (line 2): camera elevation = 99 is outside [-90, 90]",
+        "rows.jsonl, row 2 (line 2): camera elevation = 99 is outside [-90, 90]: "
+        "give a value in this range",
         "rows.jsonl, row 4 (line 4): image samples = 4.0: give a whole number from 1 to 64",
         "rows.jsonl, row 7 (line 7): specular_lights names light 1: the scene has 1, "
         "counted from 0",
         "rows.jsonl, row 8 (line 8): image size 20000 x 20000: give 1 to 16384 pixels a side",
-        "rows.jsonl, row 9 (line 9): m times second_slope = 2.25 is outside [0.0001, 2]",
+        "rows.jsonl, row 9 (line 9): m times second_slope = 2.25 is outside [0.0001, 2]: "
+        "give a value in this range",
         "rows.jsonl, row 5 (line 5): id = 'same' is used by row 1: give another",
         "rows.jsonl, row 6 (line 6): id = '00000002' is used by row 3: give another",
     ]
@@ -583,7 +585,7 @@ BAD_FILES = [
     ("rows.jsonl", '{"outputs": [["image"]]}', r"unknown output \['image'\]"),
     ("rows.jsonl", '{"outputs": "mask,mask"}', "output mask is given twice"),
     ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is outside"),
-    (  # values that no check expects
+    (  # values of unexpected types
         "rows.jsonl",
         '{"shading": {"frontal_lights": [0], "lights": {"0": {"fresnel": [[]]}}}}',
         r"rows.jsonl, row 1 \(line 1\): ",
@@ -901,7 +903,7 @@ EXPECTED = {  # of each file the number of its rows, and the first ones: id, out
                 "mesh": HEAD,
                 "camera": {"azimuth": -60.0},
                 "material": {"m": 0.2},
-                "lights": [{"azimuth": -60}],
+                "lights": [{"azimuth": -60, "elevation": 40}],
             },
         ),
     ),
@@ -1032,7 +1034,8 @@ def test_examples_of_the_page(name):
 def test_bad_rows_are_named():
     content = "mesh,camera.elevation,shading.lobe\nanna.glb,99,exact\nanna.glb,5,d32\nanna.glb,5\n"
     assert check_jobs(write("bad.csv", content)).faults == [
-        "bad.csv, row 1 (line 2): camera elevation = 99 is outside [-90, 90]",
+        "bad.csv, row 1 (line 2): camera elevation = 99 is outside [-90, 90]: "
+        "give a value in this range",
         "bad.csv, row 2 (line 3): unknown lobe 'd32'; known: exact, cosine, d4, d8, d16, fitted, "
         "fitted-fine",
         "bad.csv, row 3 (line 4): 2 cells in a table of 3 columns: give one cell per column, and "

@@ -538,12 +538,12 @@ def test_no_opengl_of_the_requested_backend(cli: Cli) -> None:
 def test_doctor(cli: Cli) -> None:
     status, out, err = cli.run("doctor", "--json")
     assert (status, err) == (0, "")
-    told = json.loads(out)
-    findings = {finding["backend"]: finding for finding in told["backends"]}
+    report = json.loads(out)
+    findings = {finding["backend"]: finding for finding in report["backends"]}
     assert set(findings) == set(OWN)
     assert set(findings["egl"]) == {"backend", "renderer", "version", "samples", "size", "error"}
-    assert told["auto"] in ("egl", "osmesa")
-    assert told["packages"][""]["numpy"] == np.__version__
+    assert report["auto"] in ("egl", "osmesa")
+    assert report["packages"][""]["numpy"] == np.__version__
     status, out, err = cli.run("doctor")
     assert (status, err) == (0, "")
     assert findings["egl"]["renderer"] in out
@@ -580,9 +580,9 @@ def test_shaders_lists_every_function(cli):
         for key in ("signature", "file", "summary", "unit", "error"):
             assert " ".join(function[key].split()) in words
     fresnel = next(f for f in described if f["name"] == "fr_fresnel_schlick")
-    assert fresnel["error"] == "At most 0.046 absolute at f0 = 0.028 (at 84 degrees)."
-    assert fresnel["source"] == "Schlick (1994), eq. 15"
-    assert fresnel["parameters"]["f0"].startswith("reflectance at normal incidence, in [0, 1)")
+    assert fresnel["error"] == "At most 0.046 (absolute) for f0 = 0.028, reached at 84 degrees."
+    assert fresnel["source"] == "Schlick (1994), eq. 15."
+    assert fresnel["parameters"]["f0"].startswith("Fresnel reflectance at normal incidence, in [")
 
 
 def test_shaders_path_is_an_include_directory(cli):

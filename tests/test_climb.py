@@ -49,17 +49,17 @@ def worst(target: Each, term: Term, f0: float, starts: int, steps: int) -> tuple
 
 @pytest.mark.parametrize(("term", "f0"), VARIANTS, ids=str)
 def test_bounds_hold_from_the_worst_samples_on(evaluator, term, f0):
-    share, told = worst(evaluator, term, f0, *FEW)
-    assert share <= 1.0, told
+    share, description = worst(evaluator, term, f0, *FEW)
+    assert share <= 1.0, description
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("term", "f0"), VARIANTS, ids=str)
 def test_bounds_hold_after_a_long_climb(target, capsys, term, f0):
-    share, told = worst(target, term, f0, *MANY)
+    share, description = worst(target, term, f0, *MANY)
     with capsys.disabled():
-        print(f"\n{target.name}: {told}")
-    assert share <= 1.0, told
+        print(f"\n{target.name}: {description}")
+    assert share <= 1.0, description
 
 
 def test_climb_finds_errors_that_random_samples_miss(evaluator):

@@ -428,9 +428,9 @@ def other(tmp_path: Path) -> Path:
 def test_json(cli, exr, other):
     status, out, err = cli.run("compare", exr, other, "--json")
     assert (status, err) == (1, "")
-    said = json.loads(out)
-    (pair,) = said["pairs"]
-    assert said["same"] is pair["same"] is False
+    report = json.loads(out)
+    (pair,) = report["pairs"]
+    assert report["same"] is pair["same"] is False
     assert pair == {
         **{"name": "other.exr", "error": ""},
         **json.loads(json.dumps(compare(exr, other).as_dict())),
@@ -472,7 +472,7 @@ print(status, int(line.split()[1]) >> 10)
 @pytest.mark.memory
 def test_folders_need_the_memory_of_one_pair(tmp_path):
     """An image has 16 MiB, and the limit for three more pairs is 40 MiB."""
-    told = []
+    outputs = []
     for count in (1, 4):
         folders = [tmp_path / f"{count}{letter}" for letter in "ab"]
         for folder, value in zip(folders, (0.2, 0.3), strict=True):
@@ -481,8 +481,8 @@ def test_folders_need_the_memory_of_one_pair(tmp_path):
                 save_exr(folder / f"{number}.exr", plain(value, 1024), {})
         command = [sys.executable, "-c", PEAK, *folders, "--report", tmp_path / "a.html"]
         done = subprocess.run(command, check=True, capture_output=True, text=True)
-        told.append([int(word) for word in done.stdout.splitlines()[-1].split()])
-    (status, one), (_, four) = told
+        outputs.append([int(word) for word in done.stdout.splitlines()[-1].split()])
+    (status, one), (_, four) = outputs
     assert status == 1
     assert four < one + 40
 
@@ -589,10 +589,10 @@ def test_exr_data_window_offsets_the_pixels(tmp_path, x, y):
 
 def test_explicit_default_colour_space_is_no_difference(tmp_path):
     pixels = np.full((20, 20, 3), 0.5, dtype=np.float32)
-    said = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+    default = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
     a = write_exr(tmp_path / "a.exr", pixels)
-    assert compare(a, write_exr(tmp_path / "b.exr", pixels, chromaticities=said)).same
-    wide = write_exr(tmp_path / "c.exr", pixels, chromaticities=(0.7, 0.3, *said[2:]))
+    assert compare(a, write_exr(tmp_path / "b.exr", pixels, chromaticities=default)).same
+    wide = write_exr(tmp_path / "c.exr", pixels, chromaticities=(0.7, 0.3, *default[2:]))
     with pytest.raises(fr.InputError, match=r"a.exr is in colour space \(unnamed\), .*c.exr is in"):
         compare(a, wide)
 
@@ -716,8 +716,8 @@ def test_damaged_exr_in_a_process(exr, tmp_path):
         (folders[1] / f"{part}.exr").write_bytes(content[: int(part * len(content))])
     done = process("compare", *folders)
     assert (done.returncode, done.stdout) == (2, "")
-    told = re.findall(r"(0\.\d)\.exr cannot be read as OpenEXR", done.stderr)
-    assert (told, len(done.stderr.splitlines())) == (["0.3", "0.6", "0.9"], 3)
+    printed = re.findall(r"(0\.\d)\.exr cannot be read as OpenEXR", done.stderr)
+    assert (printed, len(done.stderr.splitlines())) == (["0.3", "0.6", "0.9"], 3)
 
 
 def test_pair_keeps_the_readable_image(exr, tmp_path):

@@ -304,7 +304,7 @@ def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, fai
 @pytest.mark.slow
 def test_a_head_of_parts(tmp_path):
     output = run(sys.executable, EXAMPLES / "head_of_parts.py", tmp_path, cwd=ROOT).stdout
-    assert "parts seen: [0, 1, 2, 4]" in output  # includes the parts behind the shells
+    assert "visible parts: [0, 1, 2, 4]" in output  # includes the parts behind the shells
     face = np.asarray(Image.open(tmp_path / "face.jpg"), dtype=float)
     grey = np.ptp(face, axis=-1) < 30.0
     bright = face.mean(axis=-1) > 150.0

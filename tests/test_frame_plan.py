@@ -151,7 +151,7 @@ def test_drawn_error_is_within_a_wide_budget(budget, within, drawing, egl, scene
 def test_coarser_frames_are_over_the_budget(budget, options, drawing, scene, planned):
     """Coarser frames have one sample, or half of the triangles, at least 500."""
     plan, within = planned(budget, **options), options.get("within", 1.0)
-    kept = {each.name: each for each in plan.decisions if not each.changed}
+    unchanged = {each.name: each for each in plan.decisions if not each.changed}
     refused = []
     if plan.detail.samples > 1:
         refused.append(("samples", replace(plan.detail, samples=1, triangles=None)))
@@ -162,9 +162,9 @@ def test_coarser_frames_are_over_the_budget(budget, options, drawing, scene, pla
     for name, detail in refused:
         at_share, _ = error(drawing, scene, detail, within=within)
         assert at_share > plan.budget.limit, detail
-        if name in kept:
-            assert kept[name].error == pytest.approx(at_share, rel=1e-6)
-            assert kept[name].other == str(getattr(detail, name))
+        if name in unchanged:
+            assert unchanged[name].error == pytest.approx(at_share, rel=1e-6)
+            assert unchanged[name].other == str(getattr(detail, name))
     at_share, _ = error(drawing, scene, plan.detail, within=within)
     assert at_share <= plan.budget.limit
 

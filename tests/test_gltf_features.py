@@ -154,7 +154,7 @@ def _(folder):
 
 @case("morph targets")
 def _(folder):
-    """Weights of the node override those of the mesh; a sparse target may have no base values."""
+    """Node weights override mesh weights; a sparse target may have no base values."""
     head, file = mini_head(), File()
     count = len(head.positions)
     moves = np.tile(np.array([[0.0, 0.0, 2.0]], "<f4"), (count, 1))

@@ -238,7 +238,7 @@ def test_gltf_is_detected_by_content(tmp_path):
 
 @pytest.mark.parametrize("shared", [False, True], ids=["two views", "one view"])
 def test_sparse_accessor(tmp_path, shared):
-    """Some entries of the accessor replace those of the buffer view."""
+    """Sparse entries of the accessor replace values of the buffer view."""
     document, binary = files.gltf(mini_head())
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": 20}
     binary += struct.pack("<II3f", 7, 5, 1.0, 2.0, 3.0)

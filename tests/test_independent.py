@@ -83,7 +83,7 @@ def test_cook_torrance_equals_mitsubas_rough_conductor(mi, m):
 
     masking = brdf.masking_v_cavity(h[:, 2], v_dot_h, l[:, 2], v[:, 2])
     ours = without_fresnel(N, l, v, m) / masking
-    # The rounding error of h is about SINGLE, and that of tan γ / m is SINGLE / m.
+    # The rounding error of h is about SINGLE, so the error of tan γ / m is SINGLE / m.
     tolerance = 16.0 * SINGLE * (1.0 + 1.0 / m)
     np.testing.assert_allclose(theirs, ours, rtol=tolerance)
     np.testing.assert_allclose(

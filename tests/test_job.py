@@ -1,4 +1,4 @@
-"""Jobs and scenes as data that travels: JSON, TOML, pickles."""
+"""Tests jobs, scenes and shadings as JSON, TOML and pickles."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ WAYS = {
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", JOBS)
-def test_a_job_comes_back_as_it_was(name, way, head):
+def test_jobs_survive_json_toml_and_pickle(name, way, head):
     sent, mesh = WAYS[way](JOBS[name]), None if name == "everything" else head
     scene, expected = (each.scene(mesh) for each in (sent, JOBS[name]))
     assert scene.lights == JOBS[name].lights
@@ -82,7 +82,7 @@ def test_a_job_comes_back_as_it_was(name, way, head):
     assert json.dumps(sent.as_dict()) == json.dumps(JOBS[name].as_dict())
 
 
-def test_a_scene_file_holds_its_terms(head, tmp_path):
+def test_scene_files_hold_all_terms(head, tmp_path):
     job = JOBS["terms"]
     scene = fr.Job(job.mesh, job.material, environment=job.environment).scene(head)
     assert (scene.environment.rotation, scene.environment.scale) == (20.0, 0.5)
@@ -94,7 +94,7 @@ def test_a_scene_file_holds_its_terms(head, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["defaults", "everything"])
-def test_a_job_sent_as_json_draws_the_same_bits(name, egl, head):
+def test_job_from_json_draws_the_same_bits(name, egl, head):
     job = replace(JOBS[name], image=fr.ImageSettings((48, 32), 1, float_albedo=True))
     images = []
     for each in (job, WAYS["JSON"](job)):
@@ -105,8 +105,8 @@ def test_a_job_sent_as_json_draws_the_same_bits(name, egl, head):
     np.testing.assert_array_equal(*images)
 
 
-def test_a_scene_that_was_pickled_draws_the_same_bits(renderer, tmp_path):
-    """In another process too, which has none of the caches of this one."""
+def test_pickled_scene_draws_the_same_bits(renderer, tmp_path):
+    """A second process without the caches of this one draws the same bits, too."""
     mesh = fr.load_mesh(files.MINI_HEAD)
     mesh = mesh.with_material(specular_map=mesh.materials[0].albedo_map.channel(1, "green"))
     scene = fr.Scene(mesh, lights=(LIGHTS["key"], POINT))
@@ -154,12 +154,12 @@ def test_a_pickle_holds_each_texture_once(head):
         ([1], r"job = \[1\]: give a table"),
     ],
 )
-def test_mistakes_of_a_job(tables, message):
+def test_invalid_tables_are_refused(tables, message):
     with pytest.raises(fr.InputError, match=message):
         fr.Job.from_dict(tables)
 
 
-def test_paths_may_be_paths():
+def test_paths_may_be_path_objects():
     assert fr.MeshFile(Path("a.glb")) == fr.MeshFile("a.glb")
     assert fr.Output(Path("a.png")) == fr.Output("a.png")
 
@@ -175,12 +175,12 @@ def test_paths_may_be_paths():
     ],
     ids=str,
 )
-def test_a_job_that_cannot_be(given):
+def test_invalid_fields_are_refused(given):
     with pytest.raises(fr.InputError, match=next(iter(given))):
         fr.Job(**given)
 
 
-def test_equal_jobs_are_equal_after_a_journey():
+def test_converted_jobs_are_equal():
     job = fr.Job(lights=[fr.Light()], ambient=0.5, material={"albedo": [1, 1, 1]})
     assert WAYS["JSON"](job) == job
     assert fr.Job.from_dict(job.as_dict()) == job
@@ -189,7 +189,7 @@ def test_equal_jobs_are_equal_after_a_journey():
 # --- shadings ------------------------------------------------------------------------------------
 
 
-def test_what_was_said_of_a_shading_may_be_taken_back():
+def test_fields_of_a_shading_can_be_reset():
     pinned = fr.Shading(m=0.3, specular_lights=[0], frontal_lights=[0], small_slope=True)
     assert pinned.replace(m=None, small_slope=None).term == fr.Term()
     assert pinned.replace(specular_lights=None).specular_lights is None
@@ -211,6 +211,6 @@ def test_what_was_said_of_a_shading_may_be_taken_back():
 @pytest.mark.parametrize(
     "lights", [{"one": {}}, {1: False}, {1: "d16"}, [{}], {1: {"lob": "d16"}}, 3], ids=str
 )
-def test_lights_of_a_shading_that_are_none(lights):
+def test_invalid_lights_of_a_shading_are_refused(lights):
     with pytest.raises(fr.InputError, match="of the shading: give|in the term of a light"):
         fr.Shading(lights=lights)

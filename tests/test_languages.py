@@ -156,7 +156,7 @@ def test_translations_are_readable(language):
     source, text = fr.shader_source("cook_torrance"), fr.shader_source("cook_torrance", language)
     header, _ = (fr.shader_dir() / "facerender/cook_torrance.glsl").read_text().split("\n#", 1)
     assert header in text
-    assert "// not normalised: V.H = |h|/2" in text
+    assert "// Not normalised: V.H = |h|/2." in text
     for name in re.findall(r"^float (fr_cook\w+|fr_lobe_exact)\(", source, re.MULTILINE):
         assert re.search(rf"^(float|fn) {name}\(", text, re.MULTILINE)
     code = re.sub(r"//.*", "", text)

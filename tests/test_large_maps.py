@@ -99,9 +99,9 @@ def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels
         gbuffer = renderer.gbuffer(scene)
     seen = linear_to_srgb(gbuffer.albedo[gbuffer.part >= 0][:, 0].astype(np.float64)) * 255.0 / 20.0
     part = mesh.parts[0]
-    told = levels_to_spare(mesh, part, part.uv, (texels, texels), view_of(scene, 1.0), SIZE)
-    assert np.quantile(seen, 1e-3) >= told - 0.05  # no finer level is read
-    assert np.quantile(seen, 1e-2) < told + 1.0  # and this level is read
+    level = levels_to_spare(mesh, part, part.uv, (texels, texels), view_of(scene, 1.0), SIZE)
+    assert np.quantile(seen, 1e-3) >= level - 0.05  # no finer level is read
+    assert np.quantile(seen, 1e-2) < level + 1.0  # and this level is read
 
 
 @pytest.mark.usefixtures("small_is_large")
@@ -194,7 +194,7 @@ def test_three_maps_of_8192_take_520_mb(tmp_path):
         whole.paste(tile, (place % 16 * 512, place // 16 * 512))
     whole.save(tmp_path / "map.png", compress_level=1)
     paths = [str(tmp_path / "map.png")] * 3
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", SCRIPT, *paths], capture_output=True, text=True, check=True
     )
-    assert int(told.stdout) * 1024 <= 520e6
+    assert int(done.stdout) * 1024 <= 520e6

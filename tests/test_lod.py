@@ -236,7 +236,7 @@ def test_missing_meshoptimizer_is_reported_with_a_remedy(no_meshoptimizer):
 
 @pytest.mark.parametrize(("triangles", "share", "median"), [(50_000, 0.7, 0), (16_000, 13.0, 1)])
 def test_image_changes_little(head, renderer, triangles, share, median):
-    """In % of the covered pixels, by more than 1/255."""
+    """``share`` limits the percentage of covered pixels that change by more than one level."""
     exact, level = (
         renderer.render(fr.Scene(mesh, fr.Camera(azimuth=-35)))
         for mesh in (head, fr.simplified(head, triangles))

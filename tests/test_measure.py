@@ -216,7 +216,7 @@ def quickest(quicker, monkeypatch):
     monkeypatch.setattr(rendering, "ratios", lambda draws, repeats: ratios(draws, 1))
 
 
-def test_what_is_missing_is_said_and_the_rest_measured(egl, coarse_head, quickest, monkeypatch):
+def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     stages = []
     measurement, triptychs = run.measure(

@@ -34,6 +34,7 @@ LINEAR = (0.50289, 0.21586, 0.05127)
 @pytest.fixture(scope="module")
 def draw(renderer):
     """A function that draws a mesh from an oblique direction, so that left and right differ."""
+
     def draw(mesh, only=None, azimuth=20.0, **scene):
         return renderer.render(fr.Scene(mesh, fr.Camera(azimuth), **scene), only=only).linear
 
@@ -388,7 +389,7 @@ def test_computed_normals_of_the_scan_from_its_obj(scan):
 
 @pytest.mark.parametrize("normals", [True, False])
 def test_mirrored_node_mirrors_the_image(normals, tmp_path, plain, draw):
-    """The mirror turns the faces, and no warning says that they were inside out."""
+    """The mirror turns the faces, which must not cause a warning about inverted faces."""
     nodes = [{"scale": [-1, 1, 1]}]
     path = files.write_glb(tmp_path / "mirrored.glb", mini_head(), nodes, normals=normals)
     if not normals:
@@ -611,7 +612,7 @@ def test_base_color_factor_is_linear(tmp_path, draw):
     material = {"pbrMetallicRoughness": {"baseColorFactor": [0.2, 0.4, 0.6, 1.0]}}
     path = files.write_glb(tmp_path / "mini.glb", mini_head(), material=material)
     albedo = draw(fr.load_mesh(path), "albedo")
-    np.testing.assert_allclose(mean_albedo(albedo), (0.2, 0.4, 0.6), atol=3e-3)  # 8 bits of trimesh
+    np.testing.assert_allclose(mean_albedo(albedo), (0.2, 0.4, 0.6), atol=3e-3)  # 8 bits in trimesh
 
 
 def test_roughness_and_occlusion_of_a_glb(tmp_path, renderer):

@@ -1,5 +1,5 @@
-"""Goldens that know what a movement by a hair makes of them: what passes then, what fails, and what
-the file holds."""
+"""Tests goldens that store the range of each pixel over small camera shifts: which images pass,
+which fail, and the content of the file."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ def studio(request, egl) -> Iterator[Studio]:
 def goldens(studio, tmp_path_factory) -> tuple[Path, Path]:
     """Paths of a golden without the range, and of one with it."""
     folder = tmp_path_factory.mktemp("goldens")
-    plain, kept = folder / "plain.exr", folder / "kept.exr"
+    plain, ranged = folder / "plain.exr", folder / "kept.exr"
     check("plain", studio.draw(), plain, MISSING)
-    check("kept", studio.draw(), kept, MISSING, draw=studio.draw)
-    return plain, kept
+    check("kept", studio.draw(), ranged, MISSING, draw=studio.draw)
+    return plain, ranged
 
 
 def test_shifts_surround_the_centre(goldens):
@@ -78,9 +78,9 @@ def test_shifts_surround_the_centre(goldens):
 
 @pytest.mark.parametrize("move", [(0.02, 0.0), (0.05, 0.0), (0.03, -0.04), (-0.08, 0.0)])
 def test_movement_passes_with_a_range_in_the_golden(studio, goldens, move):
-    plain, kept = goldens
+    plain, ranged = goldens
     image = studio.draw(*move)
-    assert compare(kept, image, **OTHERS), str(compare(kept, image, **OTHERS))
+    assert compare(ranged, image, **OTHERS), str(compare(ranged, image, **OTHERS))
     if studio.renderer.samples == 1 and move[0] != 0.02:
         assert not compare(plain, image, **OTHERS)
 
@@ -94,41 +94,41 @@ def test_coverage_of_a_drawn_shift_is_explained(studio, goldens):
 @pytest.mark.parametrize("value", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize("seed", range(2))
 def test_wrong_pixels_fail(goldens, value, seed):
-    plain, kept = (read_image(path) for path in goldens)
+    plain, ranged = (read_image(path) for path in goldens)
     rows, columns = np.random.default_rng(seed).choice(np.argwhere(plain.coverage >= 1.0), 3).T
     pixels = plain.pixels.copy()
     pixels[rows, columns, :3] = value
     broken = replace(plain, pixels=pixels)
-    assert compare(kept, broken).same == compare(plain, broken).same
-    assert not compare(kept, broken) or value == 0.0  # a black pixel may look like a strand
+    assert compare(ranged, broken).same == compare(plain, broken).same
+    assert not compare(ranged, broken) or value == 0.0  # a black pixel may look like a strand
 
 
 def test_black_pixel_does_not_count_as_background(goldens):
     """If a shift uncovers the background, the range explains only pixels that are not covered."""
-    kept = read_image(goldens[1])
-    uncovers = (kept.shift_range.high[..., 3] - kept.shift_range.low[..., 3] > 0.2) & (
-        kept.coverage >= 1.0
+    ranged = read_image(goldens[1])
+    uncovers = (ranged.shift_range.high[..., 3] - ranged.shift_range.low[..., 3] > 0.2) & (
+        ranged.coverage >= 1.0
     )
     assert uncovers.any()
-    black = np.full_like(kept.color, 0.012)  # similar to the background
-    assert not explained(kept.shift_range, black, kept.coverage, 0.005)[0][uncovers].any()
-    gone = kept.shift_range.low[..., 3].astype(np.float32)
+    black = np.full_like(ranged.color, 0.012)  # similar to the background
+    assert not explained(ranged.shift_range, black, ranged.coverage, 0.005)[0][uncovers].any()
+    gone = ranged.shift_range.low[..., 3].astype(np.float32)
     bare = uncovers & (gone < 0.5)
-    assert explained(kept.shift_range, black, gone, 0.005)[0][bare].all()
+    assert explained(ranged.shift_range, black, gone, 0.005)[0][bare].all()
 
 
 def test_range_is_stored_in_standard_exr_layers(goldens, studio):
-    plain, kept = goldens
-    with OpenEXR.File(str(kept), separate_channels=True) as file:
+    plain, ranged = goldens
+    with OpenEXR.File(str(ranged), separate_channels=True) as file:
         names = set(file.channels())
         assert file.channels()["moved_least.R"].pixels.dtype == np.float16
     assert names == {
         f"{layer}{name}" for layer in ("", "moved_least.", "moved_most.") for name in "RGBA"
     }
-    a, b = read_image(plain), read_image(kept)
+    a, b = read_image(plain), read_image(ranged)
     np.testing.assert_array_equal(a.pixels, b.pixels)
     assert a.shift_range is None
-    assert kept.stat().st_size < 2.5 * plain.stat().st_size
+    assert ranged.stat().st_size < 2.5 * plain.stat().st_size
     for x, y in ((0.0, 0.0), SHIFTS[3]):
         linear = studio.draw(x, y).linear
         covered = linear[..., 3] >= 0.5

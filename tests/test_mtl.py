@@ -60,7 +60,7 @@ def test_factors(tmp_path):
 
 
 def test_unsupported_statements_warn(tmp_path):
-    for mtl, said in (
+    for mtl, message in (
         ("Ks 0 0 0", "has Ks 0 in its MTL"),
         ("Tr 1", "Tr 1 in its MTL"),
         ("Tf 0.5 0.5 0.5", "Tf"),
@@ -76,7 +76,7 @@ def test_unsupported_statements_warn(tmp_path):
     ):
         messages = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
         assert len(messages) == 1, mtl
-        assert said in messages[0]
+        assert message in messages[0]
     for mtl in ("Pm 0\nNi 1.5\nTf 1 1 1\nKa 0 0 0", "map_Kd -mm 0 1 -cc off skin.png"):
         material(tmp_path, mtl)
 

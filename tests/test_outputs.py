@@ -319,8 +319,8 @@ def test_signal_during_imports(sent, word, tmp_path):
         while running.poll() is None and not catches_sigterm(running):
             time.sleep(0.001)
         running.send_signal(sent)
-        _, said = running.communicate(timeout=60)
-    assert (running.returncode, said) == (128 + sent, f"facerender: {word}\n")
+        _, errors = running.communicate(timeout=60)
+    assert (running.returncode, errors) == (128 + sent, f"facerender: {word}\n")
     assert os.listdir(tmp_path) == []
 
 

@@ -154,7 +154,7 @@ def test_wheel_renders_away_from_the_checkout(wheel, tmp_path):
     source = (ROOT / "facerender/explorer/browser/explorer.js").read_text(encoding="utf-8")
     assert source.splitlines()[-1] in explorer
     assert (tmp_path / "out/data/one/image.png").is_file()
-    command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # it knows the plugin
+    command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # option of the plugin
     environment = {**os.environ, "PYTHONPATH": str(site)}
     result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True)
     assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED

@@ -86,9 +86,9 @@ def test_index_lists_all_files_and_only_missing_files_are_drawn(suite, scene):
     before = {file: file.stat().st_mtime_ns for file in files}
     (folder / scene / "2-black-pixels.exr").unlink()
     draw_missing(SCENES[scene], folder, [*BROKEN, *HARMLESS])
-    kept = {file: file.stat().st_mtime_ns for file in files if file.exists()}
-    assert kept.keys() == before.keys()
-    changed = {file.name for file, time in kept.items() if time != before[file]}
+    times = {file: file.stat().st_mtime_ns for file in files if file.exists()}
+    assert times.keys() == before.keys()
+    changed = {file.name for file, time in times.items() if time != before[file]}
     assert changed == {"2-black-pixels.exr", "2-black-pixels.png"}
 
 

@@ -203,13 +203,13 @@ def test_names_survive_simplification_occlusion_and_the_cache(tmp_path, cache_fo
     path = write_glb(tmp_path / "a.glb", mini_head(), [{"name": "Head"}])
     assert names(fr.load_mesh(path, cache=True)) == ["Head"]
     wait_for_cache()
-    kept = fr.MeshFile(str(path)).cached()
-    assert kept is not None
-    assert names(kept) == ["Head"]
+    found = fr.MeshFile(str(path)).cached()
+    assert found is not None
+    assert names(found) == ["Head"]
     require_module("meshoptimizer")
-    assert names(fr.simplified(kept, 300)) == ["Head"]
+    assert names(fr.simplified(found, 300)) == ["Head"]
     require_module("embreex")
-    assert names(fr.with_occlusion(kept)) == ["Head"]
+    assert names(fr.with_occlusion(found)) == ["Head"]
 
 
 def test_mesh_file_selects_and_hides_parts(tmp_path):

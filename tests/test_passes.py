@@ -1,4 +1,4 @@
-"""A list of passes: what one draws is a texture for those after it, in a target of its own."""
+"""Tests rendering passes: each draws to its own target, which later passes read as a texture."""
 
 from __future__ import annotations
 

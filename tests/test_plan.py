@@ -1,5 +1,5 @@
-"""Plans: the cheapest shading that fits is found, what it says of itself is true, and what it
-writes works elsewhere. Brute force, and the renderer, are the judges."""
+"""Tests ``facerender.plan``: it finds the cheapest shading within the budget, its texts are true,
+and its files work. Brute force and the renderer provide the expected values."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ from tests.verification.targets import compiled
 KEY = (LIGHTS["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
 COMPILER, SLOW = pytest.mark.compiler, pytest.mark.slow
-CAMERAS = (fr.Camera(10.0, 5.0), fr.Camera(-30.0))  # from behind hardly anything fits
+CAMERAS = (fr.Camera(10.0, 5.0), fr.Camera(-30.0))  # from behind, hardly any candidate fits
 
 
 @pytest.fixture(scope="module")
 def small(egl):
-    """One sample, 32 x 32."""
+    """A renderer with 32 x 32 pixels and one sample per pixel."""
     with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
         yield renderer
 
@@ -69,13 +69,13 @@ def head(coarse_head):
 
 @pytest.fixture(scope="module")
 def bare(head):
-    """The head without its normal map, which halves the candidates."""
+    """The head without its normal map, for half as many candidates."""
     return head.with_material(normal_map=None)
 
 
 @pytest.fixture(scope="module")
 def subject(bare):
-    """Make the scene of a name, without ambient light, which halves the candidates again."""
+    """A function that returns a named subject; without ambient light it has half the candidates."""
     varying = bare.with_material(specular_map=bare.materials[0].roughness_map)
     three = fr.Scene(bare).lights
     known = {
@@ -101,8 +101,10 @@ def subject(bare):
 
 
 def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1.0):
-    """Plan for all budgets and prices, at the sizes of all renderers; no candidate that fits may be
-    cheaper."""
+    """Plan for all budgets and prices, at the sizes of all renderers, and return the plans.
+
+    Check that no candidate within the budget is cheaper.
+    """
     first, *others = renderers
     sizes = [each.size for each in renderers] if others else None
     plans = [
@@ -123,7 +125,7 @@ def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1
         prices = load_prices(kind, subject.scene, [])
         fits = [each for each in every if of[each] <= limit]
         cheapest = min(prices.cost(subject.scene, each)[0] for each in fits)
-        # with FLIP not all are tried
+        # With FLIP the search does not try all candidates.
         assert plan.cost.total == cheapest or plan.budget.unit == "flip", (budget, kind)
         assert of[plan.shading] <= limit
         assert plan.error.within == pytest.approx(of[plan.shading], rel=1e-9, abs=1e-12)
@@ -146,16 +148,16 @@ def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1
         ("dielectric", ("1/255", "3%"), ["navi21"]),
     ],
 )
-def test_no_candidate_that_fits_is_cheaper(name, budgets, kinds, small, subject):
+def test_no_fitting_candidate_is_cheaper(name, budgets, kinds, small, subject):
     if "flip" in budgets[-1]:
         require_module("flip_evaluator")
     plans = planned([small], subject(name), budgets, kinds)
-    assert any(plan.shading != plan.full for plan in plans)  # or nothing was tested
+    assert any(plan.shading != plan.full for plan in plans)  # otherwise nothing is tested
     assert any(plan.shading.frontal_lights for plan in plans) == name.startswith("frontal")
 
 
-def test_of_several_cameras_all_count(small, subject, monkeypatch):
-    monkeypatch.setattr(search, "_SPREAD", 1)  # of few pixels next to nothing is ruled out
+def test_plans_fit_all_cameras(small, subject, monkeypatch):
+    monkeypatch.setattr(search, "_SPREAD", 1)  # with few test pixels, many candidates remain
     monkeypatch.setattr(search, "_WORST", 1)
     planned([small], subject("constant m"), ["1/255"], cameras=turntable(count=3))
 
@@ -166,23 +168,23 @@ def test_of_several_cameras_all_count(small, subject, monkeypatch):
         ("constant m", ("1/255", "3%"), 0.95, ()),
         ("m and ks of maps", ("1/255",), 0.9, ()),
         pytest.param("frontal, three", ("0.5/255", "2/255"), 0.98, (), marks=SLOW),
-        ("point light", ("0.5/255", "2/255"), 0.9, CAMERAS),  # of each, not of both together
+        ("point light", ("0.5/255", "2/255"), 0.9, CAMERAS),  # the fraction applies to each camera
         ("as printed", ("0.05 flip",), 0.6, ()),
     ],
 )
-def test_no_candidate_that_fits_a_share_of_the_pixels_is_cheaper(
+def test_no_candidate_that_fits_a_fraction_of_pixels_is_cheaper(
     name, budgets, within, cameras, small, subject, monkeypatch
 ):
     if "flip" in budgets[-1]:
         require_module("flip_evaluator")
-    monkeypatch.setattr(search, "_SPREAD", 8)  # so that most pixels are no witnesses
+    monkeypatch.setattr(search, "_SPREAD", 8)  # most pixels are not test pixels
     monkeypatch.setattr(search, "_WORST", 4)
     plans = planned([small], subject(name), budgets, cameras=cameras, within=within)
     assert all(plan.error.within <= plan.budget.limit for plan in plans)
-    assert any(plan.error.maximum > plan.budget.limit for plan in plans)  # or every pixel fits
+    assert any(plan.error.maximum > plan.budget.limit for plan in plans)  # otherwise all pixels fit
 
 
-def test_at_every_size_the_budget_holds(small, egl, subject):
+def test_plans_fit_all_sizes(small, egl, subject):
     at = subject("point light")
     with fr.Renderer((40, 30), samples=1, backend=egl) as other:
         (plan,) = planned([small, other], at, ["0.7/255"])
@@ -202,12 +204,12 @@ def test_at_every_size_the_budget_holds(small, egl, subject):
         x, y = found.error.pixel
         assert found.error_map[y, x] == found.error_map.max() == found.error.maximum
         assert f"at pixel ({x}, {y}){camera} of {width} x {height}; " in found.explain()
-    assert plan.cost.total > min(each.cost.total for each in alone)  # or one size told all
+    assert plan.cost.total > min(each.cost.total for each in alone)  # both sizes matter
 
 
 @SLOW
 @pytest.mark.parametrize("index", range(8))
-def test_no_candidate_that_fits_is_cheaper_in_more_scenes(index, medium, head):
+def test_no_fitting_candidate_is_cheaper_in_more_scenes(index, medium, head):
     each = list(subjects(head, None))[index]
     planned([medium], each, (*BUDGETS, "0.5%", "3%"), KINDS, turntable(fr.Camera(15.0, 10.0), 2))
 
@@ -248,16 +250,16 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
         whole = {(None, ()), ((0, 1), ()), ((1,), ()), ((), ())}
         near = {(None, (1,)), (None, (1, 2)), ((0, 1), (1,))}
         assert frontal == whole | near
-    assert {each.term.m for each in found} == {0.8}  # what is told is left
+    assert {each.term.m for each in found} == {0.8}  # given values stay
     assert {each.ks for each in found} == {0.5}
     assert {(each.normal_map, each.ambient) for each in found} == set(
         product([True, False], [True, False])
     )
-    lean = candidates(fr.Scene(bare, ambient=0.0), Shading(), constants)  # has neither
+    lean = candidates(fr.Scene(bare, ambient=0.0), Shading(), constants)  # has neither of them
     assert all(each.normal_map and each.ambient for each in lean)
 
 
-def test_lights_go_in_the_order_of_what_they_show(small, subject):
+def test_lights_are_ordered_by_their_contribution(small, subject):
     scene = subject("frontal, three").scene
     scene = replace(scene, lights=(*scene.lights, replace(LIGHTS["front"], irradiance=9.0)))
     constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
@@ -272,7 +274,7 @@ def test_lights_go_in_the_order_of_what_they_show(small, subject):
     assert constants.faintest != constants.frontal
 
 
-def test_only_what_is_lit_decides(small, subject):
+def test_unlit_pixels_do_not_matter(small, subject):
     scene = subject("constant m").scene
     scene = replace(scene, lights=(*KEY, fr.Light(irradiance=0.0)))
     plan = fr.plan(scene, "0.5/255", cost="auto", renderer=small)
@@ -298,14 +300,14 @@ def test_a_huge_budget_drops_every_highlight(small, subject):
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
 
 
-def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):
+def test_smallest_error_breaks_ties_of_cost(small, bare):
     matt = fr.Scene(bare.with_material(ks=0.0))
     plan = fr.plan(matt, "1e9%", cost="auto", renderer=small)
     assert plan.shading == Shading(ambient=False)
 
 
-def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
-    """A change that shows between the pixels' centres alone is ruled out by what is drawn."""
+def test_errors_in_multisampled_images_count(egl, subject, monkeypatch):
+    """A change that is visible only between pixel centres is ruled out by the drawn image."""
     draw = views.draw
 
     def with_a_flaw(place, shading, detail):
@@ -325,12 +327,12 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     assert "as rendered" in sound.explain()
     assert sound.shading.term.fresnel == "constant" != flawed.shading.term.fresnel
     assert sound.cost.total < flawed.cost.total
-    assert flawed.tried < 10  # what failed once is not tried again with others
+    assert flawed.tried < 10  # a term that failed once is not tried again
 
 
 @pytest.mark.parametrize("more", [0, 1])
-def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch):
-    """As many pixels may be over the budget as are spared of those that the frame covers."""
+def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypatch):
+    """The number of pixels that may exceed the budget follows from the covered pixels."""
     draw = views.draw
     at, options = subject("constant m"), {"cost": "navi21", "within": 0.95}
     with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
@@ -374,7 +376,7 @@ def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch)
         pytest.param("30/255", {"m": 0.12}, (*KEY, POINT), 2.0, marks=SLOW),
     ],
 )
-def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
+def test_errors_agree_with_the_reference_and_the_renderer(
     budget, material, lights, exposure, small, head
 ):
     scene = fr.Scene(head.with_material(**material), lights=lights)
@@ -404,7 +406,7 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
     assert (plan.budget.exposure, error.size, error.within) == (exposure, (32, 32), error.maximum)
 
 
-# --- what it refuses -----------------------------------------------------------------------------
+# --- invalid input -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -436,14 +438,14 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
         ({}, {"sizes": [(0, 8)]}, "size 0 x 8: give 1 to 16384 pixels a side"),
     ],
 )
-def test_what_cannot_be_planned(changes, options, message, small, bare):
+def test_invalid_plans_are_refused(changes, options, message, small, bare):
     settings = {"budget": "1/255", "renderer": small, **options}
     with pytest.raises(fr.InputError, match=message) as error:
         fr.plan(replace(fr.Scene(bare), **changes), settings.pop("budget"), **settings)
     assert "\n" not in str(error.value)
 
 
-def test_a_camera_that_sees_nothing_beside_one_that_sees(small, subject):
+def test_cameras_that_see_nothing_are_ignored(small, subject):
     away = fr.Camera(position=(0.0, 0.0, 5.0), target=(0.0, 0.0, 9.0))
     scene = subject("constant m").scene
     both, one = (
@@ -454,12 +456,12 @@ def test_a_camera_that_sees_nothing_beside_one_that_sees(small, subject):
     assert both.error == replace(one.error, camera=1)
 
 
-# --- what it says and writes ---------------------------------------------------------------------
+# --- texts and files -----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def plans(small, head, bare, subject):
-    """Plans that chose differently."""
+    """Plans with different shadings."""
     mesh = head.with_material(m=0.3)
     scenes = (
         (subject("frontal").scene, "0.5/255"),
@@ -489,8 +491,8 @@ def test_every_decision_has_a_line(plans):
         shown = names if plan.budget.limit > ROUNDING[plan.budget.unit] else []
         assert list(lines) == ["budget", "basis", *shown, *exact, "error", "cost"]
         differs = changed(plan.shading, plan.full)
-        told = set(TERM[1:]) if "model" in differs else set()
-        assert {each.name for each in plan.decisions if each.changed} == set(differs) - told
+        implied = set(TERM[1:]) if "model" in differs else set()
+        assert {each.name for each in plan.decisions if each.changed} == set(differs) - implied
         for each in plan.decisions:
             assert lines.get(each.name, each.text) == each.text
             assert each.text.startswith(each.chosen)
@@ -504,7 +506,7 @@ def test_every_decision_has_a_line(plans):
             assert plan.budget.text(each.error) in each.text
 
 
-def test_decisions_have_the_values_in_which_the_shadings_differ(plans):
+def test_decisions_have_the_values_that_differ(plans):
     plan = plans[1]
     taken = {
         path: value
@@ -522,7 +524,7 @@ def test_decisions_have_the_values_in_which_the_shadings_differ(plans):
     assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
 
 
-def test_what_a_decision_adds_and_saves(plans, small):
+def test_decisions_state_their_error_and_saving(plans, small):
     for plan in plans:
         prices = load_prices("auto", plan.scene, [], software=True)
         every = list(candidates(plan.scene, plan.full, plan.constants))
@@ -543,7 +545,7 @@ def test_what_a_decision_adds_and_saves(plans, small):
                 assert each.error == pytest.approx(expected[0], rel=1e-9, abs=1e-12)
                 saved = cost(with_decisions(plan.shading, plan.full, names)) - plan.cost.total
                 assert each.saving == pytest.approx(saved / plan.cost.full_total)
-            else:  # all that are cheaper are over the budget, by what is said or more
+            else:  # every cheaper choice is over the budget, by at least the stated error
                 others = [
                     other
                     for other in every
@@ -553,13 +555,13 @@ def test_what_a_decision_adds_and_saves(plans, small):
                 assert limit < each.error <= min(errors(others)) * (1.0 + 1e-9)
 
 
-def test_what_was_not_chosen_is_told_in_flip(small, subject):
+def test_rejected_choices_are_explained_in_flip(small, subject):
     require_module("flip_evaluator")
     at = subject("frontal")
     plan = fr.plan(at.scene, "0.1 flip", cost="navi21", renderer=small)
-    kept = [each for each in plan.decisions if not each.changed]
-    assert kept
-    for each in kept:
+    unchanged = [each for each in plan.decisions if not each.changed]
+    assert unchanged
+    for each in unchanged:
         others = [
             other
             for other in candidates(at.scene, plan.full, plan.constants)
@@ -570,7 +572,7 @@ def test_what_was_not_chosen_is_told_in_flip(small, subject):
         assert each.error > 0.1 - ROUNDING["flip"]
 
 
-def test_as_dict_goes_through_json(plans):
+def test_as_dict_can_be_json(plans):
     for plan in plans:
         found = json.loads(json.dumps(plan.as_dict(), allow_nan=False))
         assert Shading.from_dict(found["shading"]) == plan.shading
@@ -583,7 +585,7 @@ def test_as_dict_goes_through_json(plans):
         assert 0 <= found["tried"] <= found["candidates"]
 
 
-def test_cameras_of_numpy_numbers_are_written_too(small, bare, tmp_path):
+def test_cameras_with_numpy_numbers_can_be_written(small, bare, tmp_path):
     camera = fr.Camera(np.arange(0, 90, 30)[1], zoom=np.float32(1.25))
     light = fr.Light(np.float64(20.0), np.int64(10))
     scene = fr.Scene(bare.with_material(m=np.float64(0.3)), camera, (light,))
@@ -597,7 +599,7 @@ def test_cameras_of_numpy_numbers_are_written_too(small, bare, tmp_path):
 
 
 @pytest.mark.parametrize("target", ["330", "es300", pytest.param("vulkan", marks=COMPILER)])
-def test_its_shader_compiles(target, plans, tmp_path):
+def test_shaders_compile(target, plans, tmp_path):
     for number, plan in enumerate(plans):
         text = plan.shader(target)
         assert text.isascii()
@@ -629,7 +631,7 @@ USED = {
     "language",
     [each if each == "wgsl" else pytest.param(each, marks=COMPILER) for each in LANGUAGES],
 )
-def test_its_shader_in_other_languages_has_what_lights_call(language, plans):
+def test_shaders_in_other_languages_have_the_called_functions(language, plans):
     require_module("wgpu")
     from tests.verification.webgpu import Device
 
@@ -647,7 +649,7 @@ def test_its_shader_in_other_languages_has_what_lights_call(language, plans):
         device.compile(compiled(text, hlsl=True) if language == "hlsl" else text)
 
 
-def test_its_shader_without_a_target_is_to_be_included(plans):
+def test_shader_without_a_target_has_no_version(plans):
     text = plans[0].shader()
     assert "#version" not in text
     assert text.startswith("// budget ")
@@ -673,7 +675,7 @@ def test_error_map(plans, tmp_path):
         assert (np.diff(brightness.ravel()[np.argsort(plan.error_map, axis=None)]) >= -1).all()
 
 
-def test_a_share_of_the_pixels_is_told_beside_the_worst_one(small, subject, tmp_path):
+def test_texts_have_the_error_of_the_fraction_and_the_worst(small, subject, tmp_path):
     scene, options = subject("constant m").scene, {"within": "95.1%", "cost": "navi21"}
     plan = fr.plan(scene, "1/255", renderer=small, **options)
     text, error = plan.budget.text, plan.error
@@ -733,7 +735,7 @@ def test_a_scene_file_gives_the_same_image(name, small, head, tmp_path):
     material = found.pop("material")
     assert material["f0"] == 0.04
     assert material["roughness_factor"] == 1.0
-    assert "m" not in material  # the head's map counts
+    assert "m" not in material  # the head's roughness map replaces it
     other = fr.Scene(head.with_material(**material), **found)
     for field in dataclasses.fields(scene):
         if field.name != "mesh":
@@ -743,20 +745,20 @@ def test_a_scene_file_gives_the_same_image(name, small, head, tmp_path):
     )
 
 
-def test_a_plan_pinned_in_a_file(plans, tmp_path):
+def test_scene_file_of_a_plan(plans, tmp_path):
     for plan in plans:
         path = tmp_path / "scene.toml"
         path.write_text(plan.scene_toml(), encoding="utf-8")
         found = load_scene(path)
         assert Shading.from_dict(found["shading"]) == plan.shading
         assert found["lights"] == plan.scene.lights
-        changes = plan.shading != plan.full  # or it holds anywhere
+        changes = plan.shading != plan.full  # the full shading fits any size
         assert found.get("planned") == (Planned(((32, 32),), 1) if changes else None)
         for line in plan.explain().splitlines():
             assert f"# {line}\n" in plan.scene_toml()
 
 
-def test_a_factor_that_parts_do_not_share_is_left_to_them(head, tmp_path):
+def test_scene_file_omits_factors_that_differ_between_parts(head, tmp_path):
     (part,) = head.parts
     mesh = replace(head, parts=(part, part), materials=(
         replace(head.materials[0], ks=0.1), head.materials[0]))  # fmt: skip

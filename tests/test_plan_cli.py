@@ -1,5 +1,4 @@
-"""``facerender plan`` and ``facerender render --budget`` as a user meets them, and the plans that
-are kept between commands."""
+"""Tests ``facerender plan``, ``facerender render --budget``, and the cache of plans."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ PLANS: dict[bytes, fr.Plan] = {}
 
 
 def plan_once(*arguments, **options):
-    """Plan, or return the plan that the same arguments gave before."""
+    """Plan, or return the earlier plan for the same arguments."""
     bound = inspect.signature(make_plan).bind(*arguments, **options)
     bound.apply_defaults()
     given = bound.arguments
@@ -69,8 +68,10 @@ def cli(tmp_path, capsys: Capture, egl, cache, monkeypatch):
 
 @pytest.fixture
 def plan(cli):
-    """Plan without a complaint, by the table's prices where nothing else is said, and return what
-    is printed."""
+    """A function that runs ``facerender plan`` and returns its output; it checks for warnings.
+
+    The prices are from the table by default.
+    """
 
     def plan(*options, mesh=FACE):
         status, out, err = cli.run("plan", *mesh, "--cost", "auto", *options)
@@ -88,14 +89,13 @@ def expected(budget, camera=fr.Camera(), mesh=None, cost="auto", **options):
 
 @pytest.fixture
 def framed(egl):
-    """The plan that `render` makes."""
+    """The plan that ``facerender render`` makes."""
     return expected("2/255", cost="frame")
 
 
 @pytest.fixture
 def planned(monkeypatch, framed, cli):
-    """The budgets that were planned for, not read from the cache: what is found is always the
-    same."""
+    """The list of budgets for which a plan was made; every plan is ``framed``."""
     seen = []
 
     def spy(scene, budget, **options):
@@ -109,7 +109,7 @@ def planned(monkeypatch, framed, cli):
 # --- plan ----------------------------------------------------------------------------------------
 
 
-def test_output_for_people(plan):
+def test_text_output(plan):
     out = plan("--budget", "1/255")
     assert out == expected("1/255").explain() + "\n"
     lines = out.splitlines()
@@ -129,7 +129,7 @@ def test_json(plan):
 
 @pytest.mark.parametrize("target", [None, "330", "es300", "vulkan"])
 def test_emit(target, plan, cli):
-    """That it compiles: test_its_shader_compiles of tests/test_plan.py."""
+    """tests/test_plan.py compiles the shaders."""
     path = cli.folder / "lean.glsl"
     plan("--budget", "2/255", "--emit", path, *(["--target", target] if target else []))
     assert path.read_text("ascii") == expected("2/255").shader(target)
@@ -137,7 +137,7 @@ def test_emit(target, plan, cli):
 
 
 @pytest.mark.parametrize("budget", ["1/255", "40/255", "0"])
-def test_a_pinned_scene_renders_as_its_shading_does(budget, plan, cli):
+def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
     pinned = cli.folder / "pinned.toml"
     options = ("--m", "0.25", "--camera", "20,10,1.1", "--ambient", "0.2", "--background", "none")
     found = json.loads(plan("--budget", budget, "--scene", pinned, "--json", *options))
@@ -149,7 +149,7 @@ def test_a_pinned_scene_renders_as_its_shading_does(budget, plan, cli):
         image = renderer.render(scene, shading).srgb8()
     np.testing.assert_array_equal(cli.render("--scene", pinned, "--samples", "1"), image)
     assert pinned.read_text().startswith("# Written by facerender plan.\n")
-    plan("--budget", "3/255", "--scene", pinned)  # its own may be replaced
+    plan("--budget", "3/255", "--scene", pinned)  # may overwrite its own file
     assert load_scene(pinned)["shading"] == expected("3/255").shading.as_dict()
 
 
@@ -161,7 +161,7 @@ def test_a_pinned_scene_holds_a_g_power(plan, cli):
     assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
 
 
-def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
+def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
     pinned = cli.folder / "pinned.toml"
     arguments = (MINI_HEAD, "--light", "key", "--size", "24..32", "--samples", "4")
     plan("--budget", "2/255", "--scene", pinned, mesh=arguments)
@@ -169,7 +169,7 @@ def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
     render = ("render", MINI_HEAD, "-o", cli.png, "--scene", pinned)
     for options in (
         *(("--size", "24"), ("--size", "32"), ("--size", "30"), ("--size", "30x30")),
-        ("--size", "32", "--samples", "1"),  # of which the pixels' centres tell
+        ("--size", "32", "--samples", "1"),  # plans also hold with one sample
     ):
         status, _, err = cli.run(*render, *options)
         assert (status, "warning" in err) == (0, False), (options, err)
@@ -186,8 +186,8 @@ def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
             f"facerender: warning: {pinned} was planned for 24 x 24 to 32 x 32 pixels with 4 "
             f"samples: at {image} samples its error is unknown; plan for this size and samples\n",
         )
-    (told,) = cli.describe("--scene", pinned, "--size", "64")["warnings"]
-    assert "was planned for" in told
+    (warning,) = cli.describe("--scene", pinned, "--size", "64")["warnings"]
+    assert "was planned for" in warning
     pinned.write_text("[planned]\nsizes = [[8, 8]]\nsamples = 1\n")
     planned_anew = cli.describe("--scene", pinned, "--budget", "2/255", *SMALL[2:])
     assert not planned_anew["warnings"]
@@ -209,7 +209,7 @@ def test_from_a_scene_file(plan, cli, tmp_path):
 
 
 def test_cameras(plan, tmp_path, monkeypatch):
-    """That plans count all their cameras: tests/test_plan.py."""
+    """tests/test_plan.py checks that plans fit all cameras."""
     path = tmp_path / "path.toml"
     path.write_text("[[cameras]]\nazimuth = 5\n[[cameras]]\nazimuth = 60\nelevation = 10\n")
     found = json.loads(plan("--budget", "30/255", "--json", "--camera", path))
@@ -256,14 +256,14 @@ def test_range_of_sizes(text, sizes):
     assert parse_sizes(text) == sizes
 
 
-def test_the_error_is_measured_at_all_sizes_of_a_range(plan):
+def test_plan_fits_all_sizes_of_a_range(plan):
     arguments = (MINI_HEAD, *SMALL[2:], "--size", "24..48")
     out = plan("--budget", "1/255", mesh=arguments)
     assert out == expected("1/255", sizes=[(24, 24), (34, 34), (48, 48)]).explain() + "\n"
     assert " 1 camera, 24 x 24, 34 x 34, 48 x 48 pixels; no guarantee for other cam" in out
 
 
-def test_within_a_share_of_the_pixels(plan):
+def test_within_a_fraction_of_the_pixels(plan):
     out = plan("--budget", "1/255", "--within", "95%")
     assert out == expected("1/255", within=0.95).explain() + "\n"
     assert " 1/255 for 95 % of the pixels, of which rounding may use" in out.splitlines()[0]
@@ -339,7 +339,7 @@ def test_a_camera_path_without_cameras(cli, tmp_path):
     cli.fail(r"path\.toml has no cameras", "plan", *FACE, *options)
 
 
-def test_a_scene_that_somebody_wrote_is_not_replaced(cli):
+def test_scene_files_of_users_are_not_overwritten(cli):
     path = cli.folder / "mine.toml"
     path.write_text("ambient = 1\n")
     message = r"mine\.toml exists, and facerender plan did not write it: read a scene with --from"
@@ -348,7 +348,7 @@ def test_a_scene_that_somebody_wrote_is_not_replaced(cli):
 
 
 @pytest.mark.parametrize("option", ["--emit", "--scene", "--error-map"])
-def test_places_that_cannot_be_written(option, cli):
+def test_invalid_output_paths_are_refused(option, cli):
     place = cli.folder / "missing" / "out.png"
     others = {"--emit": "a.glsl", "--scene": "b.toml", "--error-map": "c.png"}
     del others[option]
@@ -360,7 +360,7 @@ def test_places_that_cannot_be_written(option, cli):
     )
 
 
-def test_results_replace_neither_one_another_nor_what_is_read(cli, tmp_path):
+def test_outputs_must_differ_from_each_other_and_from_inputs(cli, tmp_path):
     image = tmp_path / "rough.png"
     Image.new("L", (4, 4), 90).save(image)
     before = image.read_bytes()
@@ -385,14 +385,14 @@ def test_results_replace_neither_one_another_nor_what_is_read(cli, tmp_path):
         ("frontal_lights = [0]", ("--light", "rim")),
     ],
 )
-def test_options_against_a_pinned_shading_are_refused(line, options, cli, tmp_path):
+def test_options_that_conflict_with_a_pinned_shading(line, options, cli, tmp_path):
     scene = tmp_path / "pinned.toml"
     scene.write_text(f"[shading]\n{line}\n")
     message = rf"pins {line.split()[0]} = .* of the shading: leave {options[0]} out"
     cli.fail_to_render(message, "--scene", scene, *options)
 
 
-def test_a_pinned_scene_is_planned_again(plan, cli):
+def test_pinned_scene_can_be_planned_again(plan, cli):
     path = cli.folder / "again.toml"
     path.write_text("lights = ['key']\n[shading]\nfrontal_lights = [0]\n")
     again = plan("--budget", "4/255", "--from", path, mesh=(MINI_HEAD, *SMALL[:4]))
@@ -421,11 +421,11 @@ def test_render_with_a_bad_budget(options, cli, cache):
 
 
 def untimed(facts):
-    """A plan's facts without what a clock has told."""
+    """Return a plan's facts without measured times."""
     facts = json.loads(json.dumps(facts))
-    kept = {key: value for key, value in facts.items() if key not in ("text", "cost")}
+    entry = {key: value for key, value in facts.items() if key not in ("text", "cost")}
     decisions = [each | {"saving": 0.0, "text": ""} for each in facts["decisions"]]
-    return kept | {"decisions": decisions}
+    return entry | {"decisions": decisions}
 
 
 def test_render_within_a_budget(cli, framed):
@@ -447,7 +447,7 @@ def test_render_within_a_budget(cli, framed):
 
 @pytest.mark.parametrize(("budget", "within"), [("2/255", ()), ("1/255", ("--within", "95%"))])
 def test_render_within_a_budget_as_json(budget, within, cli):
-    """At every pixel, and at a fraction of the pixels."""
+    """The budget applies to every pixel or to a fraction of the pixels."""
     options = ("--light", "key", "--budget", budget, "--samples", "1", *within)
     facts = cli.describe(*options)
     made = expected(budget, cost="frame", within=0.95 if within else 1.0)
@@ -457,7 +457,7 @@ def test_render_within_a_budget_as_json(budget, within, cli):
 
 
 def shoot(cli, *options, mesh=MINI_HEAD):
-    """Render within a budget, and return the image and what is said."""
+    """Render within a budget; return the image and the standard error."""
     arguments = ["--size", "48", "--light", "key", "--samples", 1, "--budget", "2/255", *options]
     status, _, err = cli.run("render", mesh, "-o", cli.png, *arguments)
     assert status == 0, err
@@ -465,11 +465,11 @@ def shoot(cli, *options, mesh=MINI_HEAD):
         return np.asarray(image), err
 
 
-def test_a_plan_is_kept(cli, planned, framed, cache):
-    first, said = shoot(cli)
-    again, said_again = shoot(cli)
+def test_plans_are_cached(cli, planned, framed, cache):
+    first, printed = shoot(cli)
+    again, printed_again = shoot(cli)
     assert planned == ["2/255"]
-    assert said == said_again
+    assert printed == printed_again
     np.testing.assert_array_equal(first, again)
     assert len(list(cache.iterdir())) == 1
     with fr.Renderer((48, 48), samples=1) as renderer:
@@ -477,10 +477,10 @@ def test_a_plan_is_kept(cli, planned, framed, cache):
     np.testing.assert_array_equal(again, image)
 
 
-def test_what_changes_the_plan_makes_a_new_one(cli, planned, tmp_path):
+def test_changed_input_causes_a_new_plan(cli, planned, tmp_path):
     shoot(cli)
     shoot(cli, mesh=shutil.copy(MINI_HEAD, tmp_path / "other.glb"))
-    # its name may count, and nothing else
+    # The name of the mesh may be part of the key.
     assert planned in (["2/255"], ["2/255"] * 2)
     for number, level in enumerate((40, 90)):
         Image.new("L", (4, 4), level).save(tmp_path / f"rough{number}.png")
@@ -500,7 +500,7 @@ def test_what_changes_the_plan_makes_a_new_one(cli, planned, tmp_path):
         assert len(planned) == 1, options
 
 
-def test_what_does_not_change_the_plan_does_not_plan(cli, planned):
+def test_irrelevant_options_reuse_the_plan(cli, planned):
     shoot(cli)
     shoot(cli, "--json")
     shoot(cli, "--within", "100%")
@@ -519,45 +519,45 @@ def test_what_does_not_change_the_plan_does_not_plan(cli, planned):
         b'{"shading": {"gloss": 3}, "text": "x"}',
     ],
 )
-def test_a_damaged_plan_is_made_anew(content, cli, planned, cache):
-    image, said = shoot(cli)
-    (kept,) = cache.iterdir()
-    good = kept.read_bytes()
-    kept.write_bytes(content)
-    again, said_again = shoot(cli)
+def test_damaged_cache_entry_is_replaced(content, cli, planned, cache):
+    image, printed = shoot(cli)
+    (entry,) = cache.iterdir()
+    good = entry.read_bytes()
+    entry.write_bytes(content)
+    again, printed_again = shoot(cli)
     assert len(planned) == 2
-    assert said == said_again
+    assert printed == printed_again
     np.testing.assert_array_equal(image, again)
-    assert kept.read_bytes() == good
+    assert entry.read_bytes() == good
 
 
-def test_a_cache_that_cannot_be_written_is_passed_over(cli, planned, tmp_path, monkeypatch):
-    image, said = shoot(cli)
+def test_unwritable_cache_is_ignored(cli, planned, tmp_path, monkeypatch):
+    image, printed = shoot(cli)
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", "/dev/null"):
         monkeypatch.setenv("XDG_CACHE_HOME", str(place))
-        again, said_again = shoot(cli)
-        assert said == said_again
+        again, printed_again = shoot(cli)
+        assert printed == printed_again
         np.testing.assert_array_equal(image, again)
     assert len(planned) == 3
 
 
-def test_a_kept_plan_that_is_a_folder_is_passed_over(cli, planned, cache):
+def test_folder_in_place_of_a_cache_entry_is_ignored(cli, planned, cache):
     shoot(cli)
-    (kept,) = cache.iterdir()
-    kept.unlink()
-    kept.mkdir()
+    (entry,) = cache.iterdir()
+    entry.unlink()
+    entry.mkdir()
     shoot(cli)
     assert len(planned) == 2
 
 
-def test_without_a_place_in_the_environment_it_is_in_the_home(cli, planned, tmp_path, monkeypatch):
+def test_default_cache_folder_is_in_the_home_folder(cli, planned, tmp_path, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME")
     shoot(cli)
     assert len(list((tmp_path / "home/.cache/facerender/plans").iterdir())) == 1
 
 
-def test_nothing_is_kept_of_a_plan_command(plan, cache):
+def test_plan_command_does_not_use_the_cache(plan, cache):
     plan("--budget", "2/255")
     assert not cache.exists()
 

@@ -1,4 +1,5 @@
-"""Prices: the table, what it adds up to, and what RADV and this machine say of it."""
+"""Tests prices (``facerender.pricing``): the table, sums of its parts, and comparisons with RADV's
+compiler and this machine."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ KEY = (LIGHTS["key"],)
 PRICED = {part for part in (*fragment.PARTS, *scatter.PARTS) if "specular" not in part}
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
 MAPS = ("albedo_map", "normal_map", *PROPERTY_MAPS)
-WHOLE = (  # scenes, and whether their lights are specular
+WHOLE = (  # scenes, and whether their lights have specular terms
     (scene_with(directional=3), False),
     (scene_with(directional=3), True),
     (scene_with(MAPS, True, directional=3), True),
@@ -54,7 +55,7 @@ def bare(head):
 
 
 def test_every_candidate_has_a_price(head, bare):
-    """In one table, and so in all: they list the same terms, see below."""
+    """One table is enough, since all tables list the same terms; see below."""
     for mesh, full in (
         (bare, Shading("ward-printed")),
         (bare, Shading(fresnel="dielectric")),
@@ -69,7 +70,7 @@ def test_every_candidate_has_a_price(head, bare):
             assert 0.0 <= specular < total < math.inf
 
 
-def test_a_price_adds_up_by_hand(head, bare):
+def test_price_is_the_sum_of_its_parts(head, bare):
     parts = {
         "base program": 1.0,
         "albedo map": 10.0,
@@ -91,12 +92,12 @@ def test_a_price_adds_up_by_hand(head, bare):
     for shading, total, specular in (
         (Shading(), one + 2.1e8, 2.1e8),
         (Shading(specular_lights=(1,)), one + 1e7, 1e7),
-        # one whole light and two frontal ones, whichever stands first
+        # One full light and two frontal ones, in any order.
         (Shading(frontal_lights=(1, 2)), one + 8.1e8, 8.1e8),
         (Shading(frontal_lights=(0, 1)), one + 8.1e8, 8.1e8),
         (Shading(frontal_lights=(0, 1, 2)), one + 8.4e8, 8.4e8),
         (Shading(specular_lights=(0, 1), frontal_lights=(2, 0)), one + 4.1e8, 4.1e8),
-        # of the property map the occlusion is left
+        # The property map is still read for occlusion.
         (Shading(m=0.3), one + 4.2e8, 4.2e8),
         (Shading(m=0.3, ambient=False), one - 1e4 - 1e3 + 4.2e8, 4.2e8),
         (Shading("ward", "d8", normal_map=False), one - 100.0 + 6.3e8, 6.3e8),
@@ -109,7 +110,7 @@ def test_a_price_adds_up_by_hand(head, bare):
     assert table.cost(plain, Shading())[0] == pytest.approx(1.0 + 1e4 + 1e5 + 1e7, rel=1e-12)
 
 
-def test_the_price_of_parts_is_weighted_by_their_faces(head):
+def test_price_of_parts_is_weighted_by_their_faces(head):
     (part,) = head.parts
     few = replace(part, faces=part.faces[:100])
     dull = replace(head.materials[0], ks=0.0)
@@ -124,16 +125,16 @@ def test_the_price_of_parts_is_weighted_by_their_faces(head):
     assert table.cost(fr.Scene(mesh), Shading()) == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
+def test_table_equals_the_output_of_the_command(monkeypatch, tmp_path):
     text = prices.TABLE.read_bytes()
     table = json.loads(text)
     assert set(table) == {*amd.FAMILIES, "llvmpipe"}
     for rows in table.values():
         assert set(rows) == {"source", "unit", "parts", "terms"}
         assert set(rows["parts"]) == PRICED
-        assert min(rows["parts"].values()) >= 0.0  # constant ambient light is an addend of an fma
+        assert min(rows["parts"].values()) >= 0.0  # 0: an fma adds constant ambient light
         assert set(rows["terms"]) == {*all_terms(), *all_seconds()}
-        # 0: the second lobe of the cosine power, in a further light on RDNA2
+        # The second lobe of the cosine power costs 0 in a further light on RDNA2.
         assert all(first > 0.0 <= further for first, further in rows["terms"].values())
         rows["terms"] = {name: tuple(both) for name, both in rows["terms"].items()}
     monkeypatch.setattr(written, "compiled", lambda family, *terms: Prices(**table[family]))
@@ -143,7 +144,7 @@ def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
     assert (tmp_path / "prices.json").read_bytes() == text
 
 
-def test_auto_is_of_who_draws(bare):
+def test_auto_depends_on_the_driver(bare):
     scene = fr.Scene(bare)
     assert load_prices("auto", scene, [], software=True) == load_prices("llvmpipe", scene, [])
     assert load_prices("auto", scene, [], software=False) == load_prices("navi21", scene, [])
@@ -167,12 +168,12 @@ def parts(family):
 
 
 def compiled_for(scene, family, shadings):
-    """Prices of the terms of some shadings, compiled here."""
+    """Compile the terms of shadings, and return their prices."""
     terms = [term for each in shadings for term in Lighting.of(scene, each).terms]
     return compiled(family, {k: v for term in terms for k, v in variants(term).items()}, {})
 
 
-def test_the_compiler_agrees_with_the_table(family, bare):
+def test_compiler_agrees_with_the_table(family, bare):
     scene = fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"]))
     wanted = [
         Shading(),
@@ -181,7 +182,7 @@ def test_the_compiler_agrees_with_the_table(family, bare):
         Shading(fresnel="dielectric", lobe="fitted", frontal_lights=(1,)),
     ]
     table = load_prices(family, scene, wanted)
-    same = table.source.startswith(amd.driver())  # another Mesa's compiler counts otherwise
+    same = table.source.startswith(amd.driver())  # other versions of Mesa differ
     here = compiled_for(scene, family, wanted)
     for shading in wanted:
         cost = here.cost(scene, shading)
@@ -206,7 +207,7 @@ def test_prices_of_frontal_lights_add_up_to_a_program(family, bare):
 
 
 @pytest.mark.slow
-def test_prices_of_this_machine(egl, bare, monkeypatch):
+def test_prices_measured_on_this_machine(egl, bare, monkeypatch):
     monkeypatch.setattr(prices, "measured", partial(prices.measured, repeats=3))
     scene = fr.Scene(bare.with_material(m=0.3), lights=KEY)
     wanted = [Shading(), Shading("ward", "d8")]
@@ -215,11 +216,11 @@ def test_prices_of_this_machine(egl, bare, monkeypatch):
     assert here.source.startswith("measured on ")
     assert set(here.parts) == PRICED
     for shading in wanted:
-        assert np.isfinite(here.cost(scene, shading)).all()  # on a busy machine even negative
+        assert np.isfinite(here.cost(scene, shading)).all()  # may be negative on a busy machine
 
 
-def test_measured_prices_are_put_together(egl, bare, monkeypatch):
-    """A term's price in the first light and in further ones has the part that they share."""
+def test_measured_prices_include_the_shared_part(egl, bare, monkeypatch):
+    """A term's price includes the shared part, which differs between first and further lights."""
 
     def times(names, first):
         return {name: Interval(i, i, i) for i, name in enumerate(names, first)}
@@ -240,7 +241,7 @@ def test_measured_prices_are_put_together(egl, bare, monkeypatch):
 
 
 def test_measured_prices_serve_a_whole_plan(egl, bare, tmp_path, monkeypatch):
-    """A constant in place of a map may have lobes in its domain that the map's slopes leave."""
+    """A constant m may allow lobes whose domain does not contain all slopes of the map."""
     wanted_terms = []
 
     def priced(wanted, **_):
@@ -261,7 +262,7 @@ def test_measured_prices_serve_a_whole_plan(egl, bare, tmp_path, monkeypatch):
 
 
 def test_requested_terms_are_priced_as_they_are_compiled(monkeypatch, bare):
-    """Small slopes as such, and what a decision is taken back to."""
+    """Terms for small slopes, and terms that a decision would restore, are priced separately."""
     asked = {}
 
     def spy(wanted, seconds):
@@ -279,10 +280,10 @@ def test_requested_terms_are_priced_as_they_are_compiled(monkeypatch, bare):
     }
 
 
-def test_every_part_costs_something(parts):
+def test_every_part_has_a_cost(parts):
     assert tuple(parts) == PARTS
     free = {name for name, cost in parts.items() if cost <= 0.0}
-    assert free <= {"ambient term"}  # an addend of what the lights multiply and add anyway
+    assert free <= {"ambient term"}  # one more addend of an fma
     assert min(parts.values()) >= 0.0
     assert parts["normal map"] > parts["albedo map"] > parts["ambient term"]
     assert parts["point light"] > parts["directional light"]
@@ -291,7 +292,7 @@ def test_every_part_costs_something(parts):
 @pytest.mark.parametrize(
     ("shading", "error"),
     [
-        (None, 0.03),  # with a sum of a term's inputs in its place
+        (None, 0.03),  # a sum of its inputs replaces the term
         (Shading(), 0.02),
         (Shading(lobe="fitted"), 0.02),
         (Shading("ward", "d16"), 0.02),
@@ -308,18 +309,18 @@ def test_parts_add_up_to_a_program(family, parts, shading, error):
 
 
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])
-def test_a_term_adds_to_the_parts(family, parts, model):
+def test_terms_add_to_the_parts(family, parts, model):
     (plain,) = (variant for variant in of_model(model) if variant.plain)
     term = amd.statistics({"term": plain.term}, family)["term"].inverse_throughput
     scenes = [scene_with(directional=n) for n in (1, 3)]
     compiled = cycles([program_of(each, Shading(model)) for each in scenes], family)
     one, three = (program_of(scene, stub=INPUTS) for scene in scenes)
     assert fragment.estimate(one, parts) + term == pytest.approx(compiled[0], rel=0.05)
-    # The terms of a fragment share what depends on the normal, the eye and m alone.
+    # Terms share computations that depend only on the normal, the view direction and m.
     assert compiled[1] < fragment.estimate(three, parts) + 3 * term < 1.2 * compiled[1]
 
 
-def test_programs_tell_the_parts_apart():
+def test_programs_determine_all_parts():
     matrix = np.array([list(parts_of(program).values()) for _, program in samples()])
     assert abs(np.linalg.det(matrix)) == pytest.approx(fragment.FEW)
 

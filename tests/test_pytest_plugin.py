@@ -1,4 +1,4 @@
-"""The pytest plugin, on suites of its own that it runs in the same process or in others."""
+"""Tests the pytest plugin on generated suites, which run in this process or in another."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 import facerender as fr
 from facerender import pytest_plugin
-from facerender.comparison import report  # noqa: F401  (here, not anew in every suite)
+from facerender.comparison import report  # noqa: F401  (imported once, not in every suite)
 from facerender.comparison.calibration import NAMES, read_limits, text_of
 from facerender.comparison.goldens import renderer_name
 from facerender.images.exr import save_exr
@@ -21,7 +21,7 @@ from tests.awkward_files import MINI_HEAD
 
 PLUGIN = ("-p", "facerender.pytest_plugin", "-p", "xdist")
 
-# image(value) has one value everywhere; `on` is the renderer that it says it comes from.
+# image(value) has one value everywhere; RENDERER is the renderer in its metadata.
 SUITE = """
 import os
 import numpy as np
@@ -41,7 +41,7 @@ ONE = "def test_head(snapshot): snapshot(image({value}))\n"
 
 
 class Suites:
-    """Writes suites and runs them."""
+    """Writes test suites and runs them."""
 
     def __init__(self, pytester: pytest.Pytester) -> None:
         self.pytester = pytester
@@ -57,7 +57,7 @@ class Suites:
         return result
 
     def passes(self, *options: str) -> list[bool]:
-        """Run one module, and tell for each test whether it passed."""
+        """Run one module, and return for each test whether it passed."""
         output = self.run(*options).stdout.str()
         (letters,) = re.findall(r"^(?:test_suite\.py )?([.F]+) +\[100%\]$", output, re.M)
         return [letter == "." for letter in letters]
@@ -84,7 +84,7 @@ def suites(pytester, monkeypatch) -> Suites:
 
 @pytest.fixture
 def recorded(suites) -> Suites:
-    """One test with a golden of 0.5, recorded on llvmpipe."""
+    """A suite with one test and its golden of value 0.5, recorded on llvmpipe."""
     suites.write(ONE.format(value=0.5))
     suites.run("--facerender-update-missing", passed=1)
     return suites
@@ -101,7 +101,7 @@ def test_missing_golden_fails_and_names_the_option(suites, options):
     assert suites.goldens() == []
 
 
-def test_golden_lies_beside_the_test_with_its_metadata(suites):
+def test_golden_is_stored_next_to_the_test_with_metadata(suites):
     suites.pytester.mkpydir("inner")
     suites.pytester.path.joinpath("inner/test_deep.py").write_text(SUITE + ONE.format(value=2.5))
     result = suites.run("--facerender-update-missing", passed=1)
@@ -113,7 +113,7 @@ def test_golden_lies_beside_the_test_with_its_metadata(suites):
     assert file.header()["facerender"] == fr.__version__
 
 
-def test_golden_of_a_frame_says_where_it_comes_from(suites, egl):
+def test_golden_of_a_frame_has_its_metadata(suites, egl):
     suites.write(
         "import facerender as fr\n"
         "def test_frame(facerender_snapshot):\n"
@@ -142,7 +142,7 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
             "0.09*, limit 0.005: looks like *",
             f"*golden {recorded.golden()}",
             "*actual *out/facerender0/test_suite.py-test_head.exr",
-            "test_suite.py:*: AssertionError",  # the line of the suite, not of the plugin
+            "test_suite.py:*: AssertionError",  # a line of the suite, not of the plugin
         ]
     )
     actual = read_image(recorded.path / "out/facerender0/test_suite.py-test_head.exr")
@@ -191,7 +191,7 @@ NONE = {
 }
 
 
-def test_image_that_is_none_becomes_no_golden(suites):
+def test_invalid_images_are_not_stored_as_goldens(suites):
     def write(*images: str) -> None:
         tests = enumerate(images)
         suites.write("".join(f"def test_{i}(snapshot): snapshot({each})\n" for i, each in tests))
@@ -209,7 +209,7 @@ def test_image_that_is_none_becomes_no_golden(suites):
     assert [suites.value(f"test_{i}") for i in range(len(NONE))] == [0.5] * len(NONE)
 
 
-def test_golden_keeps_the_range_of_what_draws(suites):
+def test_golden_stores_the_range_of_shifted_images(suites):
     suites.write(
         "def draw(x, y):\n"
         "    pixels = image()\n"
@@ -247,7 +247,7 @@ def test_names_of_goldens(suites):
     ]
 
 
-def test_long_names_are_cut_and_stay_apart(suites):
+def test_long_names_are_shortened_and_stay_distinct(suites):
     suites.write(
         "@pytest.mark.parametrize('p', ['ж' * 300 + end for end in 'ab'], ids=str)\n"
         "def test_p(snapshot, p): snapshot(image(), 'ж' * 300 + p[-1])\n"
@@ -274,14 +274,14 @@ def test_long_names_are_cut_and_stay_apart(suites):
         ),
     ],
 )
-def test_a_name_serves_one_image(suites, tests, message, passed):
+def test_names_must_be_unique(suites, tests, message, passed):
     suites.write(tests)
     result = suites.run("--facerender-update", passed=passed, failed=1)
     result.stdout.fnmatch_lines([message])
     assert suites.value() == pytest.approx(0.1)
 
 
-def test_place_of_goldens_that_cannot_be_made(suites):
+def test_golden_folder_that_cannot_be_created(suites):
     suites.write(ONE.format(value=0.5))
     (suites.path / "goldens").touch()
     result = suites.run("--facerender-update-missing", failed=1)
@@ -291,11 +291,11 @@ def test_place_of_goldens_that_cannot_be_made(suites):
 # --- updates -------------------------------------------------------------------------------------
 
 
-def test_update_writes_what_differs_and_what_is_missing(recorded):
+def test_update_writes_different_and_missing_goldens(recorded):
     before = recorded.golden().read_bytes()
     stat = recorded.golden().stat()
     recorded.write(
-        ONE.format(value=0.50001)  # the same, within the limits
+        ONE.format(value=0.50001)  # within the limits
         + "def test_other(snapshot): snapshot(image(0.7))\n"
     )
     result = recorded.run("--facerender-update", passed=2)
@@ -311,7 +311,7 @@ def test_update_writes_what_differs_and_what_is_missing(recorded):
     recorded.run(passed=2)
 
 
-def test_update_takes_another_size(recorded):
+def test_update_accepts_another_size(recorded):
     recorded.write("def test_head(snapshot): snapshot(image()[:16])")
     result = recorded.run(failed=1)
     result.stdout.fnmatch_lines(["*test_head.exr is 32 x 32, the image is 32 x 16 pixels*"])
@@ -319,13 +319,13 @@ def test_update_takes_another_size(recorded):
     recorded.run(passed=1)
 
 
-def test_update_missing_leaves_what_differs(recorded):
+def test_update_missing_keeps_different_goldens(recorded):
     before = recorded.golden().read_bytes()
     recorded.write(ONE.format(value=0.6) + "def test_other(snapshot): snapshot(image(0.7))\n")
     recorded.run("--facerender-update-missing", passed=1, failed=1)
     assert recorded.golden().read_bytes() == before
     assert recorded.goldens() == ["test_head.exr", "test_other.exr"]
-    recorded.run("-o", "facerender_update=true", passed=2)  # as an ini file says it
+    recorded.run("-o", "facerender_update=true", passed=2)  # option of an ini file
     assert recorded.value() == pytest.approx(0.6)
 
 
@@ -359,18 +359,18 @@ def test_alternative_for_another_renderer(recorded, monkeypatch):
     recorded.run(*update, passed=1)
     assert recorded.goldens() == ["test_head.exr", "test_head@NVIDIA-H200.exr"]
     assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
-    recorded.write(ONE.format(value=0.5))  # as the other golden is, but this one counts
+    recorded.write(ONE.format(value=0.5))  # equals the other golden, which must not be used
     recorded.run(failed=1)
 
     monkeypatch.delenv("RENDERER")
     recorded.run(*update, passed=1)
     assert recorded.golden().read_bytes() == before
-    recorded.write(ONE.format(value=0.7))  # its own golden is updated in its place
+    recorded.write(ONE.format(value=0.7))  # updates its own golden
     recorded.run(*update, passed=1)
     assert recorded.value() == pytest.approx(0.7)
     assert recorded.value("test_head@NVIDIA-H200") == pytest.approx(0.6)
 
-    monkeypatch.setenv("RENDERER", "NVIDIA H200 (another driver)")  # the same name
+    monkeypatch.setenv("RENDERER", "NVIDIA H200 (another driver)")  # has the same file name
     recorded.run(*update, failed=1)
     assert recorded.value("test_head@NVIDIA-H200") == pytest.approx(0.6)
 
@@ -429,7 +429,7 @@ def test_interrupted_update_leaves_the_old_golden(recorded, monkeypatch, end):
     assert all(name.startswith(".") for name in left)
     assert len(left) == int(killed)
 
-    recorded.write(ONE.format(value=0.5))  # what a killed process left does not matter
+    recorded.write(ONE.format(value=0.5))  # partial files of a killed process are ignored
     assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
 
 
@@ -443,7 +443,7 @@ def test_interrupted_update_leaves_the_old_golden(recorded, monkeypatch, end):
         ("facerender_shift = far", [], "facerender_shift = far: give a number"),
     ],
 )
-def test_settings_that_cannot_be(suites, ini, options, message):
+def test_invalid_settings_are_refused(suites, ini, options, message):
     (suites.path / "file").touch()
     suites.pytester.makeini(f"[pytest]\n{ini}\n")
     suites.write(ONE.format(value=0.5))
@@ -474,7 +474,7 @@ def test_ini(suites):
     assert list(inner.iterdir()) == []
 
 
-def test_the_plugin_knows_every_limit():
+def test_plugin_has_every_limit():
     assert pytest_plugin.LIMITS == NAMES
 
 
@@ -488,20 +488,20 @@ def test_the_plugin_knows_every_limit():
         ("pyproject.toml", '[tool.pytest]\naddopts = ["-q"]\n'),
     ],
 )
-def test_pytest_and_compare_read_the_section_where_it_was_pasted(recorded, name, before):
+def test_pytest_and_compare_read_the_same_limits(recorded, name, before):
     path = recorded.path / name
     limits = {**dict.fromkeys(NAMES, (1e6, "sees nothing")), "block": (0.03, "")}
     _, *rows = text_of(path, {"linear": limits}).splitlines()
     path.write_text(before + "\n".join(rows))
     assert read_limits(path)["linear"]["block"] == 0.03
-    values = enumerate((0.5, 0.51, 0.52))  # 0.51 differs by 2 %
+    values = enumerate((0.5, 0.51, 0.52))  # 0.51 differs from 0.5 by 2 %
     recorded.write(
         "".join(f"def test_{i}(snapshot): snapshot(image({v}), 'test_head')\n" for i, v in values)
     )
     assert recorded.passes(f"-c{path}") == [True, True, False]
 
 
-def test_a_test_goes_before_the_file(recorded):
+def test_arguments_of_check_override_the_ini_file(recorded):
     recorded.pytester.makeini("[pytest]\nfacerender_block = 1e-4\nfacerender_trend = 1e6\n")
     for options, passes in (("", False), ("block=0.01", True)):
         recorded.write(f"def test_head(snapshot): snapshot(image(0.5004), {options})")
@@ -520,7 +520,7 @@ class TestB:
 
 @pytest.fixture
 def unused(suites) -> Suites:
-    """Two modules with goldens, and one golden more in each."""
+    """A suite with two modules and their goldens, and one unused golden for each module."""
     for module in ("test_one", "test_two"):
         suites.write(TWO, module)
     suites.run("--facerender-update-missing", passed=6)
@@ -566,7 +566,7 @@ SELECTIONS = [
 ]
 
 
-def test_unused_is_judged_only_where_all_tests_ran(unused):
+def test_unused_goldens_need_a_complete_module(unused):
     for selection, judged in SELECTIONS:
         run = unused.run_apart if "-n2" in selection else unused.run
         result = run(*selection, "--facerender-unused=fail")
@@ -586,17 +586,17 @@ def test_unused_is_judged_only_where_all_tests_ran(unused):
     ],
 )
 @pytest.mark.filterwarnings("ignore")
-def test_unused_is_not_judged_where_a_test_did_not_pass(unused, tests):
+def test_unused_goldens_need_passed_tests(unused, tests):
     unused.write(tests, "test_one")
     result = unused.run("--facerender-unused=list", "--continue-on-collection-errors")
     assert found(result) == BOTH[1:]
-    if "d(): assert False" in tests and "xfail" not in tests:  # --lf leaves out modules unjudged
+    if "d(): assert False" in tests and "xfail" not in tests:  # --lf skips whole modules
         result = unused.run("--lf", "--facerender-unused=list")
         result.assert_outcomes(failed=1)
         assert found(result) == []
 
 
-def test_goldens_of_a_module_that_is_gone_are_unused(unused):
+def test_goldens_of_a_removed_module_are_unused(unused):
     (unused.path / "test_one.py").unlink()
     result = unused.run("--facerender-unused=list")
     names = ("b", "old", "test_a")
@@ -607,7 +607,7 @@ def test_goldens_of_a_module_that_is_gone_are_unused(unused):
 
 
 @pytest.mark.parametrize("extra", [(), pytest.param(("-n", "2"), marks=pytest.mark.slow)])
-def test_report_has_every_image_and_those_that_fail_as_exr(recorded, extra):
+def test_report_has_every_image_and_failed_ones_as_exr(recorded, extra):
     recorded.write(
         ONE.format(value=0.6)
         + "@pytest.mark.parametrize('p', [1, 2, 3])\n"
@@ -650,7 +650,7 @@ def test_report_has_the_last_of_several_runs_of_a_test(suites):
     assert "<h1>Comparison: 1 the same</h1>" in page
 
 
-def test_report_keeps_no_image_of_an_earlier_session(recorded):
+def test_report_removes_images_of_earlier_sessions(recorded):
     recorded.write(ONE.format(value=0.6))
     recorded.run("--facerender-report=page", failed=1)
     recorded.write(ONE.format(value=0.5))
@@ -658,7 +658,7 @@ def test_report_keeps_no_image_of_an_earlier_session(recorded):
     assert list((recorded.path / "page").rglob("*.exr")) == []
 
 
-def test_image_that_cannot_be_kept_hides_no_reason(recorded):
+def test_failure_to_store_an_image_hides_no_reason(recorded):
     recorded.write(ONE.format(value=0.6))
     (recorded.path / "page").mkdir()
     (recorded.path / "page/actual").touch()
@@ -686,7 +686,7 @@ def test_options_are_in_the_help(suites):
         assert f"--facerender-{name}" in output
 
 
-def test_workers_write_goldens_of_their_own_and_shared_ones(suites):
+def test_workers_write_separate_and_shared_goldens(suites):
     suites.write(
         "@pytest.mark.parametrize('p', range(8))\n"
         "def test_many(snapshot, p):\n"

@@ -1,4 +1,5 @@
-"""The range of each field: constructors hold it, help texts state it."""
+"""Tests ``facerender.terms.ranges``: constructors check the ranges of fields, help texts state
+them."""
 
 from __future__ import annotations
 
@@ -49,7 +50,7 @@ def of(kind, name, value):
 
 
 @pytest.mark.parametrize(("kind", "name"), FIELDS, ids=lambda each: getattr(each, "__name__", each))
-def test_a_constructor_takes_the_range_and_no_more(kind, name):
+def test_constructors_accept_exactly_the_range(kind, name):
     limits = range_of(kind, name)
     whole = isinstance(limits, IntegerRange)
     form = {SizeRange: lambda end: (end, end), VectorRange: lambda end: (end,) * 3}.get(
@@ -59,12 +60,12 @@ def test_a_constructor_takes_the_range_and_no_more(kind, name):
         if end == math.inf:
             continue
         end = int(end) if whole else end
-        if not (kind is fr.Camera and name == "size"):  # whose intrinsics are of one size
+        if not (kind is fr.Camera and name == "size"):  # must match its intrinsics
             assert of(kind, name, form(end)) == form(end)
         further = end + (1 if beyond > 0 else -1) if whole else np.nextafter(end, beyond)
         shown = limits.high if limits.high < math.inf else limits.low
-        told = f"{shown:.0f}" if whole else re.escape(f"{shown:g}")
-        with pytest.raises(fr.InputError, match=rf"{name}.* {told}\b"):
+        limit = f"{shown:.0f}" if whole else re.escape(f"{shown:g}")
+        with pytest.raises(fr.InputError, match=rf"{name}.* {limit}\b"):
             of(kind, name, form(further))
     huge = [10**5000] if limits.high < math.inf else []
     for wrong in (math.nan, "1", True, [], b"1", {}, *huge, *([1.5] if whole else [])):
@@ -72,13 +73,13 @@ def test_a_constructor_takes_the_range_and_no_more(kind, name):
             of(kind, name, wrong)
 
 
-def test_none_is_a_value_only_of_fields_that_say_so():
+def test_none_is_refused_unless_allowed():
     assert of(fr.Shading, "ks", None) is None
     with pytest.raises(fr.InputError, match="^m = None is outside"):
         of(fr.Material, "m", None)
 
 
-def test_numbers_of_numpy_take_the_form_of_the_field():
+def test_numpy_numbers_are_converted():
     assert type(of(fr.ImageSettings, "samples", np.int64(4))) is int
     assert of(fr.ImageSettings, "size", np.array([3, 4])) == (3, 4)
     assert of(fr.Light, "irradiance", np.array([1.0, 2.0, 3.0])) == (1.0, 2.0, 3.0)
@@ -93,7 +94,7 @@ def test_numbers_of_numpy_take_the_form_of_the_field():
         (Range(1e-4, 2.0), "0.0001 to 2"),
     ],
 )
-def test_a_range_in_words(limits, text):
+def test_text_of_a_range(limits, text):
     assert str(limits) == text
 
 
@@ -112,5 +113,5 @@ def test_help_states_ranges_units_and_defaults(capsys):
     ):
         for name in names:
             option = rf"--{name.replace('_', '-')} [A-Z0-9_]+ [^-]*"
-            told = f", {range_of(kind, name)} ({getattr(kind, name):g}"
-            assert all(re.search(option + re.escape(told), text) for text in texts), name
+            limit = f", {range_of(kind, name)} ({getattr(kind, name):g}"
+            assert all(re.search(option + re.escape(limit), text) for text in texts), name

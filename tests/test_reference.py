@@ -1,5 +1,5 @@
-"""Every pixel of an image against float64 shading of its G-buffer, for each term that an image may
-have; and that each of them counts."""
+"""Tests every pixel of images against float64 shading of their G-buffers, for each term, and that
+each term changes the image."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SHADINGS = [
     for model in ("cook-torrance", "ward", "ward-printed")
     for lobe in fr.lobes.NAMES
 ] + [fr.Shading(fresnel="dielectric")]
-REDUCED = [  # every choice that leaves something out of a scene of five lights
+REDUCED = [  # choices that omit something of a scene with five lights
     fr.Shading(lobe=GPower(11, 0.2, 0.4), masking="none"),
     fr.Shading(fresnel="constant", masking="kelemen", m=0.25, small_slope=False),
     fr.Shading(fresnel="constant", masking="none", m=0.1, small_slope=True, ks=0.6),
@@ -48,7 +48,7 @@ REDUCED = [  # every choice that leaves something out of a scene of five lights
     fr.Shading(fresnel="dielectric", lobe="d4", frontal_lights=[0, 1, 2, 3, 4]),
     fr.Shading(masking="kelemen", m=0.3, specular_lights=(4, 0, 2), frontal_lights=(2, 3, 0)),
 ]
-LIGHTS_OF_THEIR_OWN = [  # of five; several lobes and slopes in one program
+LIGHTS_OF_THEIR_OWN = [  # different terms for some of five lights
     fr.Shading(
         lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}},
         specular_lights=(0, 1, 3),
@@ -60,7 +60,7 @@ LIGHTS_OF_THEIR_OWN = [  # of five; several lobes and slopes in one program
 
 
 def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
-    """A scene with every kind of light."""
+    """Return a scene with directional lights and a point light."""
     scene = fr.Scene(mesh, SIDE, background=None)
     point = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
     lights = (*scene.lights, fr.Light(irradiance=(1.0, 0.5, 0.2), position=point))
@@ -68,7 +68,7 @@ def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
 
 
 def mixed(mesh: fr.Mesh) -> fr.Scene:
-    """Point lights first and among the directional ones: 0 and 3 of five."""
+    """Return a scene with five lights; numbers 0 and 3 are point lights."""
     key, rim, fill, point = lit(mesh).lights
     other = replace(point, position=tuple(mesh.center + mesh.radius * np.array([1.5, 0.5, 1.0])))
     return fr.Scene(mesh, SIDE, (point, key, rim, other, fill), background=None)
@@ -77,9 +77,11 @@ def mixed(mesh: fr.Mesh) -> fr.Scene:
 def compared(
     renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading = fr.Shading()
 ) -> tuple[fr.GBuffer, np.ndarray, np.ndarray]:
-    """The G-buffer; of the covered pixels, (N, 3) each, float64 shading, and the relative error of
-    the GPU's over max(reference, 0.01), where 1 is a white diffuse surface under an irradiance of
-    pi."""
+    """Return the G-buffer, the float64 radiance of the covered pixels, and the error of the GPU.
+
+    Radiance and errors are (N, 3). Errors are relative to max(reference, 0.01); a white diffuse
+    surface has radiance 1 under an irradiance of pi.
+    """
     gbuffer = renderer.gbuffer(scene, shading)
     linear = renderer.render(scene, shading).linear
     covered = gbuffer.part >= 0
@@ -93,7 +95,7 @@ def compared(
 
 
 def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
-    """What the renderer would compile."""
+    """Return the programs that the renderer compiles for a scene."""
     drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
     return [draw.program for draw in drawn.draws]
 
@@ -123,12 +125,12 @@ def test_lights_with_terms_of_their_own(transparent, head, shading):
 
 @pytest.mark.parametrize("m", [1e-3, 0.05, 0.15, 0.25, 1.5])
 def test_the_exact_lobe_at_every_slope(transparent, head, m):
-    # Both forms of the half vector; below m = 0.1 the interpolated normal's own rounding shows.
+    # The slopes use both forms of the half vector. For small m, rounding of the normal shows.
     scene = lit(head.with_material(m=m, roughness_map=None))
     assert compared(transparent, scene)[2].max() < (1e-4 if m > 0.01 else 1e-2)
 
 
-def test_a_change_of_a_thousandth_is_seen(transparent, scan_mesh):
+def test_change_of_a_thousandth_is_detected(transparent, scan_mesh):
     scene = lit(scan_mesh)
     gbuffer, expected, error = compared(transparent, scene)
     assert error.max() < 1e-4
@@ -150,7 +152,7 @@ def ramp() -> fr.Texture:
 
 
 def around(mesh: fr.Mesh, **material) -> fr.Scene:
-    """In an environment, with one light."""
+    """Return a scene with an environment map and one light."""
     lights, camera = fr.Scene.lights[:1], fr.Camera(azimuth=-35.0)
     mesh = mesh.with_material(**material)
     return fr.Scene(mesh, camera, lights, 0.0, None, ENVIRONMENT)
@@ -161,7 +163,7 @@ def plain(mesh: fr.Mesh, **material) -> fr.Scene:
 
 
 def areas(mesh: fr.Mesh) -> fr.Scene:
-    """Every kind of light with a size, and without."""
+    """Return a scene with every kind of light, with and without a radius."""
     place = tuple(mesh.center + mesh.radius * np.array([-1.0, 1.2, 2.5]))
     key, rim, fill = fr.Scene(mesh).lights
     lights = (
@@ -173,7 +175,7 @@ def areas(mesh: fr.Mesh) -> fr.Scene:
 
 
 def key(mesh: fr.Mesh, radius: float, distance: float | None) -> fr.Light:
-    """A light high on the left, distant or so many radii of the mesh away."""
+    """Return a light from the upper left; ``distance`` is in mesh radii, None means directional."""
     light = fr.Light(-50.0, 42.0, 3.0, radius=radius, shadow=True)
     if distance is None:
         return light
@@ -181,7 +183,7 @@ def key(mesh: fr.Mesh, radius: float, distance: float | None) -> fr.Light:
 
 
 def shadows(mesh: fr.Mesh) -> fr.Scene:
-    """Lights of every kind, with shadows and without, in an order that is not the programs'."""
+    """Return a scene with all kinds of lights, with and without shadows, in mixed order."""
     lights = (
         key(mesh, 0.0, 2.0),
         fr.Light(80.0, 20.0, 0.5),
@@ -193,7 +195,7 @@ def shadows(mesh: fr.Mesh) -> fr.Scene:
 
 
 def skin(mesh: fr.Mesh) -> fr.Scene:
-    """The nose of the head, near enough for four Gaussians on 96 pixels."""
+    """Return a scene of the head's nose, near enough for four Gaussians at 96 pixels."""
     lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, (0.2, 0.4, 0.3)))
     mesh = mesh.with_material(scattering="skin")
     camera = fr.Camera(-35.0, zoom=5.0, target=(0.0, -0.03, 0.1))
@@ -202,12 +204,13 @@ def skin(mesh: fr.Mesh) -> fr.Scene:
 
 @dataclass(frozen=True)
 class Case:
-    """A scene of the head, and a shading.
+    """A scene of the head, a shading, and the effect of its term.
 
-    without : changes of the shading that leave the term out
-    least, darkest, largest : bounds of what that adds to float64's radiance: its mean size, its
-        least, its largest size
-    rounded : fraction of pixels that may err by up to 0.5, as their samples round to others
+    without : changes of the shading that disable the term
+    least : lower bound of the mean absolute change of the float64 radiance without the term
+    largest : lower bound of the largest absolute change
+    darkest : lower bound of the signed change
+    rounded : fraction of pixels with an error of up to 0.5, because rounding changes their samples
     """
 
     scene: Callable[[fr.Mesh], fr.Scene]
@@ -220,7 +223,7 @@ class Case:
 
 
 def cases() -> Iterator[tuple[Case, bool]]:
-    """Every case, deferred or not."""
+    """Yield every case, and whether it uses deferred shading."""
     off, forward, deferred = {"environment": False}, (False,), (True,)
     lobes = {"second_slope": 1.7, "lobe_weight": 0.8}
     both = {"lobe": "d8", "outside": "exact", "fresnel": "dielectric", "masking": "kelemen"}
@@ -308,7 +311,7 @@ def casting(mesh: fr.Mesh) -> tuple[fr.Light, ...]:
         ({"scattering": "skin"}, {}, {"scatter_samples": 0}, 1e-3),
     ],
 )
-def test_off_is_the_program_and_the_image_without(floats, head, material, changes, off, least):
+def test_disabled_feature_equals_a_scene_without_it(floats, head, material, changes, off, least):
     changes = {name: x(head) if callable(x) else x for name, x in changes.items()}
     plain = fr.Scene(head, fr.Camera(zoom=2.5))
     scene = replace(plain, mesh=head.with_material(**material), **changes)
@@ -319,11 +322,11 @@ def test_off_is_the_program_and_the_image_without(floats, head, material, change
     assert np.abs(floats.render(scene, full).linear - none).mean() > least
 
 
-# --- plans that may leave a term out -------------------------------------------------------------
+# --- plans that may leave out a term -------------------------------------------------------------
 
 
 def lone(mesh: fr.Mesh) -> fr.Scene:
-    """Two lobes under one light from the side."""
+    """Return a scene with two lobes under one light from the side."""
     mesh = mesh.with_material(normal_map=None, m=0.3, second_slope=1.7, lobe_weight=0.85)
     return fr.Scene(mesh, fr.Camera(-35.0), fr.Scene(mesh).lights[1:2], ambient=0.0)
 
@@ -339,7 +342,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
 
 
 @pytest.mark.parametrize(
-    ("scene_of", "full", "budgets", "values", "shading_name"),
+    ("scene_of", "full", "budgets", "values", "texts"),
     [
         (lone, {}, ("1/255", "6/255"), {"two_lobes": (True, False)},
          ("two, constant 0.3: one, constant", "one, constant 0.3")),
@@ -349,7 +352,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
          ("samples", "samples")),
     ],
 )  # fmt: skip
-def test_plans_are_sound(head, scene_of, full, budgets, values, shading_name):
+def test_plans_may_leave_out_terms(head, scene_of, full, budgets, values, texts):
     scene, exact = scene_of(head), fr.Shading(**full)
     with fr.Renderer((32, 32), samples=1) as renderer:
         plans = [
@@ -363,7 +366,7 @@ def test_plans_are_sound(head, scene_of, full, budgets, values, shading_name):
             assert plan.cost.total < plan.cost.full_total or scene_of is not lone
     for name, wanted in values.items():
         assert tuple(getattr(plan.shading, name) for plan in plans) == wanted
-    assert all(words in plan.explain() for words, plan in zip(shading_name, plans, strict=True))
+    assert all(words in plan.explain() for words, plan in zip(texts, plans, strict=True))
     near, far = plans
     assert fr.Shading.from_dict(json.loads(json.dumps(far.shading.as_dict()))) == far.shading
     if scene_of is lone:

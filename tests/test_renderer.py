@@ -1,4 +1,5 @@
-"""The renderer against the float64 reference, across backends, and as a host of other hosts."""
+"""Tests the renderer: against the float64 reference, across backends, its use of memory, and as a
+guest in another program's OpenGL context."""
 
 from __future__ import annotations
 
@@ -58,7 +59,7 @@ def transparent(backend: Backend) -> Iterator[fr.Renderer]:
 
 
 @pytest.mark.parametrize("light", range(5))
-def test_layers_are_the_specular_terms_of_the_lights(renderer, head, light):
+def test_specular_layers_agree_with_float64(renderer, head, light):
     scene = mixed(head)
     shading = fr.Shading(specular_lights=(light,))
     layers = reference.layers(renderer.gbuffer(scene), scene, fr.Shading())
@@ -70,7 +71,7 @@ def test_layers_are_the_specular_terms_of_the_lights(renderer, head, light):
         np.testing.assert_allclose(linear, expected, rtol=1e-4, atol=1e-6)
 
 
-def test_what_a_shading_leaves_out_is_not_compiled(head):
+def test_disabled_features_are_not_compiled(head):
     scene = mixed(head)
     surface = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False)
     (program,) = programs_of(
@@ -102,7 +103,7 @@ def test_simplified_scenes_and_materials(head):
     assert simplify(scene, fr.Shading("ward", "d8")) is scene
 
 
-def test_reduced_meshes_and_their_maps_are_kept(egl, monkeypatch):
+def test_simplified_meshes_and_their_maps_are_cached(egl, monkeypatch):
     make, made = mips._CHAINS["data"], []
     monkeypatch.setitem(mips._CHAINS, "data", lambda image: made.append(image) or make(image))
     scene = fr.Scene(fr.load_mesh(), SIDE)
@@ -121,7 +122,7 @@ def test_reduced_meshes_and_their_maps_are_kept(egl, monkeypatch):
     assert simplify(scene, shading).mesh is not simplify(scene, other).mesh
 
 
-def test_data_views_are_of_the_reduced_scene(renderer, head):
+def test_data_views_show_the_simplified_scene(renderer, head):
     scene = fr.Scene(head)
     smooth = fr.Shading(normal_map=False)
     normal = renderer.render(scene, smooth, "normal").linear[..., :3]
@@ -131,7 +132,7 @@ def test_data_views_are_of_the_reduced_scene(renderer, head):
 
 @pytest.mark.parametrize("name", ["specular_lights", "frontal_lights"])
 @pytest.mark.parametrize("lights", [(4,), (-1,), (0, 9)])
-def test_lights_that_the_scene_lacks(renderer, head, name, lights):
+def test_missing_lights_are_refused(renderer, head, name, lights):
     scene = lit(head)
     shading = fr.Shading(**{name: lights})
     message = rf"{name} names light {lights[-1]}: the scene has 4, counted from 0"
@@ -144,7 +145,7 @@ def test_lights_that_the_scene_lacks(renderer, head, name, lights):
             use()
 
 
-def test_slopes_and_weights_of_a_shading_have_domains(renderer, head):
+def test_slopes_of_a_shading_must_be_in_the_domain(renderer, head):
     for shading, message in (
         (fr.Shading(lobe="d8", m=0.8), "m = 0.8 is outside the domain of lobe d8"),
         (fr.Shading(lobe=GPower(8, 0.25, 1.0), m=0.6), r"lobe g-power 8 .* in \[0.0001, 0.5\]"),
@@ -157,7 +158,7 @@ def test_slopes_and_weights_of_a_shading_have_domains(renderer, head):
     assert frame.metadata["lobe"] == "g-power 8 (0.25/m^2 - 1)"
 
 
-def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head):
+def test_exact_replaces_a_lobe_outside_its_domain(renderer, head):
     shiny = head.with_material(m=0.3, roughness_map=None)
     rough = head.with_material(m=0.75, roughness_map=None)
     exact = renderer.render(fr.Scene(rough))
@@ -179,7 +180,7 @@ def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head
 
 
 def layered(mesh: fr.Mesh) -> fr.Scene:
-    """A mask, a part with occlusion at its vertices, and a blended part, one beside the other."""
+    """Return a scene with a masked part, a part with baked occlusion, and a blended part."""
     (part,), (material,) = mesh.parts, mesh.materials
     step = np.array([0.3, 0.0, 0.1]) * mesh.radius
     dim = np.linspace(0.0, 1.0, len(part.positions), dtype=np.float32)
@@ -196,7 +197,7 @@ def layered(mesh: fr.Mesh) -> fr.Scene:
     return fr.Scene(replace(mesh, parts=parts, materials=materials), SIDE)
 
 
-PASSES = {  # a scene, and whether its surface is shaded after all of it is drawn
+PASSES = {  # a scene, and whether it uses deferred shading
     "forward": (lambda mesh: fr.Scene(mesh, SIDE, background=None), False),
     "deferred": (lambda mesh: fr.Scene(mesh, SIDE), True),
     "shadow maps": (shadows, False),
@@ -217,7 +218,7 @@ def drivers() -> Iterator[list[fr.Renderer]]:
 @pytest.mark.osmesa
 @pytest.mark.smoke
 @pytest.mark.parametrize("name", PASSES)
-def test_osmesa_draws_each_pass_as_egl(drivers, name, monkeypatch):
+def test_osmesa_and_egl_draw_each_pass_equally(drivers, name, monkeypatch):
     scene_of, deferred = PASSES[name]
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     scene = scene_of(fr.load_mesh(MINI_HEAD))
@@ -241,7 +242,7 @@ def test_egl_and_osmesa_draw_the_same_image(egl, scan_mesh, samples, scene_of):
         with fr.Renderer((1024, 1024), samples=samples, backend=name) as renderer:
             frames.append(renderer.render(scene).linear)
     a, b = frames
-    np.testing.assert_array_equal(a, b)  # one driver; the gates are what others must keep
+    np.testing.assert_array_equal(a, b)  # equal on one driver; others need the limits below
     assert point_error(a[..., :3], b[..., :3]) <= 0.05
     assert block_error(a[..., :3], b[..., :3], b[..., 3]) <= 1e-3
 
@@ -251,14 +252,14 @@ def false_highlights(linear: np.ndarray, expected: np.ndarray) -> float:
 
 
 def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypatch, tmp_path):
-    """Beyond 49 degrees the base of D16 is negative at m = 0.2, and its power must stay 0."""
+    """Beyond 49 degrees, the base of D16 is negative at m = 0.2, and the power must be 0."""
     mesh = head.with_material(m=0.2, normal_map=None)
     scene = fr.Scene(mesh, lights=(fr.Light(110.0, 5.0),), ambient=0.0, background=None)
     exact = renderer.render(scene, fr.Shading(), only="specular").linear[..., :3]
     d16 = fr.Shading(lobe="d16")
     assert false_highlights(renderer.render(scene, d16, "specular").linear[..., :3], exact) < 0.02
 
-    # the same without the clamp: the test must be able to see what it forbids
+    # Without the clamp, the test must detect false highlights.
     shaders = tmp_path / "shaders"
     shutil.copytree(fr.shader_dir(), shaders)
     file = shaders / "facerender/lobe/g_power.glsl"
@@ -285,7 +286,7 @@ def test_only_what_the_scene_needs_is_compiled(head):
     ]
 
 
-def test_a_program_does_not_depend_on_how_bright_a_light_is(head):
+def test_programs_do_not_depend_on_light_values(head):
     scene = fr.Scene(head)
     brighter = tuple(replace(light, irradiance=9.0, azimuth=5.0) for light in scene.lights)
     assert programs_of(scene, fr.Shading()) == programs_of(
@@ -299,7 +300,7 @@ def test_two_g_powers_in_one_program_are_refused():
 
 
 def test_a_model_may_call_a_term_twice(egl, head, monkeypatch, tmp_path):
-    """Two lobes, as skin has them: of the slope, and of half of it."""
+    """The model has two lobes like skin, with slopes m and m/2."""
     shaders = tmp_path / "shaders"
     shutil.copytree(fr.shader_dir(), shaders)
     (shaders / "facerender/two_lobes.glsl").write_text(
@@ -342,7 +343,7 @@ def test_data_views(renderer, head):
     np.testing.assert_allclose(np.linalg.norm(normal[covered][:, :3], axis=1), 1.0, atol=1e-5)
     expected = normal[covered][:, :3] @ scene.lights[0].direction
     np.testing.assert_allclose(cosines[covered][:, 0], expected, atol=1e-5)
-    # along the axis, the nearest point of the face and the nape are a head's depth apart
+    # The range of depths is at most the depth of the head along the view axis.
     extent = head.bounds[1, 2] - head.bounds[0, 2]
     assert 0.3 * extent < np.ptp(depth[covered][:, 0]) < extent
     assert (albedo[covered][:, :3] >= 0).all()
@@ -350,7 +351,7 @@ def test_data_views(renderer, head):
 
 
 def test_gbuffer_of_the_scan_shows_its_own_albedo(renderer, scan_mesh, scan):
-    """A texel looked up with the G-buffer's uv is what the GPU sampled, up to filtering."""
+    """Texels at the G-buffer's uv agree with the sampled albedo, except for filtering."""
     gbuffer = renderer.gbuffer(fr.Scene(scan_mesh))
     covered = gbuffer.part >= 0
     texels = np.asarray(Image.open(scan / "Map-COL.jpg").convert("RGB").resize((256, 256))) / 255.0
@@ -360,8 +361,8 @@ def test_gbuffer_of_the_scan_shows_its_own_albedo(renderer, scan_mesh, scan):
 
 
 def test_normal_map_tilts_towards_its_green_and_red(renderer, tmp_path):
-    """On a square in the plane z = 0 with u to the right and v up, red tilts to +x, green to +y;
-    so it must also when the square is seen from behind, or its texture is mirrored."""
+    """On a square in the plane z = 0 with u to the right and v up, red tilts the normal to +x and
+    green to +y. This must hold from behind, too, and with a mirrored texture."""
     Image.new("RGB", (4, 4), (191, 191, 218)).save(tmp_path / "tilted.png")
     for name, u, faces in (
         ("plain", (0, 1, 1, 0), "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"),
@@ -379,7 +380,7 @@ def test_normal_map_tilts_towards_its_green_and_red(renderer, tmp_path):
 
 
 def test_normal_map_on_a_stretched_chart(renderer, tmp_path):
-    """The tilt does not depend on how many texels a metre has along u and v, up to one scale."""
+    """Different texel densities along u and v change the tilt only by a common scale."""
     Image.new("RGB", (4, 4), (191, 128, 238)).save(tmp_path / "tilted.png")
     tilts = []
     for stretch in (1, 4):
@@ -402,14 +403,14 @@ def test_black_texels_of_a_roughness_map_stay_in_the_domain(renderer, tmp_path):
     assert np.isfinite(renderer.render(fr.Scene(mesh)).linear).all()
 
 
-def test_pictures_of_a_frame():
+def test_8_bit_images_of_a_frame():
     linear = np.zeros((1, 3, 4), np.float32)
     linear[0, :2] = [[0.107, 0.107, 0.107, 0.5], [0.214, 0.214, 0.214, 1.0]]
     clear = fr.Frame(linear, None, True, {}).srgb8()
     assert clear[0].tolist() == [[127, 127, 127, 128], [127, 127, 127, 255], [0, 0, 0, 0]]
     assert fr.Frame(linear, None, False, {}).srgb8()[0, 1].tolist() == [127, 127, 127]
     depth = fr.Frame(linear, "depth", False, {}).srgb8()[0, :, 0]
-    assert depth.tolist() == [128, 26, 0]  # the nearer is brighter; half of it is covered
+    assert depth.tolist() == [128, 26, 0]  # nearer is brighter; the first pixel is half covered
     normal = fr.Frame(linear * 0 + [[[0, 0, 1, 1]]], "normal", False, {}).srgb8()
     assert normal[0, 0].tolist() == [128, 128, 255]
 
@@ -421,7 +422,7 @@ def test_point_light_gives_its_irradiance_at_the_centre(renderer, tmp_path):
     mesh = fr.load_mesh(tmp_path / "square.obj").with_material(albedo=1.0, ks=0.0)
     light = fr.Light(irradiance=np.pi, position=(0.0, 0.0, 5.0))
     frame = renderer.render(fr.Scene(mesh, lights=(light,), ambient=0.0))
-    # ambient and specular are off: albedo / pi * irradiance = 1 at the centre, less at the corner
+    # Without ambient and specular terms, albedo / pi * irradiance is 1 at the centre.
     assert frame.linear[128, 128, :3] == pytest.approx(1.0, abs=1e-3)
     assert frame.linear[20, 20, 0] < 0.95
 
@@ -438,7 +439,7 @@ def test_background_alpha_and_multisampling(egl, head):
     assert clear.srgb8().shape == (128, 128, 4)
 
 
-def test_every_orbit_frames_the_whole_mesh(renderer, head, scan_mesh):
+def test_orbits_frame_the_whole_mesh(renderer, head, scan_mesh):
     for mesh in (head, scan_mesh):
         for camera in (SIDE, fr.Camera(90.0), fr.Camera(180.0, -30.0), fr.Camera(20.0, 90.0)):
             covered = renderer.gbuffer(fr.Scene(mesh, camera)).part >= 0
@@ -447,7 +448,7 @@ def test_every_orbit_frames_the_whole_mesh(renderer, head, scan_mesh):
             assert not covered[:, [0, -1]].any()
 
 
-def test_images_are_the_same_again(egl, head):
+def test_images_are_reproducible(egl, head):
     scene = fr.Scene(head, SIDE)
     with fr.Renderer((128, 128), backend=egl) as renderer:
         first = renderer.render(scene).linear
@@ -471,20 +472,20 @@ def test_renderers_side_by_side(egl, head):
 
 
 def _resident() -> int:
-    """Of the process, MiB."""
+    """Return the resident memory of this process in MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() >> 20
 
 
 @pytest.mark.memory
-def test_renderers_leave_nothing_behind(backend, head):
+def test_released_renderers_free_their_memory(backend, head):
     scene = fr.Scene(head)
 
     def resident() -> int:
         with fr.Renderer((256, 256), backend=backend) as renderer:
             renderer.render(scene)
         gc.collect()
-        ctypes.CDLL(None).malloc_trim(0)  # what it has not given back comes and goes
+        ctypes.CDLL(None).malloc_trim(0)  # free memory that malloc retains varies
         return _resident()
 
     first, last = ([resident() for _ in range(8)] for _ in range(2))
@@ -492,8 +493,8 @@ def test_renderers_leave_nothing_behind(backend, head):
 
 
 @pytest.mark.memory
-def test_a_frame_leaves_nothing_in_moderngl(backend):
-    """Whose scopes leave 100 bytes each."""
+def test_frames_leave_no_objects_in_moderngl(backend):
+    """Scopes of moderngl would leave 100 bytes each."""
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     own = [tracemalloc.Filter(True, moderngl.__file__)]
 
@@ -514,8 +515,8 @@ def test_a_frame_leaves_nothing_in_moderngl(backend):
             tracemalloc.stop()
 
 
-def test_a_renderer_that_draws_on_holds_little_that_is_free(backend):
-    """Of the memory that decoding and compiling took: another trim finds nothing."""
+def test_renderer_returns_free_memory(backend):
+    """Decoding and compiling leave no free memory that malloc_trim could return."""
     trim = ctypes.CDLL(None).malloc_trim
     scene = fr.Scene(fr.load_mesh())
     with fr.Renderer((256, 256), backend=backend) as renderer:
@@ -527,7 +528,7 @@ def test_a_renderer_that_draws_on_holds_little_that_is_free(backend):
 
 
 class Host:
-    """A program with a context of its own, in which everything is set that could spoil an image."""
+    """A host program whose OpenGL context has every state set that could affect an image."""
 
     SETTINGS = (
         *(("glEnable", number) for number, needed in CAPABILITIES.values() if not needed),
@@ -597,7 +598,7 @@ def host(backend: Backend) -> Iterator[Host]:
     host.release()
 
 
-def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
+def test_guest_draws_the_same_and_restores_the_hosts_state(host, head):
     with fr.Renderer((96, 96), samples=4, backend=host.context.backend) as own:
         expected = own.render(fr.Scene(head)).linear
     host.set_everything()
@@ -619,7 +620,7 @@ def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
 
 
 def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> ImageData:
-    """A small head, drawn by the command line with other environment variables."""
+    """Return the small head, drawn by ``facerender render`` with more environment variables."""
     command = [sys.executable, "-m", "facerender", "render", MINI_HEAD, "-o", folder / "head.exr"]
     subprocess.run(
         [*command, "--size", "96", "--backend", backend],
@@ -630,12 +631,12 @@ def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> ImageData
     return read_image(folder / "head.exr")
 
 
-def test_the_window_systems_context_draws_the_same_image(egl, display, tmp_path):
+def test_window_system_context_draws_the_same_image(egl, display, tmp_path):
     image = drawn_elsewhere(tmp_path, "native", DISPLAY=display)
     assert compare(fr.render(MINI_HEAD, size=(96, 96), backend=egl), image, block=1e-3)
 
 
-def test_the_window_system_is_not_there(monkeypatch):
+def test_missing_window_system_is_reported(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     message = r"no OpenGL context \(native: DISPLAY is not set: start an X server, .*xvfb$"
     with pytest.raises(fr.ContextError, match=message):
@@ -645,7 +646,7 @@ def test_the_window_system_is_not_there(monkeypatch):
 @pytest.mark.parametrize(
     ("platform", "order"), [("linux", ("egl", "osmesa")), ("win32", ("native",))]
 )
-def test_auto_takes_the_window_system_where_there_is_no_egl(platform, order):
+def test_auto_uses_the_window_system_without_egl(platform, order):
     code = (
         "import importlib, sys, facerender.drawing.context as c; "
         f"sys.platform = {platform!r}; importlib.reload(c); print(c.AUTO, c.current_context())"
@@ -656,8 +657,8 @@ def test_auto_takes_the_window_system_where_there_is_no_egl(platform, order):
 
 
 @pytest.mark.vulkan
-def test_vulkans_software_driver_draws_the_same_image(egl, tmp_path):
-    """Mesa's zink over lavapipe."""
+def test_vulkan_software_driver_draws_the_same_image(egl, tmp_path):
+    """The driver is Mesa's zink on lavapipe."""
     zink = {"GALLIUM_DRIVER": "zink", "LIBGL_ALWAYS_SOFTWARE": "1"}
     image = drawn_elsewhere(tmp_path, egl, **zink)
     if "zink" not in image.metadata["GL_RENDERER"]:
@@ -666,7 +667,7 @@ def test_vulkans_software_driver_draws_the_same_image(egl, tmp_path):
 
 
 @pytest.mark.parametrize("guest", ["egl", pytest.param("osmesa", marks=pytest.mark.osmesa)])
-def test_own_context_does_not_take_the_hosts_away(host, head, guest):
+def test_own_context_keeps_that_of_the_host_current(host, head, guest):
     before = host.state()
     fr.render(head, size=(32, 32), samples=1, backend=require_backend(guest))
     assert host.state() == before
@@ -696,12 +697,12 @@ def test_released_renderer(egl, head):
         renderer.render(fr.Scene(head))
 
 
-def test_no_context_is_current():
+def test_missing_current_context_is_refused():
     with pytest.raises(fr.ContextError, match="current: no EGL, GLX or OSMesa context is current"):
         create_context("current")
 
 
-def test_a_renderer_does_not_keep_a_mesh_alive(renderer):
+def test_renderer_does_not_keep_meshes_alive(renderer):
     others = len(renderer._resources.geometries)
     mesh = fr.load_mesh(MINI_HEAD)
     renderer.render(fr.Scene(mesh))
@@ -715,7 +716,7 @@ def test_a_renderer_does_not_keep_a_mesh_alive(renderer):
     assert [reference() for reference in dead] == [None] * 3
 
 
-def test_float_albedo_is_close_to_the_bytes(egl, head):
+def test_float_albedo_is_close_to_8_bits(egl, head):
     scene = fr.Scene(head, background=None)
     with fr.Renderer((256, 256), samples=1, backend=egl) as bytes_, \
          fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as floats:  # fmt: skip
@@ -725,7 +726,7 @@ def test_float_albedo_is_close_to_the_bytes(egl, head):
     assert (a.linear != b.linear).any()
 
 
-def test_anisotropy_sharpens_what_is_seen_at_a_grazing_angle(egl, tmp_path):
+def test_anisotropy_sharpens_maps_at_grazing_angles(egl, tmp_path):
     stripes = np.zeros((256, 256), np.uint8)
     stripes[:, ::8] = 255
     Image.fromarray(stripes).save(tmp_path / "stripes.png")
@@ -754,14 +755,13 @@ def test_anisotropy_sharpens_what_is_seen_at_a_grazing_angle(egl, tmp_path):
         ({"backend": "wgl"}, "unknown backend 'wgl'; known: auto, egl"),
     ],
 )
-def test_refused_arguments(arguments, message):
+def test_invalid_arguments_are_refused(arguments, message):
     with pytest.raises(fr.InputError, match=message):
         fr.Renderer(**arguments)
 
 
-def test_more_samples_than_the_driver_has_are_images_with_one_each(egl):
-    """The mean of images whose pixels lie between those of a larger one is what that one's mean
-    over blocks is."""
+def test_more_samples_than_the_driver_has(egl):
+    """The reference is a larger image with one sample per pixel, averaged over blocks."""
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh.with_material(m=0.3, albedo_map=None, normal_map=None))
     images = {}
@@ -773,14 +773,14 @@ def test_more_samples_than_the_driver_has_are_images_with_one_each(egl):
     assert error[32, 64] < 0.2 * error[32, 4] < 0.2 * error[32, 1]
 
 
-def test_slope_beyond_the_lobe_is_refused_in_maps_too(renderer, head):
+def test_slope_of_a_map_outside_the_domain_is_refused(renderer, head):
     wide = head.with_material(m=2.0)
     with pytest.raises(fr.InputError, match=r"outside the domain of lobe d16 .* use"):
         renderer.render(fr.Scene(wide), fr.Shading(lobe="d16"))
     assert np.isfinite(renderer.render(fr.Scene(wide), fr.Shading()).linear).all()
 
 
-def test_render_takes_a_mesh_or_nothing(egl, head):
+def test_render_mesh_is_optional(egl, head):
     frame = fr.render(head, m=0.25, size=(64, 48), samples=1, backend=egl)
     assert frame.linear.shape == (48, 64, 4)
     assert frame.linear.dtype == np.float32
@@ -790,7 +790,7 @@ def test_render_takes_a_mesh_or_nothing(egl, head):
     np.testing.assert_array_equal(default.linear, frame.linear)
 
 
-def test_moderngl_is_not_left_with_our_context_as_its_default(egl, head):
+def test_moderngl_keeps_no_default_context(egl, head):
     with fr.Renderer((32, 32), backend=egl) as renderer:
         renderer.render(fr.Scene(head))
     assert moderngl._store.default_context is None
@@ -798,7 +798,7 @@ def test_moderngl_is_not_left_with_our_context_as_its_default(egl, head):
 
 @pytest.fixture(scope="module")
 def pair(head):
-    """The head with m = 0.75, and beside it another with m from 0.0001 to 0.36 by a map."""
+    """A mesh of two heads: one with m = 0.75, one with a map of m from 0.0001 to 0.36."""
     ramp = Image.fromarray(np.tile(np.linspace(0, 153, 256, dtype=np.uint8), (4, 1)))
     part = head.parts[0]
     other = replace(part, positions=part.positions + [0.2, 0.0, 0.0])
@@ -808,7 +808,7 @@ def pair(head):
     return replace(head, parts=(part, other), materials=(rough, mapped), bounds=bounds)
 
 
-def test_each_part_gets_the_lobe_that_its_slopes_allow(transparent, pair):
+def test_lobe_of_each_part_depends_on_its_slopes(transparent, pair):
     low, high = pair.materials[1].slopes
     assert low == pytest.approx(1e-4)
     assert high == pytest.approx(0.36)
@@ -819,7 +819,7 @@ def test_each_part_gets_the_lobe_that_its_slopes_allow(transparent, pair):
     gbuffer, _, error = compared(transparent, scene, chosen)
     covered = gbuffer.part >= 0
     assert set(gbuffer.part[covered]) == {0, 1}
-    # smaller slopes from float32 maps and normals: see the headers' bounds
+    # Smaller slopes have larger errors, due to float32 maps and normals; see the shader headers.
     assert error[gbuffer.m[covered] > 0.1].max() < 1e-4
 
 
@@ -833,7 +833,7 @@ def test_slope_range_chooses_the_form_of_the_half_vector(pair):
         assert ("FR_SMALL_SLOPE 0" in prelude([fr.Term()], smallest)) == plain
 
 
-def test_a_term_looks_at_both_ends_of_the_slopes():
+def test_both_ends_of_the_slope_range_are_checked():
     term = fr.Term(lobe="d16")
     assert term.for_slopes(0.1, 0.7, "exact") is term
     assert term.for_slopes(0.1, 0.8, "exact").lobe == "exact"
@@ -847,7 +847,7 @@ def test_a_term_looks_at_both_ends_of_the_slopes():
         fr.Shading(outside="clamp")
 
 
-def test_render_forwards_what_happens_outside(egl, head):
+def test_render_forwards_outside(egl, head):
     options = {"size": (32, 32), "samples": 1, "backend": egl, "m": 0.8, "lobe": "d16"}
     assert fr.render(head, outside="exact", **options).metadata["lobe of each part"] == "exact"
     with pytest.raises(fr.InputError, match="outside the domain"):

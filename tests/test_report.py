@@ -1,4 +1,5 @@
-"""The report of a measurement: who dominates whom, and files that are whole or not there."""
+"""Tests the report of a measurement: dominated rows, tables, and files that are written completely
+or not at all."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from facerender.measure.measurement import Triptych
 from facerender.measure.pareto import FRAME, TERM, measure_of, pareto
 from tools.docs.measurement import measurement_of
 
-COSTS = {  # ns, and largest error of the image as a fraction
+COSTS = {  # cost in ns, and largest relative error of the image
     "printed, exact": (0.4, None),
     "exact": (0.8, 2e-5),
     "exact, m >= 0.2": (0.7, None),
@@ -87,29 +88,29 @@ def compared(data):
     return measure_of(measurement_of(data), "cook-torrance")
 
 
-def test_dominated(data):
+def test_dominated_rows(data):
     assert states(data) == {
-        "printed, exact": False,  # the cheapest, yet it dominates nothing
-        "cosine": True,  # as dear as d8, and less exact
+        "printed, exact": False,  # the cheapest, but published forms dominate nothing
+        "cosine": True,  # same cost as d8, larger error
         "d8": False,
-        "d16": False,  # ties with d8 in both
+        "d16": False,  # same cost and error as d8
         "exact, m >= 0.2": False,
         "d4": True,
-        "exact": True,  # as exact, and dearer
-        "fitted": True,  # below what float32 leaves, less error is no merit
+        "exact": True,  # same error, higher cost
+        "fitted": True,  # errors below float32 rounding count as equal
     }
 
 
 def test_costs_whose_intervals_overlap_count_as_equal(data):
     costs = {variant["name"]: variant["cost"]["term_ns"] for variant in data["variants"]}
     costs["d4"] |= {"value": 0.69, "low": 0.68, "high": 0.72}
-    assert states(data)["d4"]  # "exact, m >= 0.2" at 0.7 is as cheap for all we know
+    assert states(data)["d4"]  # its interval overlaps "exact, m >= 0.2" at 0.7
     costs["d8"]["low"] = costs["d16"]["low"] = costs["cosine"]["low"] = 0.5
     costs["d4"] |= {"value": 0.4, "low": 0.39, "high": 0.41}
     assert not states(data)["d4"]
 
 
-def test_rows_are_ordered_by_cost_and_the_unmeasured_come_last(data):
+def test_rows_are_ordered_by_cost(data):
     costs = [row.cost.value for row in rows(data)]
     assert costs == sorted(costs)
     frames = rows(data, FRAME)
@@ -117,7 +118,7 @@ def test_rows_are_ordered_by_cost_and_the_unmeasured_come_last(data):
     assert not any(row.dominated for row in frames)
 
 
-def test_the_lobe_stands_in_where_an_image_is_missing(data):
+def test_errors_of_lobes_replace_missing_images(data):
     assert compared(data) == "image"
     data["variants"][3]["error"]["image"] = None
     assert compared(data) == "lobe"
@@ -125,7 +126,7 @@ def test_the_lobe_stands_in_where_an_image_is_missing(data):
     assert {row.error for row in rows(data)} == {0.0, 2.5}
 
 
-def test_outside_the_domain_nothing_is_compared(data):
+def test_rows_outside_the_domain_are_not_compared(data):
     data["settings"]["m"] = 0.8
     assert compared(data) == "image"
     for variant in data["variants"]:
@@ -134,13 +135,13 @@ def test_outside_the_domain_nothing_is_compared(data):
     assert "outside the domain" in report.table(measurement_of(data))
 
 
-def test_tables_mark_rows_and_name_what_is_missing(data):
+def test_tables_mark_dominated_rows_and_missing_values(data):
     text = report.table(measurement_of(data))
     lines = text.splitlines()
     d4 = next(line for line in lines if "d4" in line and "0.700" in line)
     assert "dominated" in d4
     assert "20.0" in d4  # percent
-    assert "not measured" in d4  # the lobe alone
+    assert "not measured" in d4  # cost of the lobe
     printed = next(line for line in lines if "printed, exact" in line)
     assert "as published" in printed
     assert "dominated" not in printed
@@ -151,7 +152,7 @@ def test_tables_mark_rows_and_name_what_is_missing(data):
 
 
 class Page(HTMLParser):
-    """Collects the text, checks that tags nest, and that all that is referred to is inside."""
+    """Parses a page; checks that tags nest and that the page refers to no other file."""
 
     def __init__(self, text):
         super().__init__()
@@ -211,9 +212,7 @@ def test_files(data, triptychs, tmp_path):
         ("folder", InputError, "cannot create .*file/report: not a directory"),
     ],
 )
-def test_after_a_fault_nothing_is_written(
-    data, triptychs, tmp_path, monkeypatch, fault, kind, message
-):
+def test_failed_report_writes_no_file(data, triptychs, tmp_path, monkeypatch, fault, kind, message):
     folder = tmp_path / "report"
     if fault == "plot":
         monkeypatch.setattr(plots, "strip", lambda images: (_ for _ in ()).throw(MemoryError))

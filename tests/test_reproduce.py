@@ -1,4 +1,4 @@
-"""The paper's figures and claims: numbers that are known, and documents that hold them all."""
+"""Tests the reproduction of the paper's figures and claims: known values, files, the document."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def errors() -> list[claims.Claim]:
     return claims.error_claims()
 
 
-def test_error_of_d16_is_small_near_a_slope_of_a_fifth_only(errors):
+def test_error_of_d16_is_small_only_near_slope_0_2(errors):
     relative, absolute, unclamped = errors
     assert relative.values["0.2"] == pytest.approx(1.13, abs=0.005)
     assert relative.where == "of m = 0.1 to 0.7 it holds from 0.188 to 0.200"
@@ -58,7 +58,7 @@ def test_every_claim_has_a_verdict(result):
 
 
 @pytest.mark.compiler
-def test_d16_gains_more_in_ward_whose_printed_form_has_acos_and_tan(result):
+def test_d16_gains_more_in_ward_than_in_cook_torrance(result):
     ratios = {claim.claim: claim.values["ratio"] for claim in result.claims[3:] if claim.values}
     cook_torrance = ratios["Cook-Torrance, whole term: D16 against exact, as printed"]
     assert cook_torrance < ratios["Ward, whole term: D16 against exact, as printed"]
@@ -134,14 +134,14 @@ def test_without_a_compiler_scalar_cost_is_not_measured(monkeypatch):
 @pytest.mark.parametrize(
     ("low", "high", "verdict"), [(2.1, 2.3, "holds"), (1.9, 2.1, "undecided"), (1.5, 1.9, "fails")]
 )
-def test_a_claim_of_speed_holds_with_its_whole_interval(low, high, verdict):
+def test_speed_claims_compare_the_whole_interval(low, high, verdict):
     one = Interval(1.0, 1.0, 1.0)
     slow = Interval((low + high) / 2.0, low, high)
     assert claims.speed_claim("", slow, one, "", "twice", 2.0).verdict == verdict
 
 
 @pytest.mark.compiler
-def test_the_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, result):
+def test_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, result):
     monkeypatch.setattr(paper, "reproduce", lambda progress: progress("figures", 0.0) or result)
     assert paper.main(["-o", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
@@ -161,7 +161,7 @@ def test_the_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, r
     assert not (tmp_path / "none").exists()
 
 
-def test_the_document_holds_the_errors_and_its_figures_are_small(errors):
+def test_document_has_the_errors_and_small_figures(errors):
     document = (DOCS / "reproduction.md").read_text(encoding="utf-8")
     for claim in errors:
         assert claim.measured in document

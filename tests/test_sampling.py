@@ -1,4 +1,5 @@
-"""Directions that are drawn have the density that is said, and weights that lose no light."""
+"""Tests sampling of the BRDFs: directions have the density of the pdf functions, and weights
+conserve energy."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ MODELS = {
 }
 CASES = [*product(MODELS, SLOPES, ANGLES)]
 COUNT = 100_000
-CELLS = (20, 36)  # of cosine and angle about the normal
-LEVEL = 0.01 / len(CASES)  # Bonferroni
+CELLS = (20, 36)  # of the cosine and of the angle about the normal
+LEVEL = 0.01 / len(CASES)  # significance level with Bonferroni correction
 N = np.array([0.0, 0.0, 1.0])
 
 
@@ -33,7 +34,7 @@ def drawn(model: str, m: float, v: np.ndarray, count: int = COUNT) -> np.ndarray
 
 
 def chi_square(light: np.ndarray, model: str, m: float, v: np.ndarray, fine: int = 12) -> float:
-    """The p value of directions above the surface, against the density's integral over cells."""
+    """Return the p value of directions above the surface, by the integral of the pdf over cells."""
     from scipy.special import gammaincc
 
     up = light[light[:, 2] > 0.0]
@@ -53,17 +54,17 @@ def chi_square(light: np.ndarray, model: str, m: float, v: np.ndarray, fine: int
     wanted, found = (np.append(each[~few], each[few].sum()) for each in (wanted, found))
     counted = wanted > 5.0
     statistic = ((found - wanted)[counted] ** 2 / wanted[counted]).sum()
-    return float(gammaincc(0.5 * (counted.sum() - 1), 0.5 * statistic))  # of chi squared
+    return float(gammaincc(0.5 * (counted.sum() - 1), 0.5 * statistic))  # chi-squared distribution
 
 
 @pytest.mark.parametrize(("model", "m", "degrees"), CASES)
-def test_directions_have_their_density(model, m, degrees):
+def test_sampled_directions_have_the_stated_density(model, m, degrees):
     v = eye_at(degrees)
     assert chi_square(drawn(model, m, v), model, m, v) > LEVEL
 
 
-def test_another_density_is_noticed():
-    """Without the choice between a cavity's sides, and at a slope that is off by 2 %."""
+def test_wrong_densities_are_detected():
+    """One sampler ignores the choice of a cavity's side; the other has a slope off by 2 %."""
     v = eye_at(60)
     u = np.random.default_rng(1).random((COUNT, 3)) * (1.0, 1.0, 0.0)
     one_side = brdf.cook_torrance_sample(N, v, 0.3, u)
@@ -72,8 +73,8 @@ def test_another_density_is_noticed():
 
 
 @pytest.mark.parametrize(("model", "m", "degrees"), CASES)
-def test_no_weight_is_above_the_fresnel_term(model, m, degrees):
-    """Of Ward, which has none, above 1."""
+def test_weights_are_at_most_the_fresnel_term(model, m, degrees):
+    """For Ward, which has no Fresnel term, weights are at most 1."""
     v = eye_at(degrees)
     l = drawn(model, m, v, 20_000)
     l = l[l[:, 2] > 1e-5]
@@ -88,7 +89,7 @@ def test_no_weight_is_above_the_fresnel_term(model, m, degrees):
 
 
 def test_no_density_below_the_surface():
-    """Neither model has one for an eye there, nor Ward for a light there."""
+    """The density is 0 for a camera below the surface, and for Ward also for a light below it."""
     down = np.array([[0.6, 0.0, -0.8], [0.96, 0.0, -0.28], [-0.6, 0.0, -0.8], [1.0, 0.0, 0.0]])
     for v in (eye_at(10), eye_at(60)):
         np.testing.assert_array_equal(brdf.ward_pdf(N, down, v, 0.3), 0.0)
@@ -96,8 +97,8 @@ def test_no_density_below_the_surface():
             np.testing.assert_array_equal(density(N, v, down, 0.3), 0.0)
 
 
-def test_an_eye_of_any_normal():
-    """In float64 any frame serves: the cosines with the normal are distributed alike."""
+def test_sampling_works_with_any_normal():
+    """The distribution of N.L must not depend on the normal."""
     random = np.random.default_rng(2)
     n = random.normal(size=(4, 3))
     n[0] = (0.0, 0.0, -1.0)
@@ -117,6 +118,6 @@ def test_an_eye_of_any_normal():
         ((0.5, -0.5, 0.5), r"u holds -0.5: give numbers in \[0, 1\)"),
     ],
 )
-def test_random_numbers_that_are_none(u, message):
+def test_invalid_random_numbers_are_refused(u, message):
     with pytest.raises(InputError, match=message):
         brdf.cook_torrance_sample(N, N, 0.3, u)

@@ -1,5 +1,5 @@
-"""Subsurface scattering: against the integral of the profile over the mesh and closed forms, in
-float64, with several samples and parts, and absent where nothing scatters."""
+"""Tests subsurface scattering: against the integral of the profile over the mesh, closed forms and
+float64, with several samples and parts, and absent if no material scatters."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def face(head) -> fr.Scene:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["head", "scan_mesh"])
-def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
-    """``python -m benchmarks.skin_scattering`` measures more pixels."""
+def test_errors_against_the_integral_over_the_mesh(egl, name, request):
+    """For more pixels, run ``python -m benchmarks.skin_scattering``."""
     mesh = request.getfixturevalue(name)
     few = (0, 16, 32)
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
@@ -52,14 +52,14 @@ def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
 
 
 @pytest.mark.parametrize("variance", [0.0064, 0.567, 7.41])
-def test_gaussians_narrower_than_half_a_pixel_stay(variance):
+def test_narrow_gaussians_are_not_scattered(variance):
     deviation = math.sqrt(variance)
     for factor, wide in ((1.99, True), (2.01, False)):
         found = wide_gaussians("skin", factor * deviation)
         assert (variance in {each[0] for each in found}) == wide
 
 
-def test_views_are_parts_of_the_image(renderer, face):
+def test_diffuse_and_specular_views_add_up(renderer, face):
     whole, diffuse, shine = (
         renderer.render(face, only=each).linear for each in (None, "diffuse", "specular")
     )
@@ -72,8 +72,8 @@ def test_views_are_parts_of_the_image(renderer, face):
     [(True, (0.3, 0.2, 0.1)), pytest.param(False, None, marks=pytest.mark.slow)],
 )
 def test_several_samples_keep_the_coverage(egl, face, deferred, background, monkeypatch):
-    """Where a pixel sees one surface they are as one sample of each; a silhouette whose centre
-    sees nothing scatters as a neighbour, and errs by 1 % of its light against 16 shaded samples."""
+    """Inside a surface, scattering changes a pixel equally for each number of samples. A silhouette
+    pixel whose centre is not covered uses a neighbour's change, with a mean error below 1 %."""
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     mesh = fr.load_mesh(MINI_HEAD).with_material(scattering="skin")
     scene = replace(face, mesh=mesh, background=background, camera=fr.Camera(-35.0, zoom=1.3))
@@ -104,8 +104,7 @@ def test_several_samples_keep_the_coverage(egl, face, deferred, background, monk
 
 
 def wall(*squares: tuple[float, float, float, fr.Material]) -> fr.Mesh:
-    """Squares of 60 mm, each at x, y and z in mm, of a part of its
-    own."""
+    """Return squares of 60 mm at (x, y, z) in mm; each is a separate part."""
     corners = np.array(
         [(-30.0, -30.0, 0.0), (30.0, -30.0, 0.0), (30.0, 30.0, 0.0), (-30.0, 30.0, 0.0)]
     )
@@ -123,15 +122,15 @@ def of_wall(mesh: fr.Mesh, **changes: object) -> fr.Scene:
     return replace(fr.Scene(mesh, camera, lights, ambient=0.2), **changes)
 
 
-def test_even_light_stays_even(renderer):
+def test_uniform_light_stays_uniform(renderer):
     skin = fr.Material(scattering="skin", ks=0.0)
     scene = of_wall(wall((0.0, 0.0, 0.0, skin)))
     plain = renderer.render(scene, OFF).linear
     np.testing.assert_allclose(renderer.render(scene).linear, plain, rtol=2e-6)
 
 
-def test_an_edge_of_light_is_the_profiles_integral(egl):
-    """Left of x = 0 the normals lean to the light, right of it away, and all alike to the eye."""
+def test_edge_of_light_agrees_with_the_profile(egl):
+    """Normals tilt to the light for x < 0 and away from it for x > 0; N.V is equal everywhere."""
     lean = np.array([(-0.6, 0.0, 0.8), (0.6, 0.0, 0.8)])
     sides = wall((-30.0, 0.0, 0.0, fr.Material()), (30.0, 0.0, 0.0, fr.Material())).parts
     both = Part(
@@ -160,12 +159,12 @@ def test_an_edge_of_light_is_the_profiles_integral(egl):
     assert np.abs(columns - expected).max() < 0.04
 
 
-def test_other_parts_and_what_is_far_away_do_not_bleed(renderer):
+def test_other_parts_and_distant_surfaces_do_not_bleed(renderer):
     skin, wax = fr.Material(scattering="skin"), fr.Material(scattering=((3.0, 0.8, 0.8, 0.8),))
     stone = fr.Material(albedo=(0.9, 0.9, 0.9))
     places = ((-30.0, 0.0, 0.0), (31.0, 0.0, 0.0), (10.0, 0.0, -80.0), (0.0, 40.0, 0.0))
     parts = [(*place, each) for place, each in zip(places, (skin, wax, skin, stone), strict=True)]
-    tilted = np.tile((0.6, 0.0, 0.8), (4, 1))  # another irradiance than its neighbours'
+    tilted = np.tile((0.6, 0.0, 0.8), (4, 1))  # its irradiance differs from its neighbours'
 
     def mesh(*which: int) -> fr.Mesh:
         made = wall(*(parts[i] for i in which))
@@ -188,13 +187,13 @@ def test_other_parts_and_what_is_far_away_do_not_bleed(renderer):
         np.testing.assert_allclose(together.linear[seen], alone.linear[seen], rtol=1e-5)
 
 
-def test_nothing_scatters_that_pixels_do_not_resolve(renderer, head):
+def test_unresolved_scattering_is_skipped(renderer, head):
     scene = fr.Scene(head.with_material(scattering="skin"), fr.Camera(zoom=0.05))
     assert scattering_of(scene, renderer.size) is None
     np.testing.assert_array_equal(renderer.render(scene).linear, renderer.render(scene, OFF).linear)
 
 
-def test_without_scattering_nothing_is_imported():
+def test_module_is_not_imported_without_scattering():
     code = (
         "import sys, facerender as fr\n"
         "with fr.Renderer((32, 32), samples=4, backend='egl') as renderer:\n"
@@ -205,7 +204,7 @@ def test_without_scattering_nothing_is_imported():
     assert subprocess.check_output(command, text=True) == "[]\n"
 
 
-def test_the_size_of_a_mesh(head, renderer, tmp_path, mini_obj):
+def test_scattering_needs_the_size_of_the_mesh(head, renderer, tmp_path, mini_obj):
     assert head.millimetres == 1000.0
     mesh = fr.load_mesh(mini_obj)
     assert mesh.millimetres is None
@@ -257,7 +256,7 @@ def test_profiles(head):
     assert (np.diff(np.hypot(*places.T[:2])) > 0.0).all()
 
 
-def test_plans_may_look_at_fewer_pixels(head, face):
+def test_plans_may_use_fewer_samples(head, face):
     def counts(scene: fr.Scene, full: fr.Shading) -> set[int]:
         few = candidates(scene, full, Constants(0.3, 1.0, ()))
         return {shading.scatter_samples for shading in few}

@@ -1,4 +1,4 @@
-"""Camera, lights, material and scene files."""
+"""Tests cameras, lights, materials and scene files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from facerender.scenes.view import view_of
 
 
 def project(scene: fr.Scene, point, aspect=1.0):
-    """Image coordinates in [-1, 1], x to the right and y upwards."""
+    """Return the image coordinates of a point in [-1, 1], x to the right and y upwards."""
     view = view_of(scene, aspect)
     clip = np.array([*scene.mesh.normalised(point), 1.0]) @ view.matrix
     return np.array([clip[0], -clip[1]]) / clip[3]
@@ -43,16 +43,16 @@ def test_zoom_and_target(head):
     assert project(fr.Scene(head, fr.Camera(target=target)), target) == pytest.approx([0, 0])
 
 
-def test_explicit_eye_in_the_units_of_the_mesh(head):
+def test_camera_position_is_in_units_of_the_mesh(head):
     eye = tuple(head.center + [0.0, 0.0, 1.0])
     view = view_of(fr.Scene(head, fr.Camera(position=eye)), 1.0)
     assert view.position * head.radius == pytest.approx([0.0, 0.0, 1.0])
-    # a point 10 cm to the side at a distance of 1 m, seen through 25 degrees
+    # A point 10 cm to the side at a distance of 1 m, with a field of view of 25 degrees.
     side = project(fr.Scene(head, fr.Camera(position=eye)), head.center + [0.1, 0, 0])
     assert side[0] == pytest.approx(0.1 / math.tan(math.radians(12.5)))
 
 
-def test_the_frustum_of_a_camera_fills_the_clip_space(head):
+def test_frustum_of_a_camera_fills_the_clip_space(head):
     rng = np.random.default_rng(2)
     for _ in range(20):
         camera = fr.Camera(
@@ -68,42 +68,42 @@ def test_the_frustum_of_a_camera_fills_the_clip_space(head):
         half = math.tan(math.radians(camera.fov) / 2.0)
         for x, y in ((0, 0), (1, 1), (-1, 0.5), (0.3, -1)):
             ray = view.forward + half * (x * aspect * right + y * up)
-            far = max(1.0 - view.position @ view.forward, 0.02)  # of the unit sphere
+            far = max(1.0 - view.position @ view.forward, 0.02)  # far side of the unit sphere
             near = max(far - 2.0, 1e-3 * far)
             for depth, z in ((near, -1.0), (far, 1.0)):
                 clip = np.array([*(view.position + depth * ray), 1.0]) @ view.matrix
                 assert clip == pytest.approx(depth * np.array([x, -y, z, 1.0]), abs=1e-9)
 
 
-def test_pixels_of_an_intrinsic_matrix(head):
+def test_intrinsics_of_a_view(head):
     size = (640, 200)
     scene = fr.Scene(head, fr.Camera(azimuth=20.0, fov=40.0))
     view = view_of(scene, size[0] / size[1])
     focal = 100.0 / math.tan(math.radians(20.0))
     pixels = np.array([[focal, 0.0, 320.0], [0.0, focal, 100.0], [0.0, 0.0, 1.0]])
     np.testing.assert_allclose(view.intrinsics(size), pixels, rtol=0, atol=1e-9)
-    # An image that is moved has its principal point elsewhere, and its camera where it was.
+    # A shifted image has another principal point, and its camera does not move.
     shifted = view.shifted((0.25, -0.375), size)
     pixels[:2, 2] += 0.25, -0.375
     np.testing.assert_allclose(shifted.intrinsics(size), pixels, rtol=0, atol=1e-9)
     np.testing.assert_allclose(shifted.extrinsics(head), view.extrinsics(head), atol=1e-12)
 
 
-def test_a_camera_before_the_face(head):
-    """x to the right, y down, z forward, in the mesh's units."""
+def test_extrinsics_of_a_camera_in_front(head):
+    """Camera axes are x right, y down and z forward, in the mesh's units."""
     eye = head.center + [0.0, 0.0, 1.0]
     pose = view_of(fr.Scene(head, fr.Camera(position=tuple(eye))), 1.0).extrinsics(head)
     np.testing.assert_allclose(pose[:, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
     np.testing.assert_allclose(pose[:, :3] @ eye + pose[:, 3], 0.0, atol=1e-12)
 
 
-def test_numbers_of_numpy_are_numbers():
+def test_numpy_numbers_are_accepted():
     assert fr.Camera(azimuth=np.arange(0, 90, 30)[1], zoom=np.float32(2.0)).zoom == 2.0
     with pytest.raises(fr.InputError, match="camera azimuth = True"):
         fr.Camera(azimuth=True)
 
 
-def test_eye_at_its_target_is_refused(head):
+def test_camera_at_its_target_is_refused(head):
     scene = fr.Scene(head, fr.Camera(position=tuple(head.center)))
     with pytest.raises(fr.InputError, match="is at its target"):
         view_of(scene, 1.0)
@@ -217,7 +217,7 @@ def test_scene_file(tmp_path):
         ("[camera", " is not valid TOML"),
     ],
 )
-def test_scene_files_with_mistakes(tmp_path, text, message):
+def test_invalid_scene_files_are_refused(tmp_path, text, message):
     (tmp_path / "scene.toml").write_text(text)
     with pytest.raises(fr.InputError, match=f"^scene.toml.*{message}"):
         load_scene(tmp_path / "scene.toml")
@@ -227,6 +227,6 @@ def test_scene_files_with_mistakes(tmp_path, text, message):
             fr.Job.from_dict(tables)
 
 
-def test_scene_file_that_is_missing(tmp_path):
+def test_missing_scene_file(tmp_path):
     with pytest.raises(fr.InputError, match="cannot read .*scene.toml: no such file"):
         load_scene(tmp_path / "scene.toml")

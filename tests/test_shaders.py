@@ -1,5 +1,5 @@
-"""The shader library's conventions, and what its functions do beyond ``test_targets.py``: choices
-left unsaid, ends of domains, the printed forms."""
+"""Tests conventions of the shader library, defaults of its macros, ends of domains, and formulas as
+published. ``test_targets.py`` tests the values of its functions."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def evaluate(backend: Backend) -> Iterator[Evaluator]:
 
 
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])
-def test_exact_term_is_accurate_where_it_shows(evaluate, model):
-    """Relative error at most 1e-4 wherever the lobe is above a thousandth of its peak."""
+def test_exact_term_is_accurate_where_it_is_visible(evaluate, model):
+    """The relative error is at most 1e-4 where the lobe is above 1/1000 of its peak."""
     m = np.resize(np.float32(np.linspace(0.05, 1.0, 20)), 200000)
     inputs = directions(m, lowest=0.02)
     case = brdf_case(Term(model), inputs)
@@ -46,7 +46,7 @@ def test_exact_term_is_accurate_where_it_shows(evaluate, model):
 
 
 @pytest.mark.parametrize("f0", [0.0, 1e-8, 0.028])
-def test_a_normal_off_unit_length_adds_what_the_header_says(evaluate, f0):
+def test_error_of_normals_off_unit_length_is_in_the_bound(evaluate, f0):
     m = np.resize(np.float32(np.linspace(0.05, 1.0, 20)), 100000)
     inputs = directions(m, lowest=0.02)
     inputs["n"] = inputs["n"] * np.float32(0.999999)
@@ -54,7 +54,7 @@ def test_a_normal_off_unit_length_adds_what_the_header_says(evaluate, f0):
     assert not case.fault(evaluate(case.prelude, case.expression, inputs))
 
 
-def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
+def test_slopes_outside_the_domain_are_clamped(evaluate):
     inputs = {"c": np.float32(np.linspace(0.0, 1.0, 100))}
     for lobe in ("fitted", "fitted_fine"):
         for k, end in ((4, 0.7), (0, 1.0)):
@@ -83,11 +83,11 @@ def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
 )
 def test_choices_have_defaults(evaluate, macro, default, m):
     inputs = directions(np.full(2000, m, np.float32))
-    unsaid, said = (
+    implicit, explicit = (
         evaluate(include("cook_torrance", **macros), COOK_TORRANCE, inputs)
         for macros in ({}, {macro: default})
     )
-    np.testing.assert_array_equal(unsaid, said)
+    np.testing.assert_array_equal(implicit, explicit)
 
 
 @pytest.mark.parametrize("name", ["fitted", "fitted-fine"])
@@ -97,7 +97,7 @@ def test_fitted_coefficients_may_come_from_the_host(evaluate, name):
     macro = f"FR_{name.upper().replace('-', '_')}_COEFFICIENTS"
     vector = f"vec{3 + name.endswith('fine')}({a})"
     prelude = include("lobe", **lobe_macros(name) | {f"{macro}(m, k)": vector})
-    given = evaluate(prelude, "fr_lobe(c, 0.9, 4)", inputs)  # m is not used
+    given = evaluate(prelude, "fr_lobe(c, 0.9, 4)", inputs)  # ignores m
     np.testing.assert_allclose(given, lobes.lobe(name, inputs["c"], 0.3, 4), atol=1e-5)
 
 
@@ -109,18 +109,18 @@ def test_fitted_coefficients_may_come_from_the_host(evaluate, name):
     ],
 )
 @pytest.mark.parametrize("lobe", ["exact", "d4", "d8", "d16"])
-def test_printed_forms_agree_where_they_are_sound(evaluate, model, file, call, f0, lobe):
+def test_published_forms_agree_where_they_are_valid(evaluate, model, file, call, f0, lobe):
     inputs = directions(np.full(5000, 0.3, np.float32), lowest=0.2)
     expected = Term(model, lobe).brdf(*inputs.values(), f0)
     prelude = defines(lobe_macros(lobe)) + flat(f'#include "printed/{file}.glsl"\n')
     result = evaluate(prelude, call, inputs)
-    # Where the clamp acts, the printed power rises again; where V.H or N.H rounds to more than 1,
-    # pow of a negative base and acos are NaN.
+    # The published power rises again where ours is clamped. If V.H or N.H is rounded above 1, pow
+    # of a negative base and acos are NaN.
     half = (inputs["l"] + inputs["v"]).astype(float)
     c = (half * inputs["n"]).sum(axis=-1) / np.linalg.norm(half, axis=-1)
     away = ((inputs["l"] * inputs["v"]).sum(axis=-1) < 0.9999) & (c < 0.9999)
     sound = (expected > 0.0) & away
-    # acos and tan cost the printed Ward three digits
+    # Ward as published loses three digits in acos and tan.
     np.testing.assert_allclose(result[sound], expected[sound], rtol=2e-3, atol=1e-5)
 
 
@@ -139,7 +139,7 @@ def functions(code: str) -> list[str]:
     return re.findall(r"^\w+ (\w+)\([^;]*\)\s*\{", code, re.MULTILINE)
 
 
-def test_every_reference_function_has_its_twin_in_glsl():
+def test_every_reference_function_exists_in_glsl():
     source = "".join(path.read_text() for path in FILES)
     host_only = {"check_slope", "in_domain", "max_slope"}
     for module, prefix in ((lobes, "fr_lobe_"), (brdf, "fr_")):
@@ -177,7 +177,7 @@ def test_unknown_lobe_does_not_compile(evaluate, name):
         evaluate(prelude, "fr_lobe(1.0, m, 0)", {"m": np.float32([0.3])})
 
 
-GENERAL = {"FR_LOBE_OWN": 90, "FR_LOBE_EVERY": 91}  # numbers in lobe.glsl that are no lobe's
+GENERAL = {"FR_LOBE_OWN": 90, "FR_LOBE_EVERY": 91}  # numbers in lobe.glsl without a lobe
 DISPATCH: dict[str, list[Lobe | Fresnel | Masking]] = {
     "lobe": [*LOBES.values(), lobe_entry(lobes.GPower(8, 0.25))],
     "fresnel": [*FRESNEL.values()],
@@ -186,13 +186,13 @@ DISPATCH: dict[str, list[Lobe | Fresnel | Masking]] = {
 
 
 def dispatch_faults(kind: str, text: str) -> list[str]:
-    """Tell what a file that chooses among terms lacks, has too often, or has for no entry."""
+    """Return messages about missing, repeated and superfluous lines of a dispatch file."""
     macros = {entry.macro: entry.number for entry in DISPATCH[kind]}
     macros |= GENERAL if kind == "lobe" else {}
     defined = re.findall(rf"^#define (FR_{kind.upper()}_\w+) \d+$", text, re.MULTILINE)
     faults = [f"{name}: no entry" for name in defined if name not in macros]
     functions = len(re.findall(r"^\w+ \w+_(?:of|times)\(", text, re.MULTILINE))
-    lines: dict[str, tuple[str, int]] = {}  # what is to be added, by a pattern, and how often
+    lines: dict[str, tuple[str, int]] = {}  # required line: its pattern and count
     for macro, number in macros.items():
         lines[f"#define {macro} {number}"] = rf"^#define {macro} {number}$", 1
         if kind == "lobe":
@@ -208,7 +208,7 @@ def dispatch_faults(kind: str, text: str) -> list[str]:
             both = re.escape(f"{guard}\n    {branch}")
             lines[f"{guard} and {branch} {entry.call};"] = f"^{both}", 1
             continue
-        default = entry.name in ("schlick", "v-cavity")  # what any other number gives
+        default = entry.name in ("schlick", "v-cavity")  # used for any other number
         lines[f"{branch} {entry.call};"] = re.escape(branch), 0 if default else functions
         if entry.file != "constants":
             lines[include] = f"^{include}$", 1
@@ -221,7 +221,7 @@ def dispatch_faults(kind: str, text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", DISPATCH)
-def test_the_registry_and_the_dispatch_in_glsl_have_the_same_terms(kind):
+def test_registry_and_glsl_dispatch_have_the_same_terms(kind):
     text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
     if faults := dispatch_faults(kind, text):
         pytest.fail("\n".join(faults), pytrace=False)
@@ -231,7 +231,7 @@ D8, ALSO = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY", "|| FR_LOBE 
 
 
 @pytest.mark.parametrize(
-    ("kind", "line", "other", "told"),
+    ("kind", "line", "other", "message"),
     [
         ("lobe", "#define FR_LOBE_D8 8\n", "", "0 times, and not 1: #define FR_LOBE_D8 8"),
         ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 9\n", "#define FR_LOBE_D8 8"),
@@ -251,24 +251,24 @@ D8, ALSO = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY", "|| FR_LOBE 
          "0 times, and not 1: if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen"),
     ],
 )  # fmt: skip
-def test_a_fault_of_the_dispatch_names_the_line(kind, line, other, told):
+def test_faults_of_the_dispatch_name_the_line(kind, line, other, message):
     text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
     assert line in text
-    assert any(told in fault for fault in dispatch_faults(kind, text.replace(line, other)))
+    assert any(message in fault for fault in dispatch_faults(kind, text.replace(line, other)))
 
 
-def test_macros_of_terms_have_numbers_of_their_own():
+def test_macros_of_terms_have_unique_numbers():
     for entries in DISPATCH.values():
         assert len({entry.number for entry in entries}) == len(entries)
 
 
-def test_a_lobe_that_is_not_there_gives_no_lobe(evaluate):
+def test_lobe_that_is_not_compiled_returns_minus_one(evaluate):
     inputs = {"c": np.float32([0.9])}
     prelude = include("lobe", FR_LOBE="FR_LOBE_D8")
     assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, FR_LOBE_EXACT)", inputs) == -1.0
 
 
-def test_a_hosts_lobe_needs_its_function(evaluate):
+def test_lobe_of_a_host_needs_its_function(evaluate):
     prelude = include("lobe", FR_LOBE="FR_LOBE_OWN")
     with pytest.raises(moderngl.Error, match="FR_LOBE_OWN needs FR_LOBE_FUNCTION"):
         evaluate(prelude, "fr_lobe(c, 0.3, 4)", {"c": np.float32([0.9])})

@@ -1,4 +1,5 @@
-"""Shadow maps: against rays, in float64, drawn again only when something has moved."""
+"""Tests shadow maps: against ray tracing and geometry, and that they are redrawn only after a
+change."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ def renderer(egl):
         yield renderer
 
 
-# Bounds of the mean error, of all light that arrives.
+# Bounds of the mean error, relative to the light that arrives.
 @pytest.mark.parametrize(
     ("radius", "bound", "distance"),
     [
@@ -37,7 +38,7 @@ def renderer(egl):
     ],
 )
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
-def test_shadows_are_those_of_rays(renderer, name, radius, bound, distance, request):
+def test_shadows_agree_with_ray_tracing(renderer, name, radius, bound, distance, request):
     mesh = request.getfixturevalue(name)
     scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
     found = shadow_error(renderer, scene, key(mesh, radius, distance), 64 if radius else 1)
@@ -68,7 +69,7 @@ def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):
     assert maps(scene, fr.Shading(shadow_lights=[2])) == 1
     assert maps(scene, fr.Shading(shadow_lights=[])) == 0
     assert maps(replace(scene, mesh=head.with_material(m=0.2)), fr.Shading(shadow_lights=[2])) == 0
-    other = fr.load_mesh(MINI_HEAD)  # other parts
+    other = fr.load_mesh(MINI_HEAD)  # has other part objects
     assert maps(replace(scene, mesh=other), fr.Shading(shadow_lights=[2])) == 1
 
 
@@ -80,9 +81,9 @@ def square(z: float, half: float) -> Part:
 
 
 @pytest.mark.parametrize("distance", [None, 3.0])
-def test_penumbra_is_as_wide_as_geometry_says(egl, distance):
-    """A square of side 0.4 at z = 0.4 before a wall at z = -0.4, and a disc above it: at the middle
-    of its shadow's edge half of the light is seen, and the penumbra has a known width."""
+def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
+    """A square of side 0.4 at z = 0.4 casts a shadow of an area light on a wall at z = -0.4. At the
+    middle of the shadow's edge, half of the light is visible."""
     bounds = np.array([(-0.8, -0.8, -0.4), (0.8, 0.8, 0.4)])
     parts = (square(-0.4, 0.8), square(0.4, 0.2))
     mesh = fr.Mesh("wall", parts, (fr.Material(),) * 2, bounds, 1.2, np.array([(0.8, 0.4)]))
@@ -110,7 +111,7 @@ def test_penumbra_is_as_wide_as_geometry_says(egl, distance):
 
 
 def test_light_space_keeps_the_sphere_on_the_map(head):
-    """Nothing of the unit sphere leaves [-1, 1], and z grows towards the light up to ``top``."""
+    """The unit sphere stays within [-1, 1], and z increases towards the light up to ``top``."""
     random = np.random.default_rng(5).normal(size=(4000, 3))
     sphere = random / np.linalg.norm(random, axis=1, keepdims=True)
     for distance in (None, 1.06, 1.5, 30.0):
@@ -122,7 +123,7 @@ def test_light_space_keeps_the_sphere_on_the_map(head):
         assert place[:, 2].max() <= space.top * (1.0 + 1e-9)
 
 
-def test_what_cannot_be_is_refused(renderer, head):
+def test_invalid_shadows_are_refused(renderer, head):
     with pytest.raises(fr.InputError, match="too near to cast a shadow"):
         renderer.render(fr.Scene(head, lights=(key(head, 0.0, 0.9),)))
     with pytest.raises(fr.InputError, match=f"17 lights cast shadows: at most {MOST}"):
@@ -133,7 +134,7 @@ def test_what_cannot_be_is_refused(renderer, head):
         renderer.render(fr.Scene(head), fr.Shading(shadow_lights=[3]))
 
 
-def test_lights_say_whether_they_cast_shadows():
+def test_shadow_option_of_lights():
     assert parse_light("key,shadow") == replace(fr.scenes.light.LIGHTS["key"], shadow=True)
     light = parse_light("10,20,2,radius=3,shadow")
     assert (light.azimuth, light.radius, light.shadow) == (10.0, 3.0, True)
@@ -143,7 +144,7 @@ def test_lights_say_whether_they_cast_shadows():
             parse_light(text)
 
 
-def test_views(renderer, head):
+def test_visibility_view(renderer, head):
     scene = shadows(head)
     frame = renderer.render(scene, only="visibility")
     gbuffer = renderer.gbuffer(scene)

@@ -1,5 +1,5 @@
-"""The slope filter, curvature and disc lights: what is stored, what is drawn, and how far it is
-from many samples (all of it: tests/verification/skin.py)."""
+"""Tests the slope filter, curvature and area lights: stored mip levels, rendering, and errors
+against supersampling."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def levels_of(texels: np.ndarray) -> list[np.ndarray]:
 
 
 def tilted(angle: float) -> tuple[float, float, float]:
-    """The texel of a normal at an angle in degrees from straight up."""
+    """Return the texel of a normal tilted by an angle in degrees."""
     radians = np.radians(angle)
     return (127.5 + 127.5 * np.sin(radians), 127.5, 127.5 + 127.5 * np.cos(radians))
 
@@ -45,12 +45,12 @@ def test_levels_hold_the_mean_normal_and_the_deviation():
     for level in coarser:
         assert np.abs(level[..., :3].astype(int) - (127, 127, 255)).max() <= 1
         expected = 255.0 * np.sqrt((1.0 - length) / length) / 0.35
-        np.testing.assert_allclose(level[..., 3], expected, atol=3.0)  # bytes
+        np.testing.assert_allclose(level[..., 3], expected, atol=3.0)  # 8-bit levels
     assert [level.shape[:2] for level in coarser] == [(2, 2), (1, 1)]
 
 
-def test_lengths_of_texels_do_not_count():
-    """A JPEG's normals are of any length."""
+def test_lengths_of_normals_are_ignored():
+    """JPEG compression changes the lengths of normals."""
     random = np.random.default_rng(2)
     short = 127.5 + np.array([0.0, 0.0, 127.0]) * random.uniform(0.6, 1.0, (17, 9, 1))
     for level in levels_of(short):
@@ -58,13 +58,13 @@ def test_lengths_of_texels_do_not_count():
     assert [level.shape for level in levels_of(short[:1, :1])] == [(1, 1, 4)]
 
 
-def test_steep_relief_is_cut_off():
+def test_steep_relief_is_clamped():
     texels = np.empty((2, 2, 3))
     texels[0], texels[1] = tilted(89.0), tilted(-89.0)
     assert levels_of(texels)[1][0, 0, 3] == 255
 
 
-def test_deferred_curvature_is_that_of_triangles(egl, head, monkeypatch):
+def test_curvature_is_the_same_with_deferred_shading(egl, head, monkeypatch):
     scene = fr.Scene(head.with_material(m=0.2, normal_map=None), SIDE)
     slopes = []
     for deferred in (False, True):
@@ -84,11 +84,11 @@ def test_a_sphere_is_widened_by_its_curvature(egl):
     camera = fr.Camera(position=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), fov=fov)
     with fr.Renderer((size, size), samples=1, backend=egl) as renderer:
         found = renderer.gbuffer(fr.Scene(mesh, camera), fr.Shading(curvature=True)).m[16, 16]
-    turn = 2.0 * (distance - 1.0) * np.tan(np.radians(fov / 2.0)) / size  # from pixel to pixel
+    turn = 2.0 * (distance - 1.0) * np.tan(np.radians(fov / 2.0)) / size  # angle per pixel
     assert float(found) ** 2 - m**2 == pytest.approx(2.0 * (2.0 * turn**2 / 24.0), rel=0.01)
 
 
-def test_off_is_off(renderer, head):
+def test_slope_filter_can_be_disabled(renderer, head):
     off = fr.Shading(slope_filter=False)
     (part,), (material,) = head.parts, head.materials
     assert "SLOPE_FILTER" in surface_features(part, material, fr.Shading())
@@ -104,7 +104,7 @@ def test_off_is_off(renderer, head):
     assert replace(light, radius=0.1).kind.name == "disc"
 
 
-def test_a_slope_of_a_term_is_not_widened(renderer, head):
+def test_constant_slope_of_a_shading_is_not_widened(renderer, head):
     pinned = fr.Shading(m=0.25)
     images = [
         renderer.render(areas(head), each, "specular").linear
@@ -113,7 +113,7 @@ def test_a_slope_of_a_term_is_not_widened(renderer, head):
     assert np.abs(images[0] - images[1]).max() < 0.05 * images[0].max()
 
 
-def test_a_sphere_that_is_too_near_is_refused(renderer, head):
+def test_area_light_that_is_too_near_is_refused(renderer, head):
     place = tuple(head.center + head.radius * np.array([0.0, 0.0, 1.5]))
     near = fr.Light(position=place, radius=10.0)
     for shading in (fr.Shading(), fr.Shading(specular_lights=())):
@@ -122,7 +122,7 @@ def test_a_sphere_that_is_too_near_is_refused(renderer, head):
     renderer.render(fr.Scene(head, lights=(replace(near, radius=5.0),)))
 
 
-def test_lights_are_read_with_their_radius():
+def test_radius_option_of_lights():
     assert parse_light("key,radius=5").radius == 5.0
     assert parse_light("10,20,1,2,3,radius=0.27") == fr.Light(10.0, 20.0, (1, 2, 3), radius=0.27)
     assert parse_light("point:1,2,3,radius=2").position == (1.0, 2.0, 3.0)
@@ -133,7 +133,7 @@ def test_lights_are_read_with_their_radius():
             parse_light(text)
 
 
-def test_the_command_line_says_what_python_does(tmp_path, egl, capsys):
+def test_options_of_render_equal_python(tmp_path, egl, capsys):
     options = ["--size", "48", "--samples", "1", "--light", "key,radius=12", "--no-cache"]
     path = tmp_path / "head.exr"
     require_module("OpenEXR")
@@ -162,7 +162,7 @@ def test_prepared_maps_hold_the_levels(tmp_path, capsys):
         assert (at % 4, length, whole) == (0, level.nbytes, level.nbytes)
         stored = np.frombuffer(content, np.uint8, length, at).reshape(level.shape)
         np.testing.assert_array_equal(stored[::-1], level)
-    assert content[-expected[0].nbytes :] == expected[0][::-1].tobytes()  # the finest is last
+    assert content[-expected[0].nbytes :] == expected[0][::-1].tobytes()  # the finest level is last
     assert main([*command[:-1], str(tmp_path / "out.png")]) == 2
     assert "unknown format '.png'; give .ktx2" in capsys.readouterr().err
 
@@ -175,7 +175,7 @@ def test_prepared_maps_hold_the_levels(tmp_path, capsys):
         pytest.param(3.0, 0.3, marks=pytest.mark.slow),
     ],
 )
-def test_the_filter_is_near_many_samples(egl, scan_mesh, strength, m):
+def test_slope_filter_is_close_to_supersampling(egl, scan_mesh, strength, m):
     require_module("flip_evaluator")
     slopes = slopes_of(scan_mesh.materials[0].normal_map)
     found = filtered(scan_mesh, relief(slopes, 1.5 * strength), m, 64)
@@ -186,7 +186,7 @@ def test_the_filter_is_near_many_samples(egl, scan_mesh, strength, m):
 
 
 @pytest.mark.slow
-def test_a_turning_head_flickers_less(egl, scan_mesh):
+def test_slope_filter_reduces_flicker(egl, scan_mesh):
     texture = relief(slopes_of(scan_mesh.materials[0].normal_map), 4.0)
     beyond = flicker(scan_mesh, texture, 0.15, 96, (-20.0, -19.8, -19.6))
     assert beyond["none"] > 0.0
@@ -197,7 +197,7 @@ def test_a_turning_head_flickers_less(egl, scan_mesh):
 @pytest.mark.parametrize(
     ("angle", "radius", "most"), [(20.0, 20.0, 0.03), (60.0, 20.0, 0.07), (110.0, 10.0, 0.1)]
 )
-def test_discs_are_near_their_integral(angle, radius, most, m):
+def test_area_lights_are_close_to_their_integral(angle, radius, most, m):
     none, own = disc(angle, radius, m, points=150, side=40)
     assert own <= most
     assert own < none

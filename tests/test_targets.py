@@ -1,4 +1,4 @@
-"""Every public function of the shader library on every target, within the bounds of its cases
+"""Tests every public function of the shader library on every target against its cases
 (``tests/verification/cases.py``)."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MARKS = {"GLSL 330, OSMesa": "osmesa", "WebGL 2, Chromium": "browser"}
 
 
 def marked(name: str) -> object:
-    """A target as a parameter, under its marker unless it is the first."""
+    """Return a target as a pytest parameter; all but the first have a marker."""
     marks = [] if name == next(iter(TARGETS)) else [getattr(pytest.mark, MARKS.get(name, "slow"))]
     return pytest.param(name, marks=marks)
 
@@ -25,15 +25,15 @@ def marked(name: str) -> object:
 def opened(name: str) -> Remote:
     try:
         return Remote(name)
-    except Exception as error:  # glcontext raises bare Exception
+    except Exception as error:  # glcontext raises Exception itself
         missing(f"{name}: {error}")
 
 
 @pytest.fixture(scope="module", params=map(marked, TARGETS))
 def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
     with pytest.MonkeyPatch.context() as patch:
-        if request.param == next(iter(TARGETS)):  # llvmpipe compiles in half the time; OSMesa's
-            patch.setenv("GALLIVM_PERF", "nopt")  # and the others' optimizes
+        if request.param == next(iter(TARGETS)):  # without optimisation, llvmpipe compiles twice
+            patch.setenv("GALLIVM_PERF", "nopt")  # as fast; the other targets do optimise
         remote = opened(request.param)
     with remote:
         yield remote
@@ -44,12 +44,12 @@ def test_functions_agree_with_float64(target, group):
     cases = cases_of(group)
     results = evaluated(cases, target)
     faults = {name: case.fault(results[name]) for name, case in cases.items()}
-    told = [f"{name}: {fault}" for name, fault in faults.items() if fault]
-    if told:
-        pytest.fail("\n".join(told), pytrace=False)
+    messages = [f"{name}: {fault}" for name, fault in faults.items() if fault]
+    if messages:
+        pytest.fail("\n".join(messages), pytrace=False)
 
 
-def test_every_function_is_walked():
+def test_every_function_is_tested():
     defined = {name for path in FILES for name in functions(path.read_text())}
     expressions = [case.expression for group in GROUPS for case in cases_of(group).values()]
     called = {name for call in expressions for name in re.findall(r"fr_\w+", call)}

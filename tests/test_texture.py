@@ -1,4 +1,4 @@
-"""Mip chains: sizes, averages in linear light, packing, damaged images."""
+"""Tests textures: sizes and averages of mip levels, packing of channels, and damaged images."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_colour_is_averaged_in_linear_light():
     checkers = (np.indices((64, 64)).sum(axis=0) % 2 * 255).astype(np.uint8)
     pixels = np.repeat(checkers[..., None], 3, axis=-1)
     color = texture(pixels).levels("color").result()
-    assert set(np.unique(color[1][..., :3])) == {188}  # 0.5 of linear light, not 128
+    assert set(np.unique(color[1][..., :3])) == {188}  # sRGB of linear 0.5, not 128
     linear = texture(pixels).levels("linear-color").result()
     assert linear[-1][0, 0, 0] == 0.5
     assert texture(pixels).levels("data").result()[1][0, 0, 0] in (127, 128)
@@ -56,10 +56,10 @@ def test_bytes_and_floats_agree_on_a_random_image():
     linear = texture(pixels).levels("linear-color").result()
     for encoded, decoded in zip(color, linear, strict=True):
         back = srgb_to_linear(encoded[..., :3] / 255.0)
-        assert np.abs(back - decoded[..., :3]).max() < 0.008  # about a step of 8 bits, and rounding
+        assert np.abs(back - decoded[..., :3]).max() < 0.008  # one 8-bit level, and rounding
 
 
-def test_packing_fills_the_absent_and_takes_the_largest_size():
+def test_packing_fills_missing_channels_and_uses_the_largest_size():
     red = texture(np.full((4, 8, 3), 10, np.uint8), "red.png")
     blue = texture(np.full((16, 2, 3), 30, np.uint8), "blue.png")
     both = pack(red, None, blue)
@@ -97,14 +97,14 @@ def test_16_bit_grey_is_scaled_and_not_clipped():
         ("absent.png", None, "cannot read .*absent.png: no such file"),
     ],
 )
-def test_files_that_are_no_images(tmp_path, name, content, message):
+def test_invalid_images_are_refused(tmp_path, name, content, message):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=message):
         Texture.open(tmp_path / name)
 
 
-def test_truncated_image_is_named_when_it_is_read(tmp_path):
+def test_truncated_image_is_refused_when_it_is_decoded(tmp_path):
     pixels = np.random.default_rng(3).integers(0, 256, (64, 64, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(tmp_path / "half.jpg")
     content = (tmp_path / "half.jpg").read_bytes()
@@ -120,14 +120,14 @@ def test_huge_image_is_refused_before_it_is_decoded():
         huge.levels("data").result()
 
 
-def test_a_texture_goes_with_its_last_reference():
+def test_texture_is_freed_with_its_last_reference():
     texture = Texture.known(np.zeros((4, 4, 3), np.uint8), "zeros", {})
     gone = weakref.ref(texture)
-    gc.disable()  # a circle would wait for it, with all its levels
+    gc.disable()  # a reference cycle would need the garbage collector
     try:
         texture.levels("color").result()
         del texture
-        end = time.monotonic() + 20.0  # for the thread that made them lets go a little later
+        end = time.monotonic() + 20.0  # the decoding thread drops its reference later
         while gone() is not None and time.monotonic() < end:
             time.sleep(0.01)
         assert gone() is None

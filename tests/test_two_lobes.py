@@ -1,4 +1,4 @@
-"""Materials with two lobes: drawn as float64 has them, off where they are one, priced, planned."""
+"""Tests materials with two lobes: values, the mask, domains, programs and prices."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def grey(level: int) -> Texture:
 
 
 @pytest.mark.parametrize("off", [{"second_slope": 0.5}, {"lobe_weight": 0.5}])
-def test_off_is_the_program_of_one_lobe(renderer, head, off):
+def test_unused_second_lobe_is_not_compiled(renderer, head, off):
     def programs(mesh):
         return programs_of(fr.Scene(mesh), fr.Shading())
 
@@ -35,7 +35,7 @@ def test_off_is_the_program_of_one_lobe(renderer, head, off):
     assert renderer.gbuffer(one).second_m is None
 
 
-def test_the_mask_is_white_where_the_second_lobe_is(renderer, head):
+def test_lobe_map_scales_the_second_lobe(renderer, head):
     def specular(**material):
         return renderer.render(fr.Scene(head.with_material(**material)), only="specular").linear
 
@@ -46,7 +46,7 @@ def test_the_mask_is_white_where_the_second_lobe_is(renderer, head):
     np.testing.assert_allclose(half, 0.8 * none + 0.2 * whole, atol=1e-4)
 
 
-def test_both_slopes_lie_in_the_domain_of_the_lobe(renderer, head):
+def test_both_slopes_must_be_in_the_domain(renderer, head):
     as_they_are = fr.Shading(lobe="d8", slope_filter=False)
     mesh = head.with_material(m=0.3, second_slope=3.0, lobe_weight=0.5)
     assert resolve(fr.Scene(mesh), as_they_are).slopes[0] == pytest.approx((0.3, 0.9))
@@ -74,7 +74,7 @@ def test_values_outside_their_domain(head, material, message):
         head.with_material(**material)
 
 
-def test_float64_is_the_weighted_sum_of_two_calls():
+def test_two_lobes_are_a_weighted_sum():
     n = v = (0.0, 0.0, 1.0)
     l = np.array([(0.6, 0.0, 0.8), (0.1, -0.1, 0.98**0.5)])
     first, second = (brdf.cook_torrance(n, l, v, m, 0.028) for m in (0.3, 0.12))
@@ -99,7 +99,7 @@ def test_cycles_on_rdna2():
     assert cost["two"].inverse_throughput <= 1.3 * cost["one"].inverse_throughput
 
 
-def test_a_second_lobe_has_its_price(head):
+def test_second_lobe_has_a_price(head):
     lights = fr.Scene(head).lights
     one, two = (fr.Scene(each, lights=lights) for each in (head, head.with_material(**SKIN)))
     constants = Constants(0.3, 1.0, (0, 1, 2), (0, 1, 2), (0.32,))

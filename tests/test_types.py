@@ -1,5 +1,5 @@
-"""Values of the wrong type for every parameter of every public class and function: InputError, on
-one line, with the remedy. Which values are wrong follows from the parameter's annotation."""
+"""Tests values of the wrong type for every parameter of every public class and function. They raise
+InputError with a message of one line. The parameter's annotation decides which values are wrong."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VALUES = [
     *(None, "nonsense", b"x", -7, 1.5, True, [], ["x"], (1, 2, 3, 4, 5), {}, {"x": 1}),
     *(float("nan"), HUGE, 1j, object(), len, fr.Term, MATRIX, NAME),
 ]
-# Words of an annotation, and values that may be right where they stand in one.
+# Patterns of annotations, and the VALUES that may be valid for them.
 ALLOWED = {
     r"\| None$": [None],
     r"^float|^Vector|^str \| float": [-7, 1.5],
@@ -29,14 +29,14 @@ ALLOWED = {
     r"^tuple\[.*\.\.\.|^Sequence|Iterable|^Mapping\[int|^ArrayLike": [[]],
     r"^Mapping|^tuple\[[LO]|^Sequence|Iterable\[str": [{}],
     r"^Mapping\[str, str": [{"x": 1}],
-    r"^Sequence\[int": [b"x", (1, 2, 3, 4, 5)],  # indices
+    r"^Sequence\[int": [b"x", (1, 2, 3, 4, 5)],  # may be indices
     r"^tuple\[str": [["x"], {"x": 1}, {}, NAME, "nonsense"],
-    r"^Callable\[\[\], Image": [len, fr.Term],  # is called later
+    r"^Callable\[\[\], Image": [len, fr.Term],  # called later
     r"^Map \|": [MATRIX],
 }
-# What else is right for a parameter.
+# Further valid values of single parameters.
 RIGHT: dict[str, list[Any]] = {
-    "MeshFile triangles": [HUGE],  # all of them
+    "MeshFile triangles": [HUGE],  # keeps all triangles
     "simplified triangles": [HUGE],
     **{
         name: [MATRIX]
@@ -44,19 +44,19 @@ RIGHT: dict[str, list[Any]] = {
     },
     **{f"Part {name}": [MATRIX] for name in ("positions", "normals", "faces", "colors")},
 }
-UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for the package itself
+UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for internal use
 METHODS = [
     *("Shading.from_dict", "Job.from_dict", "Renderer.of", "Renderer.render", "Renderer.gbuffer"),
     *("Renderer.can_shade_per_pixel", "Frame.srgb8", "Frame.save", "Mesh.from_arrays"),
     *("Mesh.select", "Texture.open", "Texture.from_array", "Texture.from_image"),
     *("View.intrinsics", "View.extrinsics"),
 ]
-GIVEN = ("renderer", "backend", "size", "samples", "mesh", "source")  # in place of costly defaults
-RESULTS = ("GBuffer", "Plan", "View")  # which functions return
+GIVEN = ("renderer", "backend", "size", "samples", "mesh", "source")  # replace expensive defaults
+RESULTS = ("GBuffer", "Plan", "View")  # created only by functions
 
 
-def doors() -> list[str]:
-    """Name every public class and function that takes values, and methods."""
+def public_callables() -> list[str]:
+    """Return the names of all public classes, functions and methods with parameters."""
     errors = [name for name in fr.__all__ if name.endswith(("Error", "Warning"))]
     names = [name for name in fr.__all__ if callable(getattr(fr, name))]
     return [*sorted({*names} - {*errors, *RESULTS}), *METHODS, "Part"]
@@ -64,7 +64,7 @@ def doors() -> list[str]:
 
 @pytest.fixture(scope="module")
 def objects(egl: Any) -> Iterator[dict[str, Any]]:
-    """Arguments that are right, by the names of parameters and of doors with a parameter's."""
+    """Valid arguments, by "PARAMETER" or "CALLABLE PARAMETER"."""
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh)
     with fr.Renderer((8, 8), samples=1, backend=egl) as renderer:
@@ -87,34 +87,34 @@ def objects(egl: Any) -> Iterator[dict[str, Any]]:
         }
 
 
-def right(door: str, name: str, annotation: str) -> list[Any]:
-    """Return what may be right of VALUES."""
+def right(call: str, name: str, annotation: str) -> list[Any]:
+    """Return those VALUES that may be valid for a parameter."""
     values = [
         value for words, some in ALLOWED.items() if re.search(words, annotation) for value in some
     ]
     any_text = name in ("name", "file", "text") or (
-        door == "MeshFile" and annotation == "str | None"
+        call == "MeshFile" and annotation == "str | None"
     )
-    return [*values, *["nonsense"] * any_text, *RIGHT.get(f"{door} {name}", [])]
+    return [*values, *["nonsense"] * any_text, *RIGHT.get(f"{call} {name}", [])]
 
 
-@pytest.mark.parametrize("door", doors())
-def test_a_value_of_the_wrong_type_is_an_input_error(objects, door):
-    owner, _, method = door.partition(".")
-    function = Part if door == "Part" else getattr(fr, owner)
+@pytest.mark.parametrize("call", public_callables())
+def test_values_of_the_wrong_type_raise_input_error(objects, call):
+    owner, _, method = call.partition(".")
+    function = Part if call == "Part" else getattr(fr, owner)
     if method:
         static = isinstance(inspect.getattr_static(function, method), classmethod | staticmethod)
         function = getattr(function if static else objects[owner], method)
     parameters = inspect.signature(function).parameters
     good = {
-        name: objects.get(f"{door} {name}", objects.get(name))
+        name: objects.get(f"{call} {name}", objects.get(name))
         for name, each in parameters.items()
         if each.default is each.empty or name in GIVEN
     }
     for name, each in parameters.items():
-        allowed = right(door, name, str(each.annotation))
+        allowed = right(call, name, str(each.annotation))
         for wrong in VALUES:
-            if f"{door} {name}" in UNCHECKED or any(_equal(wrong, value) for value in allowed):
+            if f"{call} {name}" in UNCHECKED or any(_equal(wrong, value) for value in allowed):
                 continue
             with pytest.raises(fr.InputError) as caught:
                 function(**{**good, name: wrong})

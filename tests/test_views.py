@@ -1,4 +1,5 @@
-"""Several views in one call, what they are written as, and frames as files, pictures and bytes."""
+"""Tests several views in one command, contact sheets and animations, and frames as files, images
+and bytes."""
 
 from __future__ import annotations
 
@@ -63,7 +64,7 @@ def pixels(name: str) -> Any:
 
 PATHS = {"40.toml": "azimuth = 40\nfov = 60", "two.toml": "azimuth = 40\n[[cameras]]\nzoom = 2"}
 FACES = fr.turntable(fr.Camera(frame="face"), 3)
-CAMERAS: dict[str, tuple[str, dict[str, fr.Camera]]] = {  # options, and the camera of each file
+CAMERAS: dict[str, tuple[str, dict[str, fr.Camera]]] = {  # options; the camera of each file
     "a file each": (
         "--camera profile --camera 20,10,1.5 -o a.png",
         {"a_000.png": fr.Camera(90.0), "a_001.png": fr.Camera(20.0, 10.0, zoom=1.5)},
@@ -116,7 +117,7 @@ def test_names_of_files(run: Run, pattern: str, names: list[str]):
     assert sorted(os.listdir()) == sorted(names)
 
 
-def test_a_camera_file_has_a_size(run: Run, capsys: pytest.CaptureFixture[str]):
+def test_camera_files_set_the_size(run: Run, capsys: pytest.CaptureFixture[str]):
     k = [[60, 0, 20], [0, 50, 10], [0, 0, 1]]
     pose = np.column_stack([np.diag([1.0, -1, -1]), [0.0, 0.0, 1.0]]).tolist()
     table = {"K": k, "Rt": pose, "width": 40, "height": 20}
@@ -132,7 +133,7 @@ def test_a_camera_file_has_a_size(run: Run, capsys: pytest.CaptureFixture[str]):
     assert "camera target = (0.0, 0.0, 0.0) and extrinsics exclude each other" in err
 
 
-def test_a_camera_of_the_mesh_file(run: Run, drawn, tmp_path: Path):
+def test_cameras_of_the_mesh_file(run: Run, drawn, tmp_path: Path):
     mesh = fr.load_mesh(MINI_HEAD)
     place = (mesh.center + [0.0, 0.0, 5.0 * mesh.radius]).tolist()
     lens = {"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}
@@ -145,7 +146,7 @@ def test_a_camera_of_the_mesh_file(run: Run, drawn, tmp_path: Path):
     assert sorted(os.listdir()) == ["head.glb", "one.png", "two.png"]
 
 
-def test_a_sheet(run: Run):
+def test_sheet(run: Run):
     options = ("--camera", "turntable:3", "--sheet", "--background", "0,0,1", "-o", "s.png")
     assert run(*options)[:2] == (0, ["s.png"])
     found = pixels("s.png")
@@ -159,15 +160,15 @@ def test_a_sheet(run: Run):
     assert (found[24:, 24:] == (0, 0, 255)).all()
 
 
-def test_a_sheet_keeps_no_image(frame: fr.Frame):
-    kept: weakref.WeakSet[fr.Frame] = weakref.WeakSet()
+def test_sheet_does_not_keep_its_images(frame: fr.Frame):
+    alive: weakref.WeakSet[fr.Frame] = weakref.WeakSet()
 
     def frames() -> Iterator[fr.Frame]:
         for _ in range(7):
             each = replace(frame)
-            kept.add(each)
+            alive.add(each)
             yield each
-            assert len(kept) <= 2
+            assert len(alive) <= 2
 
     assert sheet(frames(), 7, None).linear.shape == (60, 72, 4)
 
@@ -183,8 +184,8 @@ def test_a_sheet_keeps_no_image(frame: fr.Frame):
         ),
     ],
 )
-def test_a_sheet_that_is_too_large(run: Run, monkeypatch, options, message):
-    monkeypatch.setattr(fr.Renderer, "of", None)  # nothing is drawn
+def test_sheets_that_are_too_large_are_refused(run: Run, monkeypatch, options, message):
+    monkeypatch.setattr(fr.Renderer, "of", None)  # drawing would fail
     status, out, err = run("--sheet", "-o", "s.png", "--camera", *options)
     assert (status, out) == (2, [])
     assert message in err
@@ -214,7 +215,7 @@ def test_a_sheet_that_is_too_large(run: Run, monkeypatch, options, message):
         (("-o", "-", "--json"), "-o - and --json both write to standard output"),
     ],
 )
-def test_what_cannot_be(run: Run, options: tuple[str, ...], message: str):
+def test_invalid_options_are_refused(run: Run, options: tuple[str, ...], message: str):
     given = options if "-o" in options else (*options, "-o", "a.png")
     status, out, err = run(*given)
     assert (status, out) == (2, [])
@@ -227,7 +228,7 @@ def test_what_cannot_be(run: Run, options: tuple[str, ...], message: str):
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_a_turntable_that_moves(run: Run, drawn, suffix: str):
+def test_animated_turntable(run: Run, drawn, suffix: str):
     options = ("--camera", "turntable:4", "--fps", "10", "-o", f"t{suffix}")
     assert run(*options) == (0, [f"t{suffix}"], "")
     with Image.open(f"t{suffix}") as image:
@@ -245,9 +246,9 @@ def test_a_movie(tmp_path: Path):
     steps = [np.full((21, 33, 3), (200 - 30 * i, 60, 30 * i), dtype=np.uint8) for i in range(6)]
     path = tmp_path / "m.mp4"
     fr.save_animation(path, iter(steps), fps=4)
-    told = subprocess.run([exe, "-i", path], capture_output=True, text=True).stderr
-    assert "Duration: 00:00:01.50" in told
-    assert "34x22" in told
+    output = subprocess.run([exe, "-i", path], capture_output=True, text=True).stderr
+    assert "Duration: 00:00:01.50" in output
+    assert "34x22" in output
     subprocess.run([exe, "-loglevel", "error", "-i", path, tmp_path / "%d.png"], check=True)
     for number, step in enumerate(steps):
         found = pixels(str(tmp_path / f"{number + 1}.png"))[:20, :32].astype(int)
@@ -266,11 +267,11 @@ def encoder(folder: Path, script: str) -> str:
     return str(path)
 
 
-# imageio-ffmpeg leaves the pipe to an encoder that has ended to the garbage collector.
+# After the encoder ends, imageio-ffmpeg leaves its pipe open until garbage collection.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("script", "message"),
-    [  # it ends before it has read its input, or writes more than a pipe holds, or says nothing
+    [  # ends before it has read its input, writes more than a pipe holds, or writes nothing
         ("/bin/sh\necho 'Unknown encoder' >&2\nexit 1", r"wrote no .mp4 \(Unknown encoder\):"),
         ("/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1", r"no .mp4 \(odd\):"),
         ("/bin/sh\nexit 1", r"wrote no .mp4 \(it ended early\):"),
@@ -278,7 +279,7 @@ def encoder(folder: Path, script: str) -> str:
         ("/no/such/shell", "cannot start ffmpeg: no such file .*;"),
     ],
 )
-def test_an_ffmpeg_that_fails(
+def test_failures_of_ffmpeg_are_reported(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
@@ -295,7 +296,7 @@ def test_an_ffmpeg_that_fails(
 
 
 def test_a_broken_pipe_to_ffmpeg_does_not_end_the_command(run: Run, tmp_path: Path):
-    """The command line has SIGPIPE end the process."""
+    """The command normally lets SIGPIPE end the process."""
     command = [sys.executable, "-m", "facerender", "render", str(MINI_HEAD), "--size", "256"]
     command += ["--camera", "turntable:3", "-o", "a.mp4"]
     environment = {**os.environ, "IMAGEIO_FFMPEG_EXE": encoder(tmp_path, "/bin/sh\nexit 1")}
@@ -327,7 +328,7 @@ def stops() -> Iterator[Any]:
         (lambda: [np.zeros((4, 4, 3))], "image = array.*: give an array"),
     ],
 )
-def test_an_animation_that_stops_leaves_nothing(tmp_path: Path, suffix: str, images, message: str):
+def test_failed_animation_leaves_no_file(tmp_path: Path, suffix: str, images, message: str):
     with pytest.raises(fr.InputError, match=message):
         fr.save_animation(tmp_path / f"a{suffix}", images())
     assert list(tmp_path.iterdir()) == []
@@ -337,7 +338,7 @@ def test_an_animation_that_stops_leaves_nothing(tmp_path: Path, suffix: str, ima
 
 
 @pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
-def test_standard_output_has_the_image_and_nothing_else(
+def test_standard_output_contains_only_the_image(
     kind: Any, capfdbinary: pytest.CaptureFixture[bytes]
 ):
     command = [*SMALL, "-o", "-"]
@@ -355,7 +356,7 @@ def test_standard_output_has_the_image_and_nothing_else(
 
 
 @pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
-def test_a_frame_in_memory_is_its_file(frame: fr.Frame, kind: Any, tmp_path: Path):
+def test_frame_in_memory_equals_its_file(frame: fr.Frame, kind: Any, tmp_path: Path):
     file = BytesIO()
     frame.save(file, format=kind)
     path = tmp_path / f"a.{kind}"
@@ -363,12 +364,12 @@ def test_a_frame_in_memory_is_its_file(frame: fr.Frame, kind: Any, tmp_path: Pat
     assert file.getvalue() == path.read_bytes() == frame.encoded(kind)
     frame.save(tmp_path / "other", format=kind)
     assert (tmp_path / "other").read_bytes() == file.getvalue()
-    frame.save(file := BytesIO(), 1.0)  # without a name it is a PNG
+    frame.save(file := BytesIO(), 1.0)  # PNG is the default format
     assert np.array_equal(np.asarray(Image.open(file)), frame.srgb8(1.0))
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.JPEG", "a.webp"])
-def test_lossy_files_are_near_and_keep_what_is_told(frame: fr.Frame, name: str, tmp_path: Path):
+def test_lossy_files_are_close_and_keep_metadata(frame: fr.Frame, name: str, tmp_path: Path):
     frame.save(tmp_path / name)
     with Image.open(tmp_path / name) as image:
         assert json.loads(image.getexif()[0x010E]) == frame.metadata
@@ -378,7 +379,7 @@ def test_lossy_files_are_near_and_keep_what_is_told(frame: fr.Frame, name: str, 
         assert read_image(tmp_path / name).pixels.shape == (20, 24, 3)
 
 
-def test_a_webp_keeps_alpha_and_a_jpeg_has_none(tmp_path: Path):
+def test_webp_keeps_alpha_and_jpeg_refuses_it(tmp_path: Path):
     mesh = fr.load_mesh(MINI_HEAD)
     with fr.Renderer((24, 24), samples=1) as renderer:
         frame = renderer.render(fr.Scene(mesh, background=None))
@@ -392,20 +393,20 @@ def test_a_webp_keeps_alpha_and_a_jpeg_has_none(tmp_path: Path):
     assert repr(frame) == "<Frame 24 x 24, transparent>"
 
 
-def test_a_webp_that_is_too_large(tmp_path: Path):
+def test_webp_that_is_too_large_is_refused(tmp_path: Path):
     wide = fr.Frame(np.zeros((1, 16384, 4), dtype=np.float32), None, False, {})
     with pytest.raises(fr.InputError, match="webp cannot store 16384 x 1 pixels"):
         wide.save(tmp_path / "a.webp")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_frame_shows_itself(frame: fr.Frame):
+def test_display_of_frames(frame: fr.Frame):
     assert frame._repr_png_() == frame.encoded("png")
     assert np.array_equal(np.asarray(frame.image), frame.srgb8())
     assert repr(frame) == "<Frame 24 x 20>"
     depth = fr.Frame(frame.linear, "depth", False, {})
     assert repr(depth) == "<Frame 24 x 20 of depth>"
     with fr.Renderer((24, 20), samples=1) as renderer:
-        told = repr(renderer.gbuffer(fr.Scene(fr.load_mesh(MINI_HEAD))))
-    assert told.startswith("<GBuffer 24 x 20, ")
-    assert len(told) < 50
+        output = repr(renderer.gbuffer(fr.Scene(fr.load_mesh(MINI_HEAD))))
+    assert output.startswith("<GBuffer 24 x 20, ")
+    assert len(output) < 50

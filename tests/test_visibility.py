@@ -1,4 +1,4 @@
-"""Deferred shading: the same images as of triangles that are shaded as they are drawn."""
+"""Tests deferred shading against forward shading, and per-pixel shading."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (
 
 
 def cube(sides: tuple[tuple[int, ...], ...] = SIDES, smooth: bool = False) -> Part:
-    """A cube, with normals of its sides or of its corners."""
+    """Return a cube with normals per side or, with ``smooth``, per corner."""
     positions = CORNERS[np.array(sides).ravel()]
     if smooth:
         normals = positions / np.sqrt(3.0)
@@ -47,7 +47,7 @@ def mesh_of(*parts: Part) -> fr.Mesh:
 
 @pytest.fixture(scope="module")
 def renderer_of(egl):
-    """Renderers by their size and samples, each made once."""
+    """A function that returns a renderer by size and samples, and caches it."""
     with ExitStack() as stack:
 
         @cache
@@ -60,7 +60,7 @@ def renderer_of(egl):
 
 @pytest.fixture
 def both(renderer_of, monkeypatch) -> Both:
-    """Draws a scene in both ways: deferred, and not."""
+    """A function that draws a scene twice, with deferred and with forward shading."""
 
     def draw(scene: fr.Scene, size=(256, 192), samples=1, only=None):
         images = []
@@ -75,7 +75,10 @@ def both(renderer_of, monkeypatch) -> Both:
 
 
 def assert_same(deferred, drawn, share=0.999, steps=1.0):
-    """Same coverage, and colours within steps of the display at a share of what is covered."""
+    """Check that coverage is equal, and that displayed colours differ by at most ``steps`` levels.
+
+    share : fraction of the covered pixels for which this must hold
+    """
     np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
     shown = [linear_to_srgb(each[..., :3]) for each in (deferred, drawn)]
     error = 255.0 * np.abs(shown[0] - shown[1]).max(axis=-1)
@@ -95,7 +98,7 @@ def assert_same(deferred, drawn, share=0.999, steps=1.0):
         pytest.param("scan_mesh", 30.0, marks=pytest.mark.slow),
     ],
 )
-def test_heads(both, request, samples, mesh, azimuth):
+def test_heads_agree(both, request, samples, mesh, azimuth):
     scene = fr.Scene(request.getfixturevalue(mesh), fr.Camera(azimuth))
     assert_same(*both(scene, (512, 384), samples))
 
@@ -103,14 +106,14 @@ def test_heads(both, request, samples, mesh, azimuth):
 @pytest.mark.parametrize(
     ("camera", "size"),
     [
-        (fr.Camera(elevation=-70.0), (256, 256)),  # into the neck
+        (fr.Camera(elevation=-70.0), (256, 256)),  # looks into the open neck
         (fr.Camera(zoom=4.0, azimuth=20.0), (333, 100)),
-        (fr.Camera(position=(0.1, 0.0, 0.1), target=(0.0, 0.05, 0.0)), (128, 128)),  # inside
+        (fr.Camera(position=(0.1, 0.0, 0.1), target=(0.0, 0.05, 0.0)), (128, 128)),  # within
         (fr.Camera(position=(0.0, 0.0, 1.0), target=(1.0, 0.0, 1.0)), (64, 64)),  # sees nothing
     ],
 )
 @pytest.mark.filterwarnings("ignore:no pixel shows")
-def test_cameras(both, camera, size):
+def test_unusual_cameras_agree(both, camera, size):
     mesh = fr.load_mesh(MINI_HEAD)
     deferred, drawn = both(fr.Scene(mesh, camera, background=None), size, 4)
     if (drawn == 0.0).all():
@@ -122,7 +125,7 @@ def test_cameras(both, camera, size):
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("smooth", [False, True])
 def test_creases_and_parts_are_antialiased(both, samples, smooth):
-    """Where a pixel holds several sides, or parts of different materials, each counts."""
+    """If a pixel contains several sides or parts, each contributes to its colour."""
     left, right = cube(SIDES[:3], smooth), cube(SIDES[3:], smooth)
     for mesh in (mesh_of(cube(smooth=smooth)), mesh_of(left, right)):
         scene = fr.Scene(mesh, fr.Camera(30.0, 25.0))
@@ -130,14 +133,14 @@ def test_creases_and_parts_are_antialiased(both, samples, smooth):
 
 
 @pytest.mark.parametrize("only", ["specular", "diffuse", "albedo", "normal", "depth"])
-def test_terms(both, head, only):
+def test_terms_agree(both, head, only):
     deferred, drawn = both(fr.Scene(head, fr.Camera(-30.0)), only=only)
     np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
     error = np.abs(deferred - drawn)[drawn[..., 3] > 0.0]
     assert np.quantile(error, 0.99) < 1e-3
 
 
-def test_the_setup_gives_what_vertices_have(head):
+def test_triangle_setup_interpolates_vertex_attributes(head):
     part = head.parts[0]
     setup = TriangleSetup.of(part, head)
     packed = setup.texture().reshape(-1, setup.texels, 4)[: len(setup.faces)]
@@ -146,14 +149,14 @@ def test_the_setup_gives_what_vertices_have(head):
         values = np.einsum("ijk,ik->ij", packed[:, :, :3], at) + packed[:, :, 3] * (
             1.0 - 2.0 * (np.arange(setup.texels) == 0)
         )
-        np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on its plane
+        np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on the plane
         np.testing.assert_allclose(values[:, 1:4], part.normals[corner], atol=2e-4)
         np.testing.assert_allclose(values[:, 4:], part.uv[corner], atol=2e-5)
 
 
-def test_triangles_without_width(both, monkeypatch):
-    """Such as fill T-junctions: what rounding of positions leaves of them tells no direction. Where
-    they are not deferred, llvmpipe finds no colour between those of their corners."""
+def test_zero_width_triangles(both, monkeypatch):
+    """Such triangles fill T-junctions; after rounding, their plane is undefined. With forward
+    shading, llvmpipe interpolates no valid colours on them."""
     generator = np.random.default_rng(1)
     ends = generator.normal(size=(2, 500, 3))
     positions = np.concatenate([*ends, ends.mean(axis=0)])
@@ -173,8 +176,8 @@ def test_triangles_without_width(both, monkeypatch):
     assert seen.max() < 1.0
 
 
-def test_backs_that_peek_over_a_rim(both):
-    """A head whose neck ends in a collar that is turned up: from the front it shows its back."""
+def test_back_faces_above_a_rim(both):
+    """A head's neck ends in a collar that is turned up, whose back faces are visible in front."""
     y = np.linspace(1.0, -0.9, 9)
     profile = [*zip(np.sqrt(1.0 - y**2), y, strict=True), (0.5, -1.2), (1.3, -1.0), (1.4, 0.1)]
     around = 2.0 * np.pi * np.arange(24) / 24
@@ -187,25 +190,25 @@ def test_backs_that_peek_over_a_rim(both):
     assert_same(*both(fr.Scene(mesh_of(part), fr.Camera(elevation=10.0))))
 
 
-def test_two_samples(both, head):
-    """A driver may make more, as llvmpipe does."""
+def test_two_samples_agree(both, head):
+    """A driver may use more samples; llvmpipe does."""
     assert_same(*both(fr.Scene(head), samples=2), steps=0.0)
 
 
 @pytest.mark.parametrize("brightness", [1e3, 1e6])
-def test_bright_backgrounds(both, brightness):
+def test_bright_backgrounds_agree(both, brightness):
     scene = fr.Scene(mesh_of(cube()), background=(brightness,) * 3)
     assert_same(*both(scene))
 
 
-def test_a_part_of_two_meshes(both):
+def test_part_shared_by_two_meshes(both):
     part = cube()
     both(fr.Scene(mesh_of(part)))
     assert_same(*both(fr.Scene(replace(mesh_of(part), radius=3.0), fr.Camera(20.0))))
 
 
 def tetrahedron() -> Part:
-    """A triangle a side, each of one colour: red, green, blue, white."""
+    """Return a tetrahedron with a red, a green, a blue and a white side."""
     positions = CORNERS[[(0, 6, 5), (0, 3, 6), (0, 5, 3), (3, 5, 6)]].reshape(-1, 3)
     faces = np.arange(12, dtype=np.uint32).reshape(4, 3)
     colors = np.repeat(np.vstack([np.eye(3), np.ones(3)]), 3, axis=0)
@@ -214,7 +217,10 @@ def tetrahedron() -> Part:
 
 @pytest.fixture
 def rates(renderer_of) -> Both:
-    """Draws a scene shaded once a pixel, and without that; by default what the driver has."""
+    """A function that draws a scene with per-pixel and with per-sample shading.
+
+    Its default number of samples is the driver's maximum.
+    """
 
     def draw(scene: fr.Scene, size=(256, 192), samples=None):
         renderer = renderer_of(size, 4)
@@ -232,9 +238,9 @@ def rates(renderer_of) -> Both:
 
 @pytest.mark.parametrize("azimuth", [10.0, 100.0, 190.0])
 @pytest.mark.parametrize("elevation", [-10.0, 25.0])
-def test_shaded_once_the_side_that_most_samples_see_stands_for_all(rates, azimuth, elevation):
-    """Without lights the image is colour times coverage, and a pixel's colour tells how many of its
-    samples see which side."""
+def test_per_pixel_shading_uses_the_side_with_most_samples(rates, azimuth, elevation):
+    """Without lights, the image is colour times coverage. A pixel's colour shows how many of its
+    samples see each side."""
     mesh = mesh_of(tetrahedron()).with_material(albedo=(1.0, 1.0, 1.0))
     scene = fr.Scene(mesh, fr.Camera(azimuth, elevation), (), np.pi, background=None)
     one, full = rates(scene)
@@ -251,8 +257,8 @@ def test_shaded_once_the_side_that_most_samples_see_stands_for_all(rates, azimut
     assert (seen < 0.99).sum() > 50
 
 
-def test_shaded_once_every_part_of_a_pixel_is(rates):
-    """As without, where it has one triangle there."""
+def test_per_pixel_shading_shades_every_part(rates):
+    """If every side is a separate part, per-pixel shading equals per-sample shading."""
     whole = tetrahedron()
     parts = [replace(whole, faces=face[None]) for face in whole.faces]
     scene = fr.Scene(mesh_of(*parts), fr.Camera(10.0, 25.0))
@@ -261,7 +267,7 @@ def test_shaded_once_every_part_of_a_pixel_is(rates):
     assert (np.abs(one - full) > 1e-2).any()
 
 
-def test_heads_that_are_shaded_once(rates, head):
+def test_per_pixel_shading_of_a_head(rates, head):
     one, full = rates(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
     assert (one != full).any()
     assert_same(one, full, 0.985)
@@ -269,19 +275,19 @@ def test_heads_that_are_shaded_once(rates, head):
 
 
 @pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])
-def test_what_cannot_be_shaded_once_is_drawn_as_without(rates, head, samples, brightness):
+def test_per_pixel_shading_falls_back_to_per_sample(rates, head, samples, brightness):
     one, full = rates(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
     np.testing.assert_array_equal(one, full)
 
 
-def test_shading_once_is_not_left_to_where_deferring_pays(rates, head, monkeypatch):
+def test_per_pixel_shading_does_not_depend_on_deferring(rates, head, monkeypatch):
     scene = fr.Scene(head)
     one, _ = rates(scene)
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False)
     np.testing.assert_array_equal(rates(scene)[0], one)
 
 
-def test_where_it_pays(head):
+def test_choice_of_deferred_shading(head):
     scene = fr.Scene(head)
     llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"
     assert visibility.deferred_is_cheaper(scene, (1024, 1024), 1, llvmpipe)
@@ -291,13 +297,13 @@ def test_where_it_pays(head):
     assert visibility.deferred_is_cheaper(low, (1024, 1024), 4, llvmpipe)
 
 
-def test_what_is_too_large_is_drawn_as_it_comes(head):
+def test_meshes_too_large_for_deferring_are_drawn_forward(head):
     assert visibility.can_defer(fr.Scene(head), 16384)
     too_few = (len(head.parts[0].faces) - 1) // IN_ROW
     assert not visibility.can_defer(fr.Scene(head), too_few)
 
 
-def test_areas_hold_what_is_covered(head, egl):
+def test_areas_contain_the_covered_pixels(head, egl):
     for camera in (fr.Camera(40.0), fr.Camera(zoom=3.0), fr.Camera(elevation=80.0)):
         scene = fr.Scene(head, camera)
         size = (200, 150)

@@ -1,5 +1,5 @@
-"""The npm package, and what draws with it in Chromium: the engines of the web as OpenGL does, the
-examples for three.js and Babylon.js as the float64 BRDF."""
+"""Tests the npm package in Chromium: JavaScript engines draw the same as OpenGL, and the examples
+for three.js and Babylon.js agree with the float64 BRDF."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.node
 
 ROOT = Path(__file__).parents[1]
 OFFLINE = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ETIMEDOUT|ENETUNREACH")
-# Pixels of a view of 399 x 713 at 1200 x 800: the highlights of both lights.
+# Pixels in the highlights of both lights; a window of 1200 x 800 has views of 399 x 713 pixels.
 POINTS = {
     "sphere": [(150, 290), (190, 315), (170, 340), (130, 315), (290, 265), (310, 265), (270, 290)],
     "head": [(210, 240), (190, 215), (230, 240), (270, 190), (290, 190), (190, 340), (270, 365)],
@@ -39,9 +39,9 @@ POINTS = {
 
 
 def install(folder: Path, *options: str) -> None:
-    """Install what the lock file of a folder says."""
+    """Install the npm packages of a folder's lock file."""
     npm = [node_tool("npm"), "ci", "--prefer-offline", "--no-audit", "--no-fund", *options]
-    environment = {**os.environ, "NODE_USE_SYSTEM_CA": "1"}  # behind a proxy with its own
+    environment = {**os.environ, "NODE_USE_SYSTEM_CA": "1"}  # for certificates of proxies
     installed = subprocess.run(npm, cwd=folder, env=environment, capture_output=True, text=True)
     if installed.returncode and OFFLINE.search(installed.stderr):
         missing("the npm registry cannot be reached")
@@ -50,21 +50,24 @@ def install(folder: Path, *options: str) -> None:
 
 @contextmanager
 def opened(browser, address: str, ignored: str = "", **options):
-    """A page whose script sets window.probe; its console holds no message that is not ignored."""
+    """Open a page whose script sets window.probe; at the end, check its console messages.
+
+    ignored : pattern of allowed messages
+    """
     page = browser.new_page(**options)
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
+    logged = []
+    page.on("console", lambda message: logged.append(message.text))
+    page.on("pageerror", lambda error: logged.append(str(error)))
     page.goto(address)
     page.wait_for_function("window.probe")
     yield page
     page.close()
-    assert [text for text in said if not (ignored and re.search(ignored, text))] == []
+    assert [text for text in logged if not (ignored and re.search(ignored, text))] == []
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory) -> Path:
-    """The folder that npm packs."""
+    """The folder of the npm package."""
     folder = tmp_path_factory.mktemp("package")
     subprocess.run([sys.executable, ROOT / "tools/npm-package", "-o", folder], check=True)
     return folder
@@ -72,7 +75,7 @@ def package(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def engines(tmp_path_factory) -> Path:
-    """Folder where the engines of the web are installed."""
+    """The folder where the JavaScript engines are installed."""
     folder = tmp_path_factory.mktemp("engines")
     for path in (ROOT / "tests/verification/engines").glob("[.p]*[cn]"):
         shutil.copy(path, folder)
@@ -85,7 +88,7 @@ def engines(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(package: Path, tmp_path_factory) -> Path:
-    """The packed package, installed in a folder."""
+    """The folder of the packed and installed package."""
     folder = tmp_path_factory.mktemp("npm")
     (folder / "package.json").write_text("{}")
     archive = f"facerender-shaders-{fr.__version__}.tgz"
@@ -95,7 +98,7 @@ def installed(package: Path, tmp_path_factory) -> Path:
 
 
 @pytest.mark.smoke
-def test_exports_are_flat_sources_with_their_functions_types_and_headers(installed):
+def test_exports_are_complete_flat_sources(installed):
     code = 'import * as all from "facerender-shaders"; console.log(JSON.stringify(all))'
     command = [node_tool("node"), "--input-type=module", "--eval", code]
     output = subprocess.run(command, cwd=installed, check=True, capture_output=True, text=True)
@@ -122,12 +125,12 @@ def test_exports_are_flat_sources_with_their_functions_types_and_headers(install
 
 
 @pytest.mark.parametrize("host", ENGINES)
-def test_engines_of_the_web_draw_what_opengl_does(host, egl, engines, browser):
+def test_javascript_engines_draw_the_same_as_opengl(host, egl, engines, browser):
     check(draw(host, SCENES, engines)[1], desktop(SCENES)[1])
 
 
-def test_three_js_draws_with_the_brdf_of_docs_shaders_md(package, engines, browser, tmp_path):
-    """The snippet as it stands there: a surface seen along its normal, in one light."""
+def test_three_js_snippet_of_the_documentation(package, engines, browser, tmp_path):
+    """The unchanged snippet draws a surface that faces the camera, with one light."""
     document = (ROOT / "docs/shaders.md").read_text(encoding="utf-8")
     snippet = re.search(r"```js\n(.*?)```", document, re.DOTALL)[1]
     (tmp_path / "three").symlink_to(engines / "node_modules/three")
@@ -168,7 +171,7 @@ def test_three_js_draws_with_the_brdf_of_docs_shaders_md(package, engines, brows
 
 
 def reference(n, eye, position, lights, m: float, lobe: str):
-    """Specular radiance of lights, by their directions and irradiances, in float64."""
+    """Return the specular radiance of lights, given as directions and irradiances, in float64."""
     v = (eye - position) / np.linalg.norm(eye - position)
     return sum(
         np.asarray(irradiance) * max(n @ l, 0.0) * brdf.cook_torrance(n, l, v, m, 0.028, lobe=lobe)
@@ -178,7 +181,7 @@ def reference(n, eye, position, lights, m: float, lobe: str):
 
 @pytest.fixture(scope="module")
 def babylon(package, engines, browser, tmp_path_factory):
-    """The example for Babylon.js."""
+    """The page of the Babylon.js example."""
     folder = tmp_path_factory.mktemp("babylonjs")
     for path in (ROOT / "examples/babylonjs").glob("*.[hj]*"):
         shutil.copy(path, folder)
@@ -196,7 +199,7 @@ def babylon(package, engines, browser, tmp_path_factory):
 
 
 @pytest.mark.parametrize("lobe", ["exact", "d16", "fitted"])
-def test_highlights_of_the_babylonjs_example_are_the_float64_brdf(babylon, lobe):
+def test_highlights_of_the_babylonjs_example(babylon, lobe):
     babylon.select_option("#lobe", lobe)
     brightest = 0.0
     for at in [(225, 210), (260, 200), (300, 250), (420, 250), (460, 240)]:
@@ -212,7 +215,7 @@ def test_highlights_of_the_babylonjs_example_are_the_float64_brdf(babylon, lobe)
 
 @pytest.fixture(scope="module")
 def site(package, tmp_path_factory) -> Iterator[str]:
-    """Address of a built copy of the example for three.js."""
+    """The address of a built copy of the three.js example."""
     root = tmp_path_factory.mktemp("threejs")
     example = root / "examples" / "threejs"
     ignore = shutil.ignore_patterns("node_modules", "dist")
@@ -229,21 +232,21 @@ def site(package, tmp_path_factory) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def three(site, browser):
-    """A page for tests that say what they look at."""
+    """A page shared by tests that set its state."""
     with opened(browser, site, viewport={"width": 1200, "height": 800}) as page:
         yield page
 
 
 @pytest.fixture
 def moved(site, browser):
-    """A page for a test that moves the eye or the window."""
+    """A page for one test that changes the camera or the window."""
     with opened(browser, site, viewport={"width": 1200, "height": 800}) as page:
         yield page
 
 
 @pytest.mark.parametrize("shape", POINTS)
-def test_highlights_are_the_float64_brdf(three, shape):
-    """Within 1e-3 of max(reference, 1e-3), where a white diffuse surface shows about 1."""
+def test_highlights_agree_with_float64(three, shape):
+    """Errors are at most 1e-3 of max(reference, 1e-3); a white diffuse surface shows about 1."""
     three.select_option("#shape", shape)
     three.check("#specular")
     lights = [(light.direction, light.irradiance) for light in (LIGHTS["key"], LIGHTS["rim"])]
@@ -266,12 +269,12 @@ def test_highlights_are_the_float64_brdf(three, shape):
     assert brightest > 1.0
 
 
-def test_views_show_both_pictures_and_eight_times_their_difference(three):
+def test_views_show_both_images_and_their_difference(three):
     three.select_option("#shape", "sphere")
     three.check("#specular")
     three.fill("#m", "0.4")
     three.select_option("#lobe", "d16")
-    three.wait_for_timeout(500)  # for the frame that the controls asked for
+    three.wait_for_timeout(500)  # until the next frame is drawn
     views = [
         np.asarray(Image.open(io.BytesIO(figure.screenshot())).convert("RGB")) / 255
         for figure in three.locator("figure").all()
@@ -297,7 +300,7 @@ def test_dragging_turns_the_shape(moved):
     assert np.linalg.norm(np.subtract(after, before)) > 0.1
 
 
-def test_page_fits_a_telephone(moved):
+def test_page_fits_a_phone(moved):
     moved.set_viewport_size({"width": 420, "height": 800})
     inside = "[document.body.scrollWidth <= innerWidth, document.body.scrollHeight <= innerHeight]"
     assert moved.evaluate(inside) == [True, True]

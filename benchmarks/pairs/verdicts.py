@@ -73,7 +73,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Tally:
-    """The numbers of all pairs of a change, and of those that facerender found different."""
+    """The number of a change's pairs, and the number that facerender found different."""
 
     change: str
     must: Must

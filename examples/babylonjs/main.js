@@ -1,4 +1,4 @@
-// A sphere under two lights, with a lobe and a slope to choose.
+// A sphere under two lights, with controls for the lobe and m.
 import { LOBES, skinMaterial } from "./skin.js";
 
 const unit = vector => vector.map(each => each / Math.hypot(...vector));
@@ -31,7 +31,7 @@ window.addEventListener("resize", () => engine.resize());
 choose();
 engine.runRenderLoop(() => scene.render());
 
-/** What a pixel of the canvas shows: specular radiance, normal and place, in float. */
+/** Return specular radiance, normal and position at a pixel of the canvas, in float. */
 window.probe = async (x, y) => {
   const size = { width: engine.getRenderWidth(), height: engine.getRenderHeight() };
   const target = new BABYLON.RenderTargetTexture("probe", size, scene, {

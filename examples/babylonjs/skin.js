@@ -1,7 +1,7 @@
-// A material of Babylon.js with facerender's Cook-Torrance term under directional lights.
+// A Babylon.js material with facerender's Cook-Torrance term, for directional lights.
 import { cookTorrance } from "./node_modules/facerender-shaders/index.js";
 
-// Babylon.js compares macros as text: FR_LOBE needs the number of a lobe, not its name.
+// Babylon.js compares macros as text, so FR_LOBE must be the number of a lobe, not its name.
 export const LOBES = { exact: 1, cosine: 2, d4: 4, d8: 8, d16: 16, fitted: 3, "fitted-fine": 5 };
 const LIGHTS = 2;
 
@@ -23,7 +23,7 @@ ${cookTorrance}
 uniform vec3 eye, albedo;
 uniform vec3 towards[${LIGHTS}], irradiance[${LIGHTS}];
 uniform float m, f0;
-uniform int part;  // 0 the picture, 1 the specular term alone, 2 the normal, 3 the place
+uniform int part;  // output: 0 the image, 1 the specular radiance, 2 the normal, 3 the position
 varying vec3 place;
 varying vec3 across;
 
@@ -41,9 +41,11 @@ void main() {
 }`;
 
 /**
- * lights   [{ towards: unit vector, irradiance: [r, g, b] }, ...], as many as LIGHTS
- * lobe     one of LOBES
- * m, f0    rms slope, and reflectance at normal incidence
+ * Return a skin material.
+ *
+ * lights   array of LIGHTS objects { towards: unit vector to the light, irradiance: [r, g, b] }
+ * lobe     a key of LOBES
+ * m, f0    roughness (RMS slope), and reflectance at normal incidence
  */
 export function skinMaterial(scene, { lights, lobe = "exact", m = 0.3, f0 = 0.028 }) {
   const material = new BABYLON.ShaderMaterial(`skin ${lobe}`, scene, "skin", {

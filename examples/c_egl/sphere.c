@@ -1,9 +1,9 @@
-/* Draws ../sphere.frag without a window, with EGL and OpenGL 3.3 core:
+/* Renders ../sphere.frag without a window, with EGL and OpenGL 3.3 core:
  *
  *     ./sphere OUT.ppm [X,Y ...]
  *
- * writes the picture, sRGB-encoded, and prints the specular term of each pixel X,Y, row 0 on top,
- * as "X Y VALUE". */
+ * Writes the sRGB-encoded image. Prints the specular radiance of each pixel X,Y as "X Y VALUE"; row
+ * 0 is at the top. */
 #define GL_GLEXT_PROTOTYPES
 #include <EGL/egl.h>
 #include <EGL/eglext.h>
@@ -23,7 +23,7 @@ static const char *const fragment_lines[] = {
 };
 #define COUNT(array) ((GLsizei)(sizeof(array) / sizeof *(array)))
 
-static float pixels[SIZE][SIZE][CHANNELS]; /* as OpenGL has them: row 0 at the bottom */
+static float pixels[SIZE][SIZE][CHANNELS]; /* in OpenGL's order: row 0 at the bottom */
 
 static void fail(const char *what, unsigned code) {
     fprintf(stderr, "sphere: %s (0x%x)\n", what, code);

@@ -1,11 +1,11 @@
 #version 330 core
-// A bumpy sphere with a Cook-Torrance highlight, seen along -z. RGB is linear radiance, premultiplied
-// by alpha, the coverage.
+// A bumpy sphere with a Cook-Torrance highlight, in orthographic projection along -z. RGB is linear
+// radiance, premultiplied by alpha; alpha is the coverage.
 #include "facerender/cook_torrance.glsl"
 
 uniform float m;
 uniform float specular_weight;
-in vec2 p;  // across the picture; 1 is the sphere's radius
+in vec2 p;  // position in the image, in radii of the sphere
 out vec4 radiance;
 
 const vec3 light = normalize(vec3(-1.0, 1.0, 1.5));

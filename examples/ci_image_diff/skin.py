@@ -1,4 +1,4 @@
-"""The program under test: a renderer of its own, in plain moderngl."""
+"""The program under test: a custom renderer with moderngl."""
 
 from pathlib import Path
 
@@ -18,11 +18,11 @@ void main() {
 
 
 class Skin:
-    """Draws a ball of skin.
+    """Renderer of a sphere of skin.
 
     Attributes
     ----------
-    facts : of the driver, to be kept with every picture
+    facts : name and version of the driver, for the metadata of every image
     """
 
     def __init__(self, size: int = 160) -> None:
@@ -35,7 +35,7 @@ class Skin:
         self.facts = {name: self.gl.info[name] for name in ("GL_RENDERER", "GL_VERSION")}
 
     def draw(self, m: float = 0.3, specular_weight: float = 1.0) -> np.ndarray:
-        """Return linear RGB and coverage, (H, W, 4) float32, row 0 on top."""
+        """Return linear RGB and coverage, (H, W, 4) float32, row 0 at the top."""
         self.program["m"] = m
         self.program["specular_weight"] = specular_weight
         self.target.use()

@@ -1,4 +1,4 @@
-"""Pictures against their goldens, in goldens/. After a change that is meant:
+"""Compare images with their goldens in goldens/. After an intended change:
 
 pytest --facerender-update
 """
@@ -8,7 +8,7 @@ import os
 import pytest
 from skin import Skin
 
-# What somebody broke: SKIN_WEIGHT=0.97 pytest
+# Simulates a fault: SKIN_WEIGHT=0.97 pytest
 WEIGHT = float(os.environ.get("SKIN_WEIGHT", "1"))
 
 

@@ -112,7 +112,7 @@ function resize() {
   const ratio = renderer.getPixelRatio();
   pictures.forEach((picture) => picture.setSize(width * ratio, height * ratio));
   camera.aspect = width / height;
-  camera.zoom = Math.min(1, camera.aspect / 0.7); // the head's width, in narrow views
+  camera.zoom = Math.min(1, camera.aspect / 0.7); // fits the head's width in narrow views
   camera.updateProjectionMatrix();
   draw();
 }
@@ -148,7 +148,7 @@ function render(material, target) {
 const pixel = new THREE.WebGLRenderTarget(1, 1, { type: THREE.FloatType });
 const raycaster = new THREE.Raycaster();
 
-/** What a pixel of a view shows: linear radiance, exact and approximated, and world geometry. */
+/** Return linear radiance, exact and approximated, and world-space geometry at a pixel of a view. */
 function probe(x, y) {
   camera.setViewOffset(figures[0].clientWidth, figures[0].clientHeight, x, y, 1, 1);
   raycaster.setFromCamera(new THREE.Vector2(), camera);
@@ -182,7 +182,7 @@ function point({ offsetX, offsetY }) {
 function read() {
   const found = pointer && probe(...pointer);
   if (!found) {
-    $("#readout").textContent = "Drag to turn, scroll to zoom; point at the surface to read it.";
+    $("#readout").textContent = "Drag to rotate, scroll to zoom, point at the surface to read values.";
     return;
   }
   const [a, b] = [found.exact, found.approximation].map(
@@ -202,4 +202,4 @@ for (const type of ["pointermove", "pointerdown"]) {
 }
 new ResizeObserver(resize).observe(main);
 update();
-window.probe = probe; // for the console, and for tests/test_web.py
+window.probe = probe; // for the browser's console and tests/test_web.py

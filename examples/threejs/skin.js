@@ -1,5 +1,5 @@
-// A standard material of three.js whose specular term is facerender's: lights, maps and colour
-// management stay three.js's own, so that it takes the place of MeshStandardMaterial in a scene.
+// A three.js material with facerender's specular term. It can replace MeshStandardMaterial in a
+// scene, because it keeps the lights, maps and colour management of three.js.
 import { MeshStandardMaterial } from "three";
 import { cookTorrance } from "facerender-shaders";
 
@@ -21,12 +21,12 @@ void RE_Direct_Skin(const in IncidentLight light, const in vec3 position, const 
 `;
 
 /**
- * Lambert's diffuse term and the Cook-Torrance specular term. Roughness, metalness and
- * environment maps do not count.
+ * A material with Lambert's diffuse term and the Cook-Torrance specular term. It ignores
+ * roughness, metalness and environment maps.
  *
  * lobe    exact, cosine, d4, d8, d16, fitted or fitted-fine; set needsUpdate after a change
- * m, f0   uniforms, { value }, which materials may share: rms slope, in [1e-4, 0.7] for the
- *         approximations, and reflectance at normal incidence
+ * m, f0   uniforms { value }, which several materials may share: roughness (RMS slope), in
+ *         [1e-4, 0.7] for approximations, and reflectance at normal incidence
  */
 export class SkinMaterial extends MeshStandardMaterial {
   constructor({ lobe = "exact", m = { value: 0.3 }, f0 = { value: 0.028 }, ...parameters } = {}) {

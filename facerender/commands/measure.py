@@ -25,6 +25,7 @@ from facerender.job import MeshFile
 from facerender.loading import load_mesh
 from facerender.scenes.material import Material
 from facerender.system.atomic import make_folder
+from facerender.terms.ranges import range_of
 
 
 def add(measure: argparse.ArgumentParser) -> None:
@@ -53,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
     from facerender.measure.run import measure
 
     plots.check()
+    range_of(Material, "m").check("m", options.m)
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
     check_outputs(files, mesh_files(MeshFile(options.mesh)))

@@ -1,4 +1,4 @@
-"""The catalogue of the shader library's functions, parsed from the comments of its files.
+"""The catalogue of the shader library's functions, parsed from the comments in the GLSL files.
 
 Each file has a header comment, and a function may have a comment above it. A comment begins with a
 sentence; lines ``//   key: text`` follow. Deeper indented lines continue the text of a key."""
@@ -24,8 +24,8 @@ class Function:
     name, signature : such as "fr_ward" and its GLSL declaration
     file : path for an include line
     summary : first sentence of the comment
-    parameters : meaning, unit and domain of each parameter, by name
-    formula, unit, error, source : texts of these keys
+    parameters : meaning, unit and domain of each parameter, keyed by the parameter name
+    formula, unit, error, source : texts of the keys with these names
     result : text of the key "returns"; "" if the comment does not have it
     """
 
@@ -43,7 +43,7 @@ class Function:
 
 @cache
 def functions() -> tuple[Function, ...]:
-    """Return all public functions of the library, sorted by file, then in the order of the file."""
+    """Return all public functions of the library, in alphabetical order of the files."""
     return tuple(function for name in library() for function in _functions(name))
 
 

@@ -54,7 +54,7 @@ def file_of(term: Term, two_lobes: bool) -> str:
 
 
 def call(term: Term, second_slope: float | None = None) -> str:
-    """Return the GLSL expression of a term, in 1/sr. It uses vec3 n, l, v and float m, f0.
+    """Return the GLSL expression of a term, in 1/sr, a function of vec3 n, l, v and float m, f0.
 
     second_slope : ratio of the second lobe's m to the first, for materials with two lobes; the
         expression then also uses float second_m and lobe_weight. None for one lobe
@@ -73,7 +73,7 @@ def call(term: Term, second_slope: float | None = None) -> str:
 def environment_call(term: Term, second_slope: float | None = None) -> str:
     """Return the GLSL expression of the radiance (vec3) that a term reflects from an environment.
 
-    It uses vec3 n, v and float m, f0. For second_slope see :func:`call`.
+    The expression uses vec3 n, v and float m, f0. For second_slope see :func:`call`.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def environment_call(term: Term, second_slope: float | None = None) -> str:
 
 def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
     """Return m of both lobes as GLSL: numbers if the term has a constant m, otherwise variables.
-    The second is "" if there is one lobe."""
+    The second string is "" if there is one lobe."""
     second = None if second_slope is None else term.second(second_slope).slope("second_m")
     first, other = (
         each if isinstance(each, str) else repr(float(each))
@@ -109,8 +109,8 @@ def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:
     """Return the macros that the terms of a program share.
 
-    They select the lobe (all lobes, if the terms differ), the parameters of the g-power, and
-    accurate small angles, if at least one term needs them.
+    The macros select the lobe (all lobes, if the terms have different lobes) and the parameters of
+    the g-power. FR_SMALL_SLOPE is 0 if there are exact lobes and none needs accurate small angles.
     """
     lobes = {term: lobe_entry(term.lobe) for term in terms}
     names = {lobe.macro for lobe in lobes.values()}

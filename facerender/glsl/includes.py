@@ -1,5 +1,5 @@
-"""Resolution of GLSL ``#include`` lines; each file is inserted once. Conditions remain for the
-compiler; ``preprocessor.py`` evaluates them. This module is independent of the shader library."""
+"""Resolution of GLSL ``#include`` lines. Conditions remain in the text for the compiler;
+``preprocessor.py`` evaluates them instead. This module is independent of the shader library."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 from facerender.errors import InputError, reason
 
-DEEPEST = 64  # nested includes
+DEEPEST = 64  # Largest number of nested includes.
 IF = ("if", "ifdef", "ifndef")
 
 _COMMENT_OR_STRING = re.compile(r'"[^"\n]*"|//(?:\\\n|[^\n])*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _DIRECTIVE = re.compile(r"^[ \t]*#[ \t]*(\w+)[ \t]*([^\n]*)", re.MULTILINE)
 _INCLUDE = re.compile(r'"([^"]+)"|<([^>]+)>')
 _NOTHING = re.compile(r"(?:\s|//[^\n]*)*")
-_Identity = tuple[int, int]  # device and inode number of a file
+_Identity = tuple[int, int]  # Device and inode number of a file.
 
 
 class Directive(NamedTuple):
@@ -28,8 +28,8 @@ class Directive(NamedTuple):
 
     Attributes
     ----------
-    start, end : range of the line in its text, without the newline
-    name, rest : such as "define" and "FR_LOBE 1", without comments
+    start, end : indices in the text at which the line starts and ends, without the newline
+    name, rest : words of the line, without comments, such as "define" and "FR_LOBE 1"
     """
 
     start: int
@@ -44,7 +44,7 @@ class Scan(NamedTuple):
     Attributes
     ----------
     text : the text, without comments that begin on the line of a directive and end on a later line
-    directives : in the order of the text
+    directives : directives in the order of the text
     guarded : whether the first and the last directive form an include guard around the whole text
     """
 
@@ -95,7 +95,7 @@ def _blank(match: re.Match[str]) -> str:
 
 def _blank_behind_directive(match: re.Match[str]) -> str:
     """Replace a comment by spaces if it begins on a directive's line and ends on a later one.
-    Otherwise the rest of the comment would become code when the directive is removed."""
+    Otherwise the later lines of the comment would become code when the directive is removed."""
     line = match.string[match.string.rfind("\n", 0, match.start()) + 1 : match.start()]
     return _blank(match) if "\n" in match[0] and line.lstrip().startswith("#") else match[0]
 
@@ -103,8 +103,9 @@ def _blank_behind_directive(match: re.Match[str]) -> str:
 class Includes:
     """Text from files that include each other.
 
-    Each file is inserted once. A file that is included in a branch of a condition is inserted again
-    when it is included outside the branch. ``#line`` directives preserve line numbers.
+    Each file is inserted once, with one exception. If a file was inserted within a branch of a
+    condition, an include outside the branch inserts it again, because the compiler may skip the
+    branch. ``#line`` directives preserve line numbers.
 
     Attributes
     ----------
@@ -120,8 +121,9 @@ class Includes:
         self.files: list[str] = []
         self._parts: list[str] = []
         self._root = os.path.realpath(root)
-        self._chain: list[tuple[_Identity, str]] = []  # files being read, outermost first
-        # Files included outside all conditions, then files included in each open branch.
+        self._chain: list[tuple[_Identity, str]] = []  # Files being read, outermost first.
+        # The first set holds the files included outside all conditions. Each further set holds the
+        # files included in an open branch.
         self._scopes: list[set[_Identity]] = [set()]
 
     @property
@@ -158,7 +160,7 @@ class Includes:
         """
         text, directives, guarded = scan(text)
         source, at = len(self.files), 0
-        counts: list[int] = []  # number of files before each open condition
+        counts: list[int] = []  # Number of inserted files before each open condition.
         if path:
             self._parts.append(f"#line 1 {source}  // {self.files[-1]}\n")
         for each in directives[1:-1] if guarded else directives:
@@ -172,7 +174,7 @@ class Includes:
                 if each.name == "endif":
                     self._scopes.pop()
                     counts.pop()
-                if len(self.files) > before:  # a compiler ignores #line in a branch that it skips
+                if len(self.files) > before:  # Compilers ignore #line in a skipped branch.
                     self._parts += text[at : each.end], f"\n#line {_line(text, each) + 1} {source}"
                     at = each.end
             elif each.name == "include":
@@ -222,7 +224,7 @@ class Includes:
         root = os.path.join(self._root, "")
         whole = os.path.normpath(path)
         if not whole.startswith(root):
-            whole = os.path.realpath(path)  # a link may lead into the library
+            whole = os.path.realpath(path)  # A link may lead into the library.
         inside = whole.startswith(root)
         return whole.removeprefix(root).replace(os.sep, "/") if inside else path
 
@@ -247,8 +249,8 @@ def _line(text: str, directive: Directive) -> int:
 
 
 def _identity(status: os.stat_result) -> _Identity:
-    """Return device and inode number, which are equal for all links to a file. This is faster than
-    resolving paths."""
+    """Return device and inode number, which are equal for all links to a file. Comparing these
+    numbers is faster than resolving paths."""
     return status.st_dev, status.st_ino
 
 

@@ -1,5 +1,5 @@
 """The GLSL library: its directory, and its files as flat text for a target, with macros resolved.
-``catalogue.py`` lists its functions. No OpenGL here."""
+``catalogue.py`` lists the functions."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ def shader_source(
 ) -> str:
     """Return a library file, or a GLSL file that includes library files, as flat text.
 
-    Each included file is inserted once. The text begins with a comment on licence and origin.
+    Each file is inserted once, except that a file included within a condition may be inserted again
+    outside it. The text begins with a comment on licence and origin.
 
     Parameters
     ----------
@@ -67,9 +68,9 @@ def shader_source(
     target : "330" (OpenGL 3.3), "es300" (OpenGL ES 3.0, WebGL 2) or "vulkan" (GLSL 450): the text
         begins with this ``#version``, and host code may follow. "hlsl", "msl" (Metal) or "wgsl":
         the text is translated to this language, with all macros resolved. None (default): GLSL to
-        include, the same for all versions
+        include in a program, the same for all GLSL versions
     lobe : lobe for ``fr_lobe`` and the BRDFs; the code of other lobes is omitted. None (default):
-        the host may select one with ``#define FR_LOBE``; otherwise the exact lobe is used
+        the host may select a lobe with ``#define FR_LOBE``; otherwise the exact lobe is used
     m : RMS slope, in the domain of the lobe. All functions use this constant and ignore their
         parameter m; coefficients of the lobe become constants. None (default): use the parameter
 
@@ -97,7 +98,7 @@ def term_source(
 
     target : see :func:`shader_source`, also for errors
     smallest_m : lowest m of the material, for terms without a constant m
-    two_lobes : return the function of two lobes, whose slopes remain parameters
+    two_lobes : whether to return the function with two lobes; both slopes remain parameters
     """
     one = replace(term, m=None) if two_lobes else term
     macros = term_macros(one, smallest_m)
@@ -122,7 +123,7 @@ def _flat(
     closed = target in LANGUAGES
     flat = Preprocessor(shader_dir(), chosen, guards=target is None, closed=closed)
     flat.append_file(path)
-    if len(set(flat.files)) < len(flat.files):  # a file occurs twice: keep the include guards
+    if len(set(flat.files)) < len(flat.files):  # A file occurs twice: keep the include guards.
         flat = Preprocessor(shader_dir(), chosen, closed=closed)
         flat.append_file(path)
     if lobe is not None and "facerender/lobe.glsl" not in flat.files:
@@ -156,11 +157,12 @@ def _flat(
 
 
 def resolve_includes(text: str) -> str:
-    """Resolve the ``#include`` lines of GLSL, for files below :func:`shader_dir`.
+    """Resolve the ``#include`` lines in GLSL text that includes files below :func:`shader_dir`.
 
-    ``"file"`` and ``<file>`` are accepted. Each file is inserted once, and conditions remain for
-    the compiler. ``#line`` directives preserve line numbers in compiler messages: your text is
-    source string 0, and included files are numbered from 1.
+    ``"file"`` and ``<file>`` are accepted. Each file is inserted once, except that a file included
+    within a condition may be inserted again outside it. Conditions remain for the compiler.
+    ``#line`` directives preserve line numbers in compiler messages: your text is source string 0,
+    and included files are numbered from 1.
 
     Raises
     ------
@@ -186,8 +188,8 @@ def translated(text: str, language: Language) -> str:
 
 
 def moderngl_includes(context: moderngl.Context) -> None:
-    """Register all library files as includes of a moderngl context. Its programs may then contain
-    lines such as ``#include "facerender/cook_torrance.glsl"``, in quotes."""
+    """Register all library files as includes of a moderngl context. Programs of the context may
+    then contain lines such as ``#include "facerender/cook_torrance.glsl"``, in quotes."""
     check_type("context", getattr(context, "includes", None), dict, "a moderngl.Context")
     for name in library():
         context.includes[f"facerender/{name}.glsl"] = shader_source(name)

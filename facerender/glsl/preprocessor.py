@@ -1,4 +1,5 @@
-"""A partial GLSL preprocessor: it evaluates conditions that known macros decide, for flat files."""
+"""A partial GLSL preprocessor for flat files, which evaluates conditions that depend on known
+macros."""
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ _COMPARE = {
 
 @dataclass
 class _Conditional:
-    """A block from #if to #endif. It remains in the text unless known macros decide it."""
+    """A block from #if to #endif. The #if remains in the text unless known macros decide it."""
 
-    over: bool  # no later branch can be taken
-    guard: bool  # this is the include guard of a file
-    active: bool = False  # the current branch may be taken
-    stays: bool = False  # the condition remains in the text
-    included: set[tuple[int, int]] = field(default_factory=set)  # files of the current branch
+    over: bool  # No later branch can be taken.
+    guard: bool  # This is the include guard of a file.
+    active: bool = False  # The current branch may be taken.
+    stays: bool = False  # The condition remains in the text.
+    included: set[tuple[int, int]] = field(default_factory=set)  # Files included in this branch.
 
     @property
     def open(self) -> bool:
@@ -41,10 +42,11 @@ class _Conditional:
 
 
 class Preprocessor(Includes):
-    """Flat text from files that include each other. Each file is inserted once, without ``#line``.
+    """Flat text from files that include each other, without ``#line`` directives.
 
     Conditions that known macros decide are removed, with the branches not taken. Such conditions
-    consist of comparisons, ``defined`` and names, with ``!``, ``&&`` and ``||``; others remain.
+    consist of comparisons, ``defined`` and names, with ``!``, ``&&`` and ``||``. All other
+    conditions remain in the text.
 
     Attributes
     ----------
@@ -65,7 +67,7 @@ class Preprocessor(Includes):
         root : see :class:`Includes`
         chosen : values of macros that are set outside the text
         guards : whether include guards remain in the text
-        closed : whether other macros count as undefined, so that all conditions are decided
+        closed : whether all unknown macros count as undefined, so that all conditions are decided
         """
         super().__init__(root)
         self.version = ""
@@ -193,7 +195,7 @@ class Preprocessor(Includes):
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
     def _store(self, each: Directive, text: str, path: str) -> None:
-        """Store a macro's value, if the line is compiled in every case."""
+        """Store a macro's value, if no condition that remains in the text encloses the line."""
         match = _MACRO.match(each.rest)
         if match and match[1] in self._chosen:
             message = f"defines {match[1]}, which lobe or m sets: remove the line or the argument"

@@ -54,9 +54,9 @@ _OTHER_STATEMENTS = {"do", "switch", "case", "default", "discard"}
 
 @dataclass(frozen=True)
 class Token:
-    kind: str  # number, name, sign
+    kind: str  # "number", "name", "sign" or "end".
     text: str
-    before: str = ""  # comments and spaces
+    before: str = ""  # Comments and spaces before the token.
 
 
 @dataclass
@@ -67,8 +67,8 @@ class Node:
     ----------
     kind : such as "call", "ternary" or "if"
     parts : tokens and child nodes, in source order
-    type : type of an expression, with matrices as matCxR; "" for other nodes
-    name : name of a call, function, variable or parameter; "" for other nodes
+    type : type of an expression, variable, parameter or result; matrices are written matCxR
+    name : name of a call, function, variable or parameter, or the components of a swizzle
     """
 
     kind: str
@@ -196,13 +196,13 @@ def _replaced(
 
 
 def _with(code: Sequence[Token], place: Token) -> list[Token]:
-    """Return tokens with the comments and spaces of `place` in front of the first one."""
+    """Return tokens with the comments and spaces of `place` in front of the first token."""
     return [replace(each, before=each.before if i else place.before) for i, each in enumerate(code)]
 
 
 def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
-    """Return a macro's arguments, and the index after them; at : index of the opening
-    parenthesis."""
+    """Return a macro's arguments, and the index of the token after them; at : index of the
+    opening parenthesis."""
     arguments: list[list[Token]] = [[]]
     depth = 0
     while at < len(code):
@@ -222,7 +222,7 @@ class Parser:
 
     Attributes
     ----------
-    functions : signatures of the parsed functions, by name
+    functions : signatures of the parsed functions, keyed by the function name
     """
 
     def __init__(self, code: list[Token]) -> None:
@@ -230,7 +230,7 @@ class Parser:
         self._scopes: list[dict[str, str]] = [{}]
         self.functions: dict[str, Function] = {}
         self._function = Function("", [])
-        self._conditions = 0  # number of enclosing ?:, && and || operators
+        self._conditions = 0  # Number of enclosing ?:, && and || expressions.
 
     def program(self) -> list[Node]:
         """Return the declarations; the last node holds the comments and spaces after them.
@@ -363,8 +363,8 @@ class Parser:
         return Node("expression", [self._changed(), self._take(";")])
 
     def _variables(self) -> Node:
-        """Parse a declaration. Its parts are tokens and one node for each variable, with the name
-        and the value, if any."""
+        """Parse a declaration. The parts of its node are tokens and one node for each variable. A
+        variable's node contains the name and, if there is one, the value."""
         start = self._at
         constant = False
         while self._next.text in QUALIFIERS:
@@ -389,7 +389,7 @@ class Parser:
         """Parse an expression that is a statement.
 
         Only such an expression may assign: WGSL allows no other assignments, and HLSL evaluates
-        both operands of conditions.
+        both operands of ``&&`` and ``||``.
         """
         if self._next.text in _STEP:
             sign, operand = self._take(), self._unary()

@@ -66,7 +66,8 @@ class Writer:
     Attributes
     ----------
     head : first lines of a file
-    types, functions : names of types and functions that differ from GLSL, by GLSL name
+    types, functions : names of types and of functions in the target language, keyed by the GLSL
+        name; types and functions with equal names may be missing
     """
 
     head = ""
@@ -122,16 +123,17 @@ class Writer:
 
 
 def _joined(texts: Sequence[str]) -> str:
-    """Join arguments with commas. An argument that begins on a new line stays on it."""
+    """Join arguments with commas. An argument that begins on a new line stays on that line."""
     return "".join(
         ("," if text[:1] in "\n" else ", ") * bool(i) + text for i, text in enumerate(texts)
     )
 
 
 def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, str]:
-    """Return the names of types by GLSL name.
+    """Return the type names of the target language, keyed by the GLSL name of each type.
 
-    form : format strings of "vector" and "matrix" types; scalars : names of scalar types
+    form : format strings for "vector" and "matrix" types
+    scalars : names of the scalar types, keyed by the GLSL name
     """
     vectors = {
         name: form["vector"].format(scalars[scalar], count)
@@ -145,8 +147,8 @@ def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, s
 
 
 class Hlsl(Writer):
-    """HLSL. A column of a GLSL matrix becomes a row, so that [i] and constructors have the same
-    meaning. Therefore products reverse the order of their operands."""
+    """HLSL. A column of a GLSL matrix becomes a row of the HLSL matrix, so that [i] and
+    constructors have the same meaning. Therefore products reverse the order of their operands."""
 
     types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
     functions: ClassVar[Mapping[str, str]] = {
@@ -270,7 +272,7 @@ class Wgsl(Writer):
         for part in self.arguments(node):
             value = "".join(map(self.text, part.parts[1:]))
             word = "var" if part.name in self._assigned or not value else fixed
-            same = [each.type == part.type for each in self.arguments(part)]  # one item: the value
+            same = [each.type == part.type for each in self.arguments(part)]  # One item: the value.
             type_ = "" if word == "let" and same == [True] else f": {self.types[part.type]}"
             texts.append(f"{word} {self.word(part.name)}{type_}{value};")
         return _before(node) + " ".join(texts)

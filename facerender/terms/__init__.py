@@ -1,7 +1,7 @@
 """Registry of lobes, Fresnel terms, masking terms and models.
 
-Each entry names its GLSL, its float64 reference, its domain and its error bounds. The command line,
-the documents, the prices, the planner and the tests enumerate the entries."""
+Each entry contains the GLSL call, float64 reference, domain and error bounds of a term. The command
+line, the documents, the prices, the planner and the tests enumerate the entries."""
 
 from facerender.terms.fresnel import FRESNEL, Fresnel
 from facerender.terms.lobe import LOBES, AnyLobe, GPower, Lobe, lobe_entry

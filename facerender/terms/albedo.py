@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
-ENDS = (0.05, 1.0)  # of m; values outside are clamped
-LOWEST = 0.02  # square root of the cosine; smaller values are clamped
-RAISED = 0.0061  # offset in the fit, so that it is nowhere below the integral
+ENDS = (0.05, 1.0)  # Range of m; values outside are clamped.
+LOWEST = 0.02  # Lowest square root of the cosine; smaller values are clamped.
+RAISED = 0.0061  # Offset added to the fit, so that the fit is nowhere below the integral.
 # Coefficients of s^i t^j in row i and column j, with s = 2 sqrt(cosine) - 1 and t = m scaled to
-# [-1, 1]: first the factor of f0, then the rest.
+# [-1, 1]. The first table is the factor of f0; the second table is added to it.
 FITS = np.array(
     [
         [
@@ -45,15 +45,16 @@ def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Flo
     """Return the fraction of the light from one direction that Cook-Torrance reflects.
 
     The value is a fit for the exact lobe, Schlick's Fresnel term and V-cavities. It is 0 to 0.0125
-    above the integral.
+    above the integral of BRDF (N.L).
 
     Parameters
     ----------
     n_dot_v : cosine of the angle between direction and normal, in [0, 1]; clamped to at least 4e-4
     m : roughness: RMS slope of the microfacets; clamped to [0.05, 1]
-    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; above, up to 0.008 f0 more error
+    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; the error grows by up to
+        0.008 f0 for larger values
 
-    References: Kelemen and Szirmay-Kalos (2001), who tabulate it.
+    References: Kelemen and Szirmay-Kalos (2001), who tabulate the albedo.
     """
     x = np.clip(np.sqrt(np.clip(n_dot_v, 0.0, 1.0)), LOWEST, 1.0)
     powers = (2.0 * x - 1.0)[..., None] ** np.arange(len(MEANS))
@@ -69,13 +70,13 @@ def cook_torrance_albedo_mean(m: ArrayLike, f0: ArrayLike) -> Float:
 def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -> Float:
     """Return the factor on a Lambertian term that makes it energy-conserving.
 
-    The factor is (1 - albedo_l) (1 - albedo_v)/(1 - mean); it is reciprocal.
+    The factor is (1 - albedo_l) (1 - albedo_v)/(1 - mean). It keeps the BRDF reciprocal.
 
     Parameters
     ----------
     albedo_l, albedo_v : directional albedos of the specular term for the directions to the light
         and to the camera, times the specular weight; clamped to at most 1
-    mean : mean of this albedo over the hemisphere; clamped to at most 0.5
+    mean : cosine-weighted mean of this albedo over the hemisphere; clamped to at most 0.5
 
     References: Kelemen and Szirmay-Kalos (2001).
     """

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from facerender.errors import InputError
 
-ULP = 2.0**-23  # of float32
+ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -19,7 +19,7 @@ class Entry:
     ----------
     name : name in options and scene files, for example "v-cavity"
     file : file of the shader library that defines the term, for example "masking/v_cavity"
-    call : GLSL expression of the term; the subclass lists its variables
+    call : GLSL expression of the term; each subclass documents the variables of the expression
     """
 
     name: str
@@ -28,7 +28,7 @@ class Entry:
 
     @property
     def word(self) -> str:
-        """Name in the GLSL macros, for example "V_CAVITY"."""
+        """Name of the term in GLSL macros, for example "V_CAVITY"."""
         return self.name.upper().replace("-", "_")
 
 
@@ -36,12 +36,12 @@ E = TypeVar("E", bound=Entry)
 
 
 def registry(*entries: E) -> dict[str, E]:
-    """Return the entries by name, in the given order."""
+    """Return the entries keyed by their names, in the given order."""
     return {entry.name: entry for entry in entries}
 
 
 def named(kind: str, entries: Mapping[str, E], name: object) -> E:
-    """Return the entry with a name.
+    """Return the entry with this name.
 
     Raises
     ------

@@ -3,8 +3,8 @@
 ``scenes/environment.py`` computes the maps and coefficients.
 
 Vectors are arrays of shape (..., 3) that broadcast against one another, m of shape (...).
-``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order; the parameter ``samples``
-replaces a macro.
+``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order. The parameter
+``samples`` replaces the macro FR_ENVIRONMENT_SAMPLES.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from facerender.terms.model import (
 
 Float = NDArray[np.float64]
 
-SAMPLES = 32  # FR_ENVIRONMENT_SAMPLES
-_COARSEST = 2  # log2 of the side of the last level in texels
-_NEAR = 1e-3  # sine between camera direction and normal; below it the tangent is arbitrary
-_TURN = 1.94161104  # radians between consecutive slopes: pi over the golden ratio
+SAMPLES = 32  # Value of FR_ENVIRONMENT_SAMPLES in GLSL.
+_COARSEST = 2  # Logarithm (base 2) of the side of the last level in texels.
+_NEAR = 1e-3  # Sine between camera direction and normal; smaller sines get an arbitrary tangent.
+_TURN = 1.94161104  # Radians between consecutive slopes: pi over the golden ratio.
 
 
 def harmonics(n: ArrayLike) -> Float:
-    """Return 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y² of vectors, (..., 9)."""
+    """Return 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y² of vectors n = (x, y, z), (..., 9)."""
     x, y, z = np.moveaxis(np.asarray(n, dtype=np.float64), -1, 0)
     of_degree_2 = (x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y)
     return np.stack([np.ones_like(x), y, z, x, *of_degree_2], axis=-1)
 
 
 def environment_irradiance(sh: ArrayLike, n: ArrayLike) -> Float:
-    """Return the irradiance (..., 3) of surfaces from nine coefficients (9, 3); at least 0.
+    """Return the irradiance (..., 3), at least 0, from nine harmonic coefficients sh (9, 3).
 
     References: Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
     environment maps".
@@ -142,8 +142,8 @@ def reflected(
 ) -> Float:
     """Return the radiance (..., 3) that a BRDF with the exact lobe reflects.
 
-    It is the mean of BRDF (N.L) radiance divided by the density E/(4 π m² (N.H)³ (V.H)) of the
-    samples.
+    The result is the mean of BRDF (N.L) (radiance of the map)/density over the samples. The density
+    of the samples is E/(4 π m² (N.H)³ (V.H)).
 
     Parameters
     ----------
@@ -171,8 +171,8 @@ def reflected(
 def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
     """Return two tangent axes of normals (..., 3).
 
-    The first axis points along the tangential part of the camera direction. It is arbitrary where
-    the camera looks along the normal.
+    The first axis points along the tangential part of the camera direction. This axis is arbitrary
+    where the camera looks along the normal.
     """
     aside = v - dot(n, v)[..., None] * n
     length = np.sqrt(dot(aside, aside))[..., None]
@@ -199,7 +199,7 @@ def environment_sample(
     ----------
     axes : result of :func:`environment_axes`
     towards : direction of the slope in these axes, (2,)
-    i : number of the slope
+    i : number of the slope, from 0 to samples/2 - 1
     """
     rest = 1.0 - (i + 0.5) / (samples // 2)
     radius = m * np.sqrt(-np.log(rest))

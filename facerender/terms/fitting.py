@@ -1,4 +1,4 @@
-"""Fits of g-power lobes to slopes, which the planner tries. ``tools/fits/lobes.py`` computes the
+"""Fits of g-power lobes to ranges of slopes, for the planner. ``tools/fits/lobes.py`` computes the
 constants of the fitted lobes."""
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ import numpy as np
 from facerender.terms import lobe as lobes
 from facerender.terms.lobe import GPower
 
-G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # each needs few products
+G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # Each power needs few products.
 
 
 @lru_cache(maxsize=1024)
 def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | None:
-    """Return the best g-power lobe for a range of slopes, or None if its domain excludes an end.
+    """Return the best g-power lobe for a range of slopes; None if its domain excludes an end of it.
 
-    For one slope it is the best uniform approximation. For a range it is the fit that is closest to
-    the best approximations of five slopes.
+    For one slope the lobe is the best uniform approximation of the exact lobe. For a range it
+    is the lobe that is closest to the best approximations at five slopes of the range.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
     """
     slopes = np.unique(np.geomspace(smallest, largest, 5)) if smallest < largest else [smallest]
     best = np.array([_steepness(k, g, m) for m in slopes])
-    # relative least squares for steepness = factor/m² - offset
+    # Least squares of the relative error of steepness = factor/m² - offset.
     terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
     columns = 2 if len(slopes) > 1 else 1
     relative = terms[:, :columns] / best[:, None]
@@ -40,8 +40,9 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
 
 def _steepness(k: int, g: int, m: float) -> float:
     """Return the steepness of the g-power whose largest errors above and below the exact lobe are
-    equal. Bisection finds it, because a steeper lobe is lower at every angle."""
-    c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # the lobe is negligible at larger angles
+    equal. Bisection finds this steepness, because a steeper lobe is lower at every
+    angle."""
+    c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # The lobe is tiny at larger angles.
     exact = lobes.exact(c, m, k)
     low, high = 0.0, 40.0 / (g * m * m)
     for _ in range(50):

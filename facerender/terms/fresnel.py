@@ -16,14 +16,14 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fresnel(Entry):
-    """A Fresnel term. Its call uses float f0 and v_dot_h; its macro is FR_FRESNEL_NAME.
+    """A Fresnel term. The GLSL call uses float f0 and v_dot_h; the macro is FR_FRESNEL_NAME.
 
     Attributes
     ----------
     number : value of the macro, unique
     evaluate : float64 reference; checks the domain
     rounding : float32 error bounds, relative and absolute, as a function of f0 and V.H
-    exactness : a plan may replace the term by terms of equal or lower exactness
+    exactness : rank among the terms; a plan may replace a term by terms of equal or lower rank
     """
 
     number: int
@@ -73,11 +73,11 @@ def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
     References: Cook and Torrance (1982).
     """
     root = np.sqrt(_check_f0(f0))
-    q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1
+    q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1.
     c = np.clip(np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
-    g = np.sqrt(q + c**2)  # eta times the cosine of the refracted ray
-    # Amplitudes (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g): with c - g = -q/(c + g) nothing
-    # cancels. At c = 0 and f0 = 0 both are 0/0; the limit for c > 0 is no reflection.
+    g = np.sqrt(q + c**2)  # The cosine of the refracted ray, times eta.
+    # Amplitudes (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g): with c - g = -q/(c + g) no digits
+    # cancel. At c = 0 and f0 = 0 both amplitudes are 0/0; their limit for c > 0 is 0.
     total = np.maximum(c + g, 1e-300)
     s = q / total / total
     p = q * (c - 1.0 / total) / np.maximum((1.0 + q) * c + g, 1e-300)
@@ -104,7 +104,8 @@ FRESNEL: dict[str, Fresnel] = registry(
         file="fresnel/dielectric",
         call="fr_fresnel_dielectric(f0, v_dot_h)",
         evaluate=fresnel_dielectric,
-        # square root, division and square: 10 ulp; cancellation in the difference is absolute
+        # Square root, division and square: 10 ulp. The cancellation in c (g + c) - 1 causes an
+        # absolute error.
         rounding=lambda f0, v_dot_h: (16.0 * ULP, 16.0 * ULP * f0),
         exactness=2,
     ),
@@ -121,5 +122,5 @@ FRESNEL: dict[str, Fresnel] = registry(
 
 
 def fresnel(f0: ArrayLike, v_dot_h: ArrayLike, kind: str = "schlick") -> Float:
-    """Return the reflectance of a Fresnel term by name; "constant" is f0."""
+    """Return the reflectance of the Fresnel term `kind`; "constant" returns f0."""
     return named("Fresnel term", FRESNEL, kind).evaluate(f0, v_dot_h)

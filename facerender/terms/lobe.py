@@ -1,8 +1,8 @@
 """The lobe E/c^k and its approximations: registry entries and float64 references.
 
 All models use the slope factor E = exp(-tan² γ / m²) divided by a power of c = cos γ: k = 4 in
-Cook-Torrance, k = 0 in Ward. All functions are 1 at c = 1; the models (``model.py``) multiply by
-their scale. ``lobes.f`` is ``fr_lobe_f`` in GLSL.
+Cook-Torrance, k = 0 in Ward. Every lobe has the value 1 at c = 1 (γ = 0); the models
+(``model.py``) multiply it by their scale. ``lobes.NAME`` is ``fr_lobe_NAME`` in GLSL.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ Rounding = Callable[[Float, Float, int], tuple[Float | float, Float | float]]
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
 SLOPES = Range(MIN_SLOPE, MAX_SLOPE)
-TINY = 1.2e-38  # smallest normal float32; drivers may flush smaller values to zero
-TITLES = {4: "Cook-Torrance", 0: "Ward"}  # names of the models, by k
+TINY = 1.2e-38  # Smallest normal float32; drivers may flush smaller values to zero.
+TITLES = {4: "Cook-Torrance", 0: "Ward"}  # Names of the models, keyed by k.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lobe(Entry):
-    """A lobe. Its call uses float c, m and int k; its macro is FR_LOBE_NAME.
+    """A lobe. The GLSL call uses float c, m and int k; the macro is FR_LOBE_NAME.
 
     Attributes
     ----------
     number : value of the macro, unique
     evaluate : float64 reference; checks the domain
-    ends : upper end of the domain of m, by k; the lower end is MIN_SLOPE
-    open_ends : values of k whose upper end is outside the domain
-    errors : largest difference from the exact lobe in percent of the peak, by k: at m = 0.1, 0.2,
-        ... 0.6, or one number for all slopes; None if no error is stated
+    ends : upper end of the domain of m, keyed by k; the lower end is MIN_SLOPE
+    open_ends : values of k for which the upper end itself is outside the domain
+    errors : largest difference from the exact lobe in percent of the peak, keyed by k: six numbers
+        for m = 0.1, 0.2, ... 0.6, or one number for all slopes; None if no error is stated
     rounding : float32 error bounds, relative and absolute, as a function of c, m and k
     amplified : error of the lobe, in units of its peak, as a function of the relative error of
-        1/m² (1 - c)
+        (1 - c)/m²
     colour : colour in plots
-    macro, macros : macro that selects the lobe, and further macros of its GLSL
+    macro : macro that selects the lobe
+    macros : values of further macros, keyed by their names
     price : name in tables of prices; lobes of the same cost share one name
     constants : macro of the coefficients for a constant m, and the float64 function of m and k that
         computes them
@@ -75,7 +76,8 @@ class Lobe(Entry):
     def belongs(self, m: ArrayLike, k: int) -> NDArray[np.bool_]:
         """Return which slopes are in the domain.
 
-        At closed ends the tolerance is 1e-6, because a G-buffer stores m as float32.
+        At ends that belong to the domain, the relative tolerance is 1e-6, because a G-buffer stores
+        m as float32.
         """
         slope = np.asarray(m, dtype=np.float64)
         end = self.end(k)
@@ -131,7 +133,7 @@ class PowerPolynomial:
         return np.asarray(scaled / w ** np.arange(1, table.shape[1] + 1))
 
     def magnitudes(self, m: ArrayLike) -> Float:
-        """Return the sums of the absolute terms of a₁ m², a₂ m⁴, ..., which scale the rounding."""
+        """Return the sums of absolute terms of a₁ m², a₂ m⁴, ...; the rounding scales with them."""
         w = np.asarray(m, dtype=np.float64)[..., None] ** 2
         return np.asarray(sum(np.abs(row) * w**j for j, row in enumerate(self.table)))
 
@@ -151,8 +153,8 @@ class GPower:
     Parameters
     ----------
     g : power, in 1 to 31; D4, D8 and D16 of the paper have the factor 2/g and the offset k/g
-    factor : in [1e-9, 1e6]
-    offset : in [-1e6, 1e6]; the domain of m ends at s = 0
+    factor : factor of 1/m² in s, in [1e-9, 1e6]
+    offset : number subtracted in s, in [-1e6, 1e6]; the domain of m ends where s = 0
 
     Raises
     ------
@@ -230,14 +232,14 @@ def _check_cosine(c: ArrayLike) -> Float:
 
 
 def _exact(tan2: NDArray[np.floating], m: Float, k: int) -> Float:
-    # A relative error e of the exponent x becomes e x in the result, and x reaches 690 in the range
-    # of float64. Extended precision keeps the error at 1e-13, if the platform supports it.
+    # A relative error e of the exponent x becomes a relative error e x of the result, and x reaches
+    # 690 in the range of float64. Extended precision, if available, keeps the error at 1e-13.
     exponent = tan2 / np.asarray(m, dtype=np.longdouble) ** 2
-    exponent = np.minimum(exponent, 1e4)  # exp(-1e4) is 0; infinity - infinity is NaN
+    exponent = np.minimum(exponent, 1e4)  # exp(-1e4) is 0; infinity - infinity would be NaN.
     head = exponent.astype(np.float64)
     tail = (exponent - head).astype(np.float64)
     slope_factor = np.exp(-head) * np.exp(-tail)
-    sec2 = 1.0 + np.minimum(tan2, 1e100).astype(np.float64)  # E is already 0 there
+    sec2 = 1.0 + np.minimum(tan2, 1e100).astype(np.float64)  # E is 0 for larger tan2.
     return np.asarray(slope_factor * sec2 ** (k // 2), dtype=np.float64)
 
 
@@ -350,7 +352,7 @@ def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     """Approximate E/c^k by a clamped cubic to the power 5.
 
     The error is at most 0.19 % of the peak for Cook-Torrance and 0.13 % for Ward, at all angles and
-    slopes.
+    slopes of the domain.
 
     Parameters
     ----------
@@ -403,8 +405,9 @@ def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
 def _exact_rounding(c: Float, m: Float, k: int) -> tuple[Float, Float]:
     x = c.clip(1e-3)
     exponent = np.minimum((1.0 / x**2 - 1.0) / m**2, 100.0)
-    # 3 ulp of the exponent for m² and the division, 3 + 2 x for exp2, 2 for 1/c⁴, five operations
-    # for tan². Each term has a margin of 2 ulp: dense samples reach 98 % of the bound without it.
+    # 3 ulp of the exponent for m² and the division, 3 + 2 x ulp for exp2, 2 ulp for 1/c⁴, five
+    # operations for tan². Each term includes a margin of 2 ulp: without this margin, dense samples
+    # reach 98 % of the bound.
     return ULP * (12.0 + 11.0 * exponent), TINY / np.maximum(x, 0.03) ** 4
 
 
@@ -412,14 +415,14 @@ def _cosine_rounding(c: Float, m: Float, k: int) -> tuple[Float, float]:
     n = 2.0 / m**2 - k
     x = c.clip(1e-30)
     power = np.minimum(n * -np.log2(x), 130.0)
-    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n  # 4 ulp, more if 2/m² - k cancels
+    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n  # Error of n: 4 ulp, more where 2/m² - k cancels.
     log_error = np.where(x >= 0.5, 2.0**-21, 3.0 * ULP * -np.log2(x))
     exponent_error = np.log(2.0) * (power * n_error + n * log_error)
     return np.expm1(np.minimum(exponent_error, 80.0)) + ULP * (3.0 + 3.0 * power), TINY
 
 
 def power_error(base: Float, base_error: Float, power: int) -> Float:
-    """Return the error of max(base, 0)^power for an error of the base."""
+    """Return the error of max(base, 0)^power that an error of the base causes."""
     return np.asarray(power * np.maximum(base + base_error, 0.0) ** (power - 1) * base_error)
 
 
@@ -427,7 +430,7 @@ def _g_power_rounding(
     c: Float, m: Float, k: int, g: int, factor: float, offset: float
 ) -> tuple[float, Float]:
     steepness = factor / m**2 - offset
-    # error of the base 1 - s u: 4 ulp of the terms of s, 3.5 of the product, 0.5 of the sum
+    # Error of the base 1 - s u: 4 ulp of the terms of s, 3.5 of the product, 0.5 of the sum.
     error = 4.0 * ULP * (factor / m**2 + np.abs(steepness)) * (1.0 - c) + ULP
     return ULP * g, power_error(1.0 - steepness * (1.0 - c), error, g) + TINY
 
@@ -435,7 +438,7 @@ def _g_power_rounding(
 def _fitted_rounding(c: Float, m: Float, k: int, name: str) -> tuple[float, Float]:
     lobe = FITTED[name, k]
     powers = np.arange(1, len(lobe.table[0]) + 1)
-    # each coefficient has 4 products and sums of constants, 1/m² and its powers, and a power of u
+    # Each coefficient has 4 products and sums of constants, 1/m² and its powers, and a power of u.
     sums = lobe.magnitudes(m) * ((1.0 - c) / m**2)[:, None] ** powers
     error = 20.0 * ULP * sums.sum(axis=-1) + ULP
     base = 1.0 + (lobe.coefficients(m) * (1.0 - c)[:, None] ** powers).sum(axis=-1)
@@ -457,7 +460,7 @@ def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float,
     )
 
 
-# Colours of Okabe and Ito (2008), for colour-blind readers; darker, because they also colour text.
+# Colours of Okabe and Ito (2008), for colour-blind readers. The colours are darkened for text.
 LOBES: dict[str, Lobe] = registry(
     Lobe(
         name="exact",
@@ -484,7 +487,7 @@ LOBES: dict[str, Lobe] = registry(
             0: (0.27, 1.07, 2.37, 4.11, 6.25, 8.70),
         },
         rounding=_cosine_rounding,
-        amplified=lambda error: error + 7e-7,  # log2
+        amplified=lambda error: error + 7e-7,  # The second summand is the error of log2.
         colour="#767676",
     ),
     _g_power(
@@ -535,7 +538,7 @@ AnyLobe = str | GPower
 
 
 def lobe_entry(lobe: AnyLobe) -> Lobe:
-    """Return the entry of a lobe, given by name or as a GPower.
+    """Return the entry of a lobe that is given by its name or as a GPower.
 
     Raises
     ------
@@ -572,7 +575,7 @@ def _of_g_power(lobe: GPower) -> Lobe:
 
 
 def lobe(name: AnyLobe, c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Return the value of a lobe by name; for the other parameters see :func:`exact`."""
+    """Return the value of the lobe `name`; for the other parameters see :func:`exact`."""
     return lobe_entry(name).evaluate(c, m, k)
 
 

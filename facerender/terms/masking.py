@@ -12,15 +12,15 @@ from facerender.terms.entry import Entry, registry
 
 Float = NDArray[np.float64]
 
-MIN_COSINE = 1e-6  # FR_MIN_COSINE of shaders/facerender/constants.glsl
+MIN_COSINE = 1e-6  # Value of FR_MIN_COSINE in shaders/facerender/constants.glsl.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Masking(Entry):
     """A masking term; its macro is FR_MASKING_NAME.
 
-    Its call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised. It is a
-    vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
+    The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised. It
+    returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ def masking_v_cavity(
 
     Parameters
     ----------
-    n_dot_h, v_dot_h : cosines with the half vector (of any length), v_dot_h > 0
-    n_dot_l, n_dot_v : cosines of the directions to the light and to the camera, in (0, 1]
+    n_dot_h, v_dot_h : N.H and V.H > 0 for a half vector H of any length
+    n_dot_l, n_dot_v : N.L and N.V for the directions L to the light and V to the camera, in (0, 1]
 
     References: Torrance and Sparrow (1967); Cook and Torrance (1982).
     """
@@ -58,13 +58,13 @@ def masking_v_cavity(
 def masking_kelemen(v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike) -> Float:
     """Return Kelemen masking (N.L)(N.V)/(V.H)², which cancels the divisor of the BRDF.
 
-    It is between half of :func:`masking_v_cavity` and all of it.
+    The value is between 0.5 and 1 times :func:`masking_v_cavity`.
 
     Parameters
     ----------
     v_dot_h : cosine of the angle between the direction to the camera and the unit half vector; at
-        least (N.L + N.V)/2, which is true of all directions
-    n_dot_l, n_dot_v : cosines of the directions to the light and to the camera, in (0, 1]
+        least (N.L + N.V)/2, a condition that all unit vectors meet
+    n_dot_l, n_dot_v : N.L and N.V for the directions L to the light and V to the camera, in (0, 1]
 
     References: Kelemen and Szirmay-Kalos (2001); for skin: d'Eon and Luebke (2007), GPU Gems 3,
     chapter 14.

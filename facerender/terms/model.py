@@ -1,10 +1,11 @@
 """Specular BRDFs: registry entries and float64 references for the BRDFs of ``shaders/facerender``.
 
-``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order. Directions are unit
+``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order. Directions are unit
 vectors (..., 3) that broadcast against one another: ``n`` is the normal, ``l`` the direction to
 the light, ``v`` the direction to the camera. BRDFs are in 1/sr, without N.L, for a specular weight
 of 1. As in the shaders, they are exactly 0 if N.L or N.V is at most 0. Cook-Torrance with Kelemen
-masking or without masking is 0 for cosines up to 1e-6, Ward also for (N.L)(N.V) up to 1e-12.
+masking or without masking is also 0 if N.L or N.V is at most 1e-6. Ward is also 0 if (N.L)(N.V) is
+at most 1e-12.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ K_WARD = 0
 class Model(Entry):
     """A specular model.
 
-    Its call uses vec3 n, l, v, float f0, and placeholders: ``{m}`` for the slope, ``{lobe}``,
+    The GLSL call uses vec3 n, l, v, float f0, and placeholders: ``{m}`` for the slope, ``{lobe}``,
     ``{fresnel}`` and ``{masking}`` for the macros of the terms.
 
     Attributes
     ----------
-    title : name in texts
+    title : name of the model in texts
     k : power of 1/cos γ in the lobe
-    evaluate : float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. With
-        ``factors``, f0 follows m, and ``fresnel_term`` and ``masking_term`` are further parameters.
-        Without ``factors``, the result excludes the f0 of the call
+    evaluate : float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. If
+        ``factors`` is true, f0 follows m, and ``fresnel_term`` and ``masking_term`` are further
+        parameters. If it is false, the result excludes the factor f0 of the GLSL call
     factors : whether the model has a Fresnel term and a masking term
-    family : a plan may replace a model by another of the same family. Models of one family agree if
-        the directions to the light and to the camera are the normal
-    printed : call of the literal form as published; "" if there is none
-    two : entry of the model with two lobes; its call also uses ``{second}``, the second slope, and
+    family : name of a group of models that agree if the directions to the light and to the camera
+        equal the normal; a plan may replace a model by another model of its family
+    printed : GLSL call of the literal form as published; "" if there is none
+    two : entry of the model with two lobes; the call also uses ``{second}``, the second slope, and
         float lobe_weight. None if the weighted mean of two calls costs the same
-    environment : entry of the reflected radiance (vec3) of ``environment_map`` with the exact lobe.
-        Its call uses the variables of the model without l and ``{lobe}``, and environment_size.
-        None if not implemented: the environment then has no specular part
+    environment : entry of the radiance (vec3) that the exact lobe reflects from
+        ``environment_map``. The call uses environment_size and the variables of the model except l
+        and ``{lobe}``. None if not implemented: there is then no specular environment light
     """
 
     title: str
@@ -76,11 +77,11 @@ def checked_unit(name: str, vectors: ArrayLike) -> Float:
 
 def dot(a: Float, b: Float) -> Float:
     """Return the dot products of vectors (..., 3)."""
-    return np.asarray(np.einsum("...i,...i", a, b))  # six times as fast as a sum
+    return np.asarray(np.einsum("...i,...i", a, b))  # Six times as fast as (a * b).sum(axis=-1).
 
 
 class _Geometry:
-    """Cosines that the BRDFs share. They are 1 where the BRDF is 0, to avoid divisions by 0."""
+    """Cosines that the BRDFs share. A cosine is 1 where the BRDF is 0, to avoid divisions by 0."""
 
     def __init__(
         self, n: ArrayLike, l: ArrayLike, v: ArrayLike, cut: float, product: float = 0.0
@@ -93,7 +94,7 @@ class _Geometry:
         self.n_dot_l = np.where(self.above, n_dot_l, 1.0)
         self.n_dot_v = np.where(self.above, n_dot_v, 1.0)
         self.n_dot_h = np.minimum(np.where(self.above, n_dot_h / length, 1.0), 1.0)
-        self.v_dot_h = np.where(self.above, 0.5 * length, 1.0)  # |l + v| = 2 V.H
+        self.v_dot_h = np.where(self.above, 0.5 * length, 1.0)  # |l + v| = 2 V.H.
         # 1 - c^2 would lose the digits of small angles; the cross product keeps them.
         cross = np.cross(normal, half)
         self.tan2 = np.where(self.above, dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
@@ -130,7 +131,7 @@ def cook_torrance(
     f0 : Fresnel reflectance at normal incidence, in [0, 1); 0.028 for skin
     lobe : name of the lobe, or a GPower
     fresnel_term : "schlick", "dielectric", or "constant" for f0
-    masking_term : "v-cavity", "kelemen", or "none" for 1; with "none" the BRDF grows as 1/(N.V)
+    masking_term : "v-cavity", "kelemen", or "none" for G = 1, where the BRDF grows as 1/(N.V)
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Ranges of values.
 
-Each range is defined once, on the field of the dataclass that it limits. Constructors, the command
-line, the schema and the checks of batches, and the explorer read it there."""
+Each range is defined once, on the dataclass field that it limits. Constructors, the command line,
+the schema and checks of batches, and the explorer read the range from this field."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Range:
     Parameters
     ----------
     low, high : ends of the range; high may be infinite
-    unit : for example "degrees", or "" without a unit
+    unit : unit of the values, for example "degrees"; "" if there is none
     """
 
     low: float
@@ -40,7 +40,7 @@ class Range:
         return f"{ends} {self.unit}".strip()
 
     def check(self, name: str, value: Any) -> Any:
-        """Return the value in the type of the field.
+        """Return the value, converted to the type of the field.
 
         Raises
         ------
@@ -55,7 +55,7 @@ class Range:
 
 
 class IntegerRange(Range):
-    """The whole numbers from low to high. The field is an int."""
+    """The whole numbers from low to high. The dataclass field is an int."""
 
     def __contains__(self, value: Any) -> bool:
         return isinstance(value, Integral) and super().__contains__(value)
@@ -70,7 +70,7 @@ class IntegerRange(Range):
 
 
 class SizeRange(IntegerRange):
-    """Width and height of an image in pixels. The field is a pair (width, height)."""
+    """Width and height of an image in pixels. The dataclass field is a pair (width, height)."""
 
     def check(self, name: str, value: Any) -> Any:
         sides = value.tolist() if hasattr(value, "tolist") else value
@@ -99,19 +99,19 @@ class VectorRange(Range):
 
 
 FRACTION = Range(0.0, 1.0)
-EXPOSURES = Range(-100.0, 100.0, "stops")  # of images that are encoded for a display
-MEMORY = Range(1.0, 1e9, "MiB")  # limit of the process
+EXPOSURES = Range(-100.0, 100.0, "stops")  # Exposure of images encoded for a display.
+MEMORY = Range(1.0, 1e9, "MiB")  # Memory limit of the process.
 
 
 def ranged(limits: Range, default: Any = MISSING) -> Any:
-    """Return a dataclass field with a range. None is also allowed if the type of the field includes
-    it."""
+    """Return a dataclass field with a range. None is also allowed if the annotation of the field
+    ends with ``| None``."""
     return field(default=default, metadata={"range": limits})
 
 
 @cache
 def ranges_of(kind: type) -> Mapping[str, Range]:
-    """Return the ranges of a dataclass by field name."""
+    """Return the ranges of a dataclass, keyed by the field name."""
     return {each.name: each.metadata["range"] for each in fields(kind) if "range" in each.metadata}
 
 
@@ -121,7 +121,7 @@ def range_of(kind: type, name: str) -> Range:
 
 
 def check_fields(value: object, prefix: str = "") -> None:
-    """Check the fields of a frozen dataclass that have a range or are switches, and convert them.
+    """Check and convert the fields with a range and the switches of a frozen dataclass.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Importance sampling of the models in float64: the reference for
 ``shaders/facerender/*_sample.glsl``.
 
-The models have the exact lobe; Cook-Torrance has V-cavity masking. Vectors and random numbers are
-arrays of shape (..., 3) or (..., 2) that broadcast against one another, m has the shape (...).
-``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order.
+The models have the exact lobe; Cook-Torrance has V-cavity masking. Vectors have the shape (..., 3),
+random numbers (..., 2) or (..., 3), m (...); the leading axes broadcast against one another.
+``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from facerender.terms.model import K_COOK_TORRANCE, checked_unit, dot
 
 Float = NDArray[np.float64]
 
-_LAST = 2.0**-24  # smallest 1 - x for a float32 x < 1
+_LAST = 2.0**-24  # Smallest 1 - x for a float32 x < 1.
 
 
 def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
@@ -32,7 +32,7 @@ def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
     m : RMS slope, in [1e-4, 2]
     u : two random numbers (..., 2), uniform in [0, 1)
 
-    References: Walter et al. (2007), eq. 28; Duff et al. (2017) for the frame.
+    References: Walter et al. (2007), eq. 28; Duff et al. (2017) for the tangent frame.
     """
     normal, slope = checked_unit("n", n), check_slope(m, "exact", K_COOK_TORRANCE)
     first, second = _checked_random(u, 2)
@@ -51,7 +51,8 @@ def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
 def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
     """Return random directions to the light (..., 3), from the visible normals of V-cavities.
 
-    The BRDF is 0 for directions with N.L <= 0. The weight BRDF (N.L)/density is F G/G1, at most F.
+    The BRDF is 0 for directions with N.L <= 0. The weight of a direction, BRDF (N.L)/density,
+    is F G/G1, at most F.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike)
 def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
     """Return the density G1 D/(4 N.V) of :func:`cook_torrance_sample` at l, in 1/sr.
 
-    It is 0 if N.V or N.L + N.V is at most 1e-6.
+    The density is 0 if N.V or N.L + N.V is at most 1e-6.
 
     Parameters
     ----------
@@ -90,8 +91,8 @@ def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) ->
 def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
     """Return random directions to the light (..., 3), from half vectors of Ward's distribution.
 
-    The BRDF is 0 for directions with N.L <= 0, including -n, which is returned if the half vector
-    points away from the camera.
+    The BRDF is 0 for directions with N.L <= 0. If the half vector points away from the camera, the
+    direction is -n.
 
     Parameters
     ----------
@@ -109,7 +110,8 @@ def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float
 def ward_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
     """Return the density E/(4 π m² c³ (V.H)) of :func:`ward_sample` at l, in 1/sr.
 
-    It is 0 if N.L or N.V is at most 1e-6. For the parameters see :func:`cook_torrance_pdf`.
+    The density is 0 if N.L or N.V is at most 1e-6. For the parameters see
+    :func:`cook_torrance_pdf`.
     """
     n_dot_v, n_dot_h, _, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h - n_dot_v) > MIN_COSINE
@@ -120,8 +122,8 @@ def ward_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
 def _half(
     n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike
 ) -> tuple[Float, Float, Float, Float, Float]:
-    """Return N.V, N.h, h.h, tan² γ and m for h = l + v, not normalised; tan² γ is 0 below the
-    surface."""
+    """Return N.V, N.h, h.h, tan² γ and m for h = l + v, not normalised; tan² γ is 0 if N.h is
+    at most 1e-6."""
     normal, light, eye = checked_unit("n", n), checked_unit("l", l), checked_unit("v", v)
     h = light + eye
     n_dot_v, n_dot_h = dot(normal, eye), dot(normal, light) + dot(normal, eye)

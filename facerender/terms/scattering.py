@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import InputError, shown
 
 Float = NDArray[np.float64]
-Gaussians = tuple[tuple[float, float, float, float], ...]  # variance in mm^2; RGB weights
+Gaussians = tuple[tuple[float, float, float, float], ...]  # Variance in mm^2; RGB weights.
 
-# Named profiles of materials. Skin with three layers: d'Eon and Luebke (2007), GPU Gems 3, chapter
-# 14.
+# Named profiles of materials. The skin has three layers: d'Eon and Luebke (2007), GPU Gems 3,
+# chapter 14.
 PROFILES: dict[str, Gaussians] = {
     "skin": (
         (0.0064, 0.233, 0.455, 0.649),
@@ -28,17 +28,17 @@ PROFILES: dict[str, Gaussians] = {
         (7.41, 0.078, 0.0, 0.0),
     )
 }
-MOST = 16  # Gaussians in a profile
-MOST_VARIANCE = 1e4  # mm^2
-NARROW = 0.5  # pixels: Gaussians with a smaller standard deviation are not scattered
+MOST = 16  # Largest number of Gaussians in a profile.
+MOST_VARIANCE = 1e4  # Largest variance of a Gaussian, in mm^2.
+NARROW = 0.5  # In pixels; Gaussians with a smaller standard deviation are left out.
 _OWN = 1e-3
-_WORD = 1 << 32  # of GLSL's uint
+_WORD = 1 << 32  # Number of values of GLSL's uint.
 _ANGLE = 2.39996323
-_LAST = 0.98  # quantile of the radii; samples of the rest are too far away and would add noise
+_LAST = 0.98  # Largest sampled quantile of the radii; samples farther away would add noise.
 
 
 def profile_of(given: Any) -> str | Gaussians:
-    """Return the scattering profile of a material: a name, or Gaussians.
+    """Return a material's scattering profile as the name of a profile or as a tuple of Gaussians.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
 
 
 def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
-    """Return the fraction of the light that leaves at a distance, per mm^2 there: (..., 3).
+    """Return the fraction of light that leaves at a distance from its entry, per mm^2: (..., 3).
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def rest(gaussians: Gaussians) -> Float:
 def spiral(gaussians: Gaussians, samples: int) -> Float:
     """Return the offsets of samples around a pixel in mm, and 1/density of the samples in mm^2.
 
-    The shape is (samples, 3). The radii have the distribution of the channel that scatters
+    The shape is (samples, 3). The radii are distributed as the profile of the channel that scatters
     farthest.
     """
     variance, weight = _columns(gaussians)
@@ -117,7 +117,7 @@ def spiral(gaussians: Gaussians, samples: int) -> Float:
 
 
 def scatter_area(c: ArrayLike) -> Float:
-    """Return the surface area in a pixel, relative to a surface that faces the camera.
+    """Return the surface area that a pixel shows, divided by the area if it faces the camera.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def scatter_area(c: ArrayLike) -> Float:
 
 
 def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
-    """Return the rotation angle of a pixel, in [-pi, pi]; x and y are its column and row."""
+    """Return the rotation angle of a pixel's samples, in [-pi, pi], for column x and row y."""
     column, row = (np.asarray(each, dtype=np.int64) for each in (x, y))
     inner = (column * 288237660 + row * 25070368) % _WORD
     outer = (inner * 53 - inner // 59) % _WORD
@@ -144,7 +144,7 @@ def scatter(
     ----------
     light : irradiance (H, W, 3)
     place : positions (H, W, 3)
-    number : equal for surfaces that scatter into each other, (H, W)
+    number : numbers (H, W), equal for surfaces that scatter into each other
     area : result of :func:`scatter_area`, (H, W)
     pixels : mask of the N pixels, (H, W)
     scale : pixels per millimetre, (N,)

@@ -9,17 +9,17 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 Tile = tuple[int, int, int]
 
-SAMPLES = 12  # FR_SHADOW_SAMPLES
+SAMPLES = 12  # Value of FR_SHADOW_SAMPLES in GLSL.
 _TURN = 2.39996323
 
 
 def shadow_lit(map: ArrayLike, tile: Tile, at: ArrayLike, z: ArrayLike) -> Float:
-    """Return the visibility of the light at a depth, interpolated between 0 or 1 of four texels.
+    """Return the visibility of the light at a depth, interpolated between four texels of 0 or 1.
 
     Parameters
     ----------
     map : z of the surface nearest to the light, (H, W)
-    tile : column and row of the first texel of the light, and its side in texels
+    tile : column and row of the first texel of the light's map, and the side of the map in texels
     at : x and y in light space, (..., 2)
     z : z in light space, (...)
     """
@@ -41,7 +41,7 @@ def shadow_hard(map: ArrayLike, tile: Tile, p: ArrayLike, bias: float) -> Float:
     ----------
     map, tile : see :func:`shadow_lit`
     p : points in light space, (..., 3)
-    bias : offset added to z
+    bias : offset added to the z of p
     """
     place = np.asarray(p, dtype=np.float64)
     return shadow_lit(map, tile, place[..., :2], place[..., 2] + bias)
@@ -62,12 +62,12 @@ def shadow_disc(
     Parameters
     ----------
     map, tile, p, bias : see :func:`shadow_hard`
-    plane : change of z with x and y on the surface, (..., 2)
+    plane : change of z per unit of x and per unit of y on the surface, (..., 2)
     tan_radius : tangent of the angular radius of the light, in (0, tan(20 degrees)]
-    top : largest z of the occluders; the light is fully visible if z is at least this value
+    top : largest z of the occluders; the light is fully visible if p has at least this z
     turn : rotation of the spiral of samples, in radians
     """
-    place = np.asarray(p, dtype=np.float64)[..., None, :]  # adds an axis for the samples
+    place = np.asarray(p, dtype=np.float64)[..., None, :]  # Adds an axis for the samples.
     slope = np.asarray(plane, dtype=np.float64)[..., None, :]
     angle = _TURN * np.arange(SAMPLES) + np.asarray(turn, dtype=np.float64)[..., None]
     spiral = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

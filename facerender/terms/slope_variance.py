@@ -1,7 +1,8 @@
 """Slope variance of unresolved detail: the float64 reference for
 ``shaders/facerender/slope_variance.glsl``.
 
-A variance is the variance of slopes along each of two axes. Variances of independent slopes add."""
+A variance is the variance of slopes along each of the two tangent axes. Variances of independent
+slopes add."""
 
 from __future__ import annotations
 
@@ -12,9 +13,9 @@ from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
 Float = NDArray[np.float64]
 
-MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # FR_MAP_DEVIATION, FR_MAP_SHARE
-MAX_PIXEL_VARIANCE = 0.1  # FR_MAX_PIXEL_VARIANCE
-MAX_RADIUS = 20.0  # degrees: angular radius of a disc
+MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # Values of FR_MAP_DEVIATION and FR_MAP_SHARE.
+MAX_PIXEL_VARIANCE = 0.1  # Value of FR_MAX_PIXEL_VARIANCE in GLSL.
+MAX_RADIUS = 20.0  # Largest angular radius of a disc light, in degrees.
 _LEAST_V_DOT_H2 = 0.05
 
 
@@ -31,7 +32,7 @@ def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
 
 
 def slope_variance_map(alpha: ArrayLike) -> Float:
-    """Return the slope variance for the alpha channel, in [0, 1], of a prepared normal map."""
+    """Return the slope variance that alpha, in [0, 1], encodes in a prepared normal map."""
     return np.asarray(MAP_SHARE * (MAP_DEVIATION * np.asarray(alpha, dtype=np.float64)) ** 2)
 
 
@@ -40,7 +41,7 @@ def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
 
     Parameters
     ----------
-    n_x, n_y : change of the unit normal from one pixel to the next, (..., 3)
+    n_x, n_y : change of the unit normal to the next pixel in x and in y, (..., 3)
     """
     x, y = np.asarray(n_x, dtype=np.float64), np.asarray(n_y, dtype=np.float64)
     variance = ((x * x).sum(axis=-1) + (y * y).sum(axis=-1)) / 24.0
@@ -48,7 +49,7 @@ def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
 
 
 def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float:
-    """Return the slope variance that a disc light adds.
+    """Return the slope variance that represents the extent of a disc light.
 
     Parameters
     ----------

@@ -1,19 +1,21 @@
 // Directional albedo of Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities.
-// The albedo is the fraction of the light from one direction that the surface reflects. A fit gives
-// it in two steps; the first step depends only on the material and serves all lights.
+// The albedo is the fraction of the light from one direction that the surface reflects.
+// fr_albedo_fit computes the coefficients of a fit once per material; fr_albedo_of evaluates the
+// fit for each direction.
 //
 //   formula:  integral of BRDF (N.L) over the hemisphere, fitted by a polynomial of degree 7 in the
 //             square root of the cosine and of degree 4 in m
-//   n_dot_v:  Cosine between normal and direction, in [0, 1]; clamped to at least 4e-4.
+//   n_dot_v:  Cosine of the angle between normal and direction, in [0, 1]; clamped to at least
+//             4e-4.
 //   m:        Roughness: RMS slope of the microfacets; clamped to [0.05, 1].
 //   f0:       Fresnel reflectance at normal incidence, in [0, 0.1].
-//   fit:      Result of fr_albedo_fit, or a linear combination: mix(fit1, fit0, weight) for two
-//             lobes, ks fit for a specular weight ks.
+//   fit:      Result of fr_albedo_fit, or a linear combination of such results: mix(fit1, fit0,
+//             weight) for two lobes, ks * fit for a specular weight ks.
 //   unit:     none
 //   returns:  In [0, 1.02].
-//   error:    For f0 <= 0.1: 0 to 0.0125 too high and never too low, so that an energy-conserving
-//             diffuse term adds no light. For f0 > 0.1: up to 0.008 f0 more in either direction.
-//             For m < 0.05 and N.V < 0.1: too low.
+//   error:    If f0 <= 0.1, the albedo is 0 to 0.0125 too high. It is never too low, so that an
+//             energy-conserving diffuse term adds no light. If f0 > 0.1, the error is up to 0.008
+//             f0 larger in either direction. If m < 0.05 and N.V < 0.1, the albedo is too low.
 //   source:   Kelemen and Szirmay-Kalos (2001), who tabulate the albedo; the coefficients are
 //             computed by tools/fits/albedo.py.
 #ifndef FR_ALBEDO_GLSL
@@ -77,12 +79,13 @@ float fr_cook_torrance_albedo_mean(float m, float f0) {
 //
 //   formula:             (1 - albedo_l) (1 - albedo_v)/(1 - mean)
 //   albedo_l, albedo_v:  Directional albedos of the specular term for the directions to the light
-//                        and to the camera, times the specular weight; clamped to at most 1.
-//   mean:                mean of this albedo over the hemisphere; clamped to at most 0.5.
+//                        and to the camera, times the specular weight; each clamped to at most 1.
+//   mean:                Cosine-weighted mean of this directional albedo over the hemisphere;
+//                        clamped to at most 0.5.
 //   unit:                none
 //   returns:             In [0, 2].
-//   error:               none. The diffuse and the specular term together reflect at most all light
-//                        if no albedo is too low.
+//   error:               None. If no albedo is too low, the diffuse and the specular term together
+//                        reflect at most all of the light.
 //   source:              Kelemen and Szirmay-Kalos (2001).
 float fr_diffuse_coupled(float albedo_l, float albedo_v, float mean) {
     return (1.0 - min(albedo_l, 1.0)) * (1.0 - min(albedo_v, 1.0)) / (1.0 - min(mean, 0.5));

@@ -7,19 +7,20 @@
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1).
 //   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
 //   returns:  Finite and >= 0 for finite vectors, also for m below its domain. Exactly 0 if N.L or
-//             N.V in float32 is at most 0; with FR_MASKING_KELEMEN and FR_MASKING_NONE, if one of
-//             them is at most FR_MIN_COSINE. NaN if a vector is NaN.
+//             N.V in float32 is at most 0. With FR_MASKING_KELEMEN or FR_MASKING_NONE, exactly 0 if
+//             N.L or N.V is at most FR_MIN_COSINE. NaN if a vector is NaN.
 //   error:    Error of the lobe, plus float32 rounding: r times a reference value. The reference
-//             value is the BRDF in the same directions with the highest value of the lobe, and with
-//             F + 2e-6 in place of F.
+//             value is the BRDF in the same directions, with the highest value of the lobe in place
+//             of the lobe, and with F + 2e-6 in place of F.
 //             r = 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) + s, with e = 4e-7 (1 + 1/(N.L + N.V)) and:
 //             s = e/m for the exact lobe with FR_SMALL_SLOPE 1;
-//             s = e/m^2 for the exact lobe with FR_SMALL_SLOPE 0, and for the other lobes, except:
+//             s = e/m^2 for the exact lobe with FR_SMALL_SLOPE 0;
+//             s = e/m^2 for all other lobes, except the cosine power and a g-power:
 //             s = (e + 7e-7)/m^2 for the cosine power, because of log2;
 //             s = e a g/(2 m^2) for a g-power with FR_STEEPNESS a/m^2 - b.
-//             The bound applies to cosines above 1.3e-6 and to the float32 vectors as they are.
-//             Correct rounding of the vectors adds a quarter of the bound. A vector whose length is
-//             off by d > 1e-7 adds 2 d to e, and 3 d/(f0 + 2e-6)^0.2 to r.
+//             The bound applies if N.L and N.V are above 1.3e-6. It excludes the rounding of the
+//             vectors to float32, which adds a quarter of the bound. A vector whose length differs
+//             from 1 by d > 1e-7 adds 2 d to e, and 3 d/(f0 + 2e-6)^0.2 to r.
 //   source:   Cook and Torrance (1982), normalised as in Walter et al. (2007):
 //             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi.
 #ifndef FR_COOK_TORRANCE_GLSL
@@ -33,7 +34,8 @@
 
 // Constant factor of the Cook-Torrance BRDF; the Fresnel functions multiply by it (fresnel.glsl).
 //
-//   formula:  ln 2/(4 pi) for the exact lobe, whose 1/m^2 is 1/(m^2 ln 2); 1/(4 pi) for other lobes
+//   formula:  ln 2/(4 pi) for the exact lobe, where fr_cook_torrance_parts divides by m^2 ln 2
+//             instead of m^2; 1/(4 pi) for other lobes
 //   lobe:     FR_LOBE_EXACT or another macro of lobe.glsl, a constant.
 //   unit:     1/sr
 //   returns:  In (0, 1).
@@ -52,7 +54,7 @@ float fr_cook_torrance_scale(int lobe) {
 vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int masking) {
     float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
     float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
-    vec3 h = l + v;  // not normalised: V.H = |h|/2
+    vec3 h = l + v;  // Not normalised: V.H = |h|/2.
     float n_dot_h = n_dot_l + n_dot_v;
     float slope2 = FR_SLOPE(m) * FR_SLOPE(m);
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
@@ -60,11 +62,11 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
         vec2 squares = fr_half_vector(n, h, n_dot_h);
         vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
         float along = n_dot_h * n_dot_h + FR_FLOOR;
-        float w = FR_LN_2 * slope2 + FR_FLOOR;  // E = 2^-x, x = tan^2(gamma)/w
+        float w = FR_LN_2 * slope2 + FR_FLOOR;  // E = 2^-x, x = tan^2(gamma)/w.
         float inverse = 1.0 / (masked.y * along * w);
         float x = squares.y * masked.y * inverse;
         float sec2 = x * w + 1.0;
-        // E comes first: it may be 0 where the product of the other factors overflows
+        // Multiply by E first: where E is 0, the product of the other factors may overflow.
         return vec2(exp2(-x) * sec2 * (masked.x * inverse), 0.5 * sqrt(squares.x));
     }
 #endif
@@ -87,7 +89,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
 }
 
 // Cook-Torrance specular BRDF with the terms as arguments.
-// For programs with different terms per light, or with two lobes.
+// Programs with different terms per light, or with two lobes, use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the
 //             compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes available.
@@ -105,7 +107,8 @@ float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     return fr_cook_torrance_terms(n, l, v, m, f0, FR_DEFAULT_LOBE, FR_FRESNEL, FR_MASKING);
 }
 
-// Cook-Torrance specular BRDF in RGB, with Schlick's Fresnel term and a reflectance at 90 degrees.
+// Cook-Torrance specular BRDF in RGB, with Schlick's Fresnel term and a given reflectance at 90
+// degrees.
 //
 //   f0, f90:  RGB reflectances at normal incidence and at 90 degrees, each in [0, 1].
 vec3 fr_cook_torrance_rgb(vec3 n, vec3 l, vec3 v, float m, vec3 f0, vec3 f90) {

@@ -1,7 +1,7 @@
 // Cook-Torrance specular BRDF in half precision: exact lobe, Schlick's Fresnel term, V-cavities.
-// For GPUs whose mediump has half precision. Products of vectors use highp. All later values use 10
-// bits and stay below 2^14, the range that GLSL ES requires of mediump. If mediump is float32, or
-// in other languages than GLSL, all values are float32.
+// This function is for GPUs whose mediump has half precision. Operations on vectors use highp. All
+// later values are mediump: they have 10 bits and stay below 2^14, the range that GLSL ES requires
+// of mediump. Where mediump is float32, and in languages other than GLSL, all values are float32.
 //
 //   formula:  F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
@@ -9,11 +9,11 @@
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1).
 //   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
 //   returns:  Finite and >= 0; 0 if N.L or N.V is at most FR_MIN_COSINE.
-//   error:    For N.L and N.V >= 0.05: 1 % of the BRDF in the same directions with the highest
-//             value of the lobe. The divisor clamps smaller cosines to 0.05; the result is too low
-//             there.
-//   source:   See cook_torrance.glsl. G/((N.L)(N.V)) is min(1/low, 4 n.h/h.h)/high, with low and
-//             high the smaller and the larger of both cosines.
+//   error:    If N.L and N.V are at least 0.05: 1 % of the BRDF in the same directions, computed
+//             with the highest value of the lobe. The divisor raises smaller cosines to 0.05, so
+//             that the result is too low.
+//   source:   See cook_torrance.glsl. G/((N.L)(N.V)) is min(1/low, 4 n.h/h.h)/high, where low is
+//             the smaller and high the larger of N.L and N.V.
 #ifndef FR_COOK_TORRANCE_HALF_GLSL
 #define FR_COOK_TORRANCE_HALF_GLSL
 
@@ -29,7 +29,7 @@ float fr_cook_torrance_half(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float along = max(n_dot_h, 0.1);
     float h_dot_h = along * along + across2;
 
-    mediump float tan2 = min(across2 / (along * along), 100.0);  // exp(-tan2/m^2) is 0 there
+    mediump float tan2 = min(across2 / (along * along), 100.0);  // exp(-100) is 0 in mediump.
     mediump float slope = clamp(FR_SLOPE(m), 0.1, 1.0);
     mediump float m2 = slope * slope;
     mediump float sec2 = 1.0 + tan2;

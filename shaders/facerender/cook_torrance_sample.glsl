@@ -9,10 +9,11 @@
 //   m:        Roughness: RMS slope of the microfacets, in [1e-4, 2].
 //   u:        Three random numbers, uniform in [0, 1).
 //   unit:     none for the sample; 1/sr for the density
-//   returns:  The sample: a unit vector, below the surface if N.L <= 0; the BRDF is 0 there. Its
-//             weight BRDF (N.L)/density is F G/G1, at most F.
-//   error:    Per component of the sample: 1e-5 in float32, or 2^-10 if sine and cosine are only as
-//             accurate as Vulkan requires. No bound where rounding decides the side of the cavity.
+//   returns:  A unit vector l. If N.L <= 0, l points below the surface and the BRDF is 0. The
+//             weight of the sample, BRDF (N.L)/density, is F G/G1, at most F.
+//   error:    At most 1e-5 per component of l in float32, or 2^-10 if sine and cosine are only as
+//             accurate as Vulkan requires. There is no bound where rounding decides which side of
+//             the cavity is sampled.
 //   source:   Heitz and d'Eon (2014), "Importance sampling microfacet-based BSDFs using the
 //             distribution of visible normals"; tangent frame: Duff et al. (2017).
 #ifndef FR_COOK_TORRANCE_SAMPLE_GLSL
@@ -25,7 +26,7 @@
 vec3 fr_cook_torrance_sample(vec3 n, vec3 v, float m, vec3 u) {
     vec3 across = fr_slope_sample(n, m, u.xy);
     vec3 h = n + across;
-    vec3 other = n - across;  // the other side of the cavity
+    vec3 other = n - across;  // Normal of the other side of the cavity.
     float seen = max(dot(v, h), 0.0);
     float other_seen = max(dot(v, other), 0.0);
     if (u.z * (seen + other_seen) >= seen) h = other;
@@ -36,8 +37,8 @@ vec3 fr_cook_torrance_sample(vec3 n, vec3 v, float m, vec3 u) {
 //
 //   unit:     1/sr
 //   returns:  Finite and >= 0; 0 if N.V or n.h = N.L + N.V is at most FR_MIN_COSINE.
-//   error:    float32 rounding r of fr_cook_torrance (cook_torrance.glsl), times the highest
-//             density in the same directions.
+//   error:    float32 rounding: r of fr_cook_torrance (see cook_torrance.glsl), times the density
+//             in the same directions with the highest value of the lobe.
 float fr_cook_torrance_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_v = dot(n, v);
     vec3 h = l + v;
@@ -45,7 +46,7 @@ float fr_cook_torrance_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     bool above = min(n_dot_h, n_dot_v) > FR_MIN_COSINE;
     float along = above ? n_dot_h * n_dot_h : 1.0;
-    vec2 over = fr_half_vector(n, h, n_dot_h) / along;  // 1/c^2 and tan^2(gamma)
+    vec2 over = fr_half_vector(n, h, n_dot_h) / along;  // 1/c^2 and tan^2(gamma).
     float m2 = slope * slope;
     float d = exp2(-FR_LOG2_E * over.y / m2) * over.x * over.x;
     float seen = min(1.0, 4.0 * n_dot_h * n_dot_v / (over.x * along));

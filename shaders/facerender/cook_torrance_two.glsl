@@ -4,11 +4,12 @@
 //   formula:  F G (w D(m0) + (1 - w) D(m1))/(pi (N.L)(N.V)), with F, G and D of cook_torrance.glsl
 //   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
 //   m0, m1:   Roughness of the two lobes: RMS slopes, in the domain of the lobe (FR_LOBE).
-//   weight:   Fraction w of the first lobe, in [0, 1]; the second lobe has 1 - w.
+//   weight:   Fraction w of the first lobe, in [0, 1]; the second lobe has the fraction 1 - w.
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1).
 //   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
 //   returns:  See cook_torrance.glsl.
-//   error:    w times the error of fr_cook_torrance at m0, plus 1 - w times its error at m1.
+//   error:    w times the error of fr_cook_torrance at m0, plus 1 - w times the error of
+//             fr_cook_torrance at m1.
 //   source:   Jimenez et al. (2015), "Next-generation character rendering", GDC (two skin lobes).
 #ifndef FR_COOK_TORRANCE_TWO_GLSL
 #define FR_COOK_TORRANCE_TWO_GLSL
@@ -20,7 +21,7 @@
 #include "masking.glsl"
 
 // Cook-Torrance specular BRDF with two lobes and the terms as arguments.
-// For programs with different terms per light.
+// Programs with different terms per light use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl for both lobes, a
 //             constant that the compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes
@@ -33,13 +34,13 @@ float fr_cook_torrance_two_terms(
 ) {
     float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
     float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
-    vec3 h = l + v;  // not normalised: V.H = |h|/2
+    vec3 h = l + v;  // Not normalised: V.H = |h|/2.
     float n_dot_h = n_dot_l + n_dot_v;
     vec2 slope = vec2(FR_SLOPE(m0), FR_SLOPE(m1));
     vec2 inverse_m2 = 1.0 / (slope * slope + FR_FLOOR);
     vec2 lobes;
     float v_dot_h;
-    float masked_over;  // G/((N.L)(N.V)), times 1/c^4 for the exact lobes
+    float masked_over;  // G/((N.L)(N.V)), times 1/c^4 for the exact lobes.
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) {
         vec2 squares = fr_half_vector(n, h, n_dot_h);
@@ -63,7 +64,8 @@ float fr_cook_torrance_two_terms(
         masked_over = masked.x / (masked.y * h_dot_h);
         v_dot_h = 0.5 * h_dot_h * inverse_length;
     }
-    // Not mix(): computed as x + a (y - x), a high lobe of weight 0 cancels the digits of the other
+    // Do not use mix(): if a driver computes it as x + a (y - x), a high lobe of weight 0 cancels
+    // the digits of the other lobe.
     vec2 shares = vec2(weight * inverse_m2.x, inverse_m2.y - weight * inverse_m2.y);
     float value = dot(shares, lobes) * masked_over;
     return value * fr_fresnel_times(0.25 / FR_PI, f0, v_dot_h, fresnel);

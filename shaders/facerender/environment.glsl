@@ -1,19 +1,20 @@
 // Environment lighting: irradiance by spherical harmonics, specular radiance by filtered samples.
 //
 //   unit:     radiance: unit of the map; irradiance: unit of the map times sr
-//   error:    With 32 samples, specular light: 0.5 % of the total light on average. Irradiance: 3 %
+//   error:    Specular light with 32 samples: 0.5 % of the total light on average. Irradiance: 3 %
 //             on average, 10 % at most (docs/measurements/skin.md). Float32 rounding: 1e-4 of the
 //             reflected radiance, plus 1e-6 of the highest value of the map.
 //   source:   Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
 //             environment maps"; Krivanek and Colbert (2008), "Real-time shading with filtered
 //             importance sampling"; map: Praun and Hoppe (2003), "Spherical parametrization".
 //
-//   map:      Float texture without filtering and mip levels: radiance over the octahedron
-//             |x| + |y| + |z| = 1, seen from +y, with its lower half folded out; x increases to the
-//             right, z upwards. The levels lie side by side from the lower left. Each has half the
-//             side of the previous level, down to 4 texels; a texel is the mean of four texels
-//             weighted by their solid angles. A border of one texel around each level repeats the
-//             texels across the edge.
+//   map:      Float texture without filtering or mip levels. It stores the radiance over the
+//             octahedron |x| + |y| + |z| = 1, seen from +y, with the lower half of the octahedron
+//             folded out; x increases to the right, z upwards. The texture contains levels side by
+//             side, starting at the lower left. Each level has half the side of the previous level,
+//             down to 4 texels. A texel is the mean of four texels of the previous level, weighted
+//             by their solid angles. A border of one texel around each level repeats the texels
+//             that adjoin the edge on the octahedron.
 //   size:     Side of the first level in texels: a power of two, at least 8.
 //   n, v:     Unit vectors in map space: normal, direction to the camera.
 //   l:        Unit vector in map space: direction to the light.
@@ -29,7 +30,7 @@
 precision highp sampler2D;
 #endif
 
-// Rotation from one slope to the next: 1.94161104 radians, pi over the golden ratio.
+// Rotation from one sampled slope to the next: 1.94161104 radians, pi over the golden ratio.
 #define FR_ENVIRONMENT_TURN mat2(-0.36237489, 0.93203242, -0.93203242, -0.36237489)
 
 // Number of sampled directions per lobe: an even number.
@@ -39,7 +40,8 @@ precision highp sampler2D;
 
 // Irradiance of a surface from the environment.
 //
-//   formula:  sum of sh[i] times 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2 of n
+//   formula:  sum over i of sh[i] times term i of 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2,
+//             with n = (x, y, z)
 //   sh:       Nine spherical-harmonic coefficients of the map, up to degree 2.
 //   returns:  >= 0.
 //   error:    float32 rounding: 1e-6 of the sum of the absolute values of the coefficients.
@@ -56,8 +58,8 @@ vec3 fr_environment_irradiance(vec3[9] sh, vec3 n) {
 //   place:    Position in the level, from lower left to upper right, in [0, 1].
 //   level:    Number of the level, from 0.
 //   returns:  Within the range of values of the map.
-//   error:    float32 rounding: 3e-7 times the side of the level, times the largest difference of
-//             adjacent texels.
+//   error:    float32 rounding: 3e-7 times the side of the level in texels, times the largest
+//             difference of adjacent texels.
 vec3 fr_environment_level(sampler2D map, int size, vec2 place, int level) {
     int side = size >> level;
     vec2 texel = place * float(side) + 0.5;
@@ -79,15 +81,15 @@ vec3 fr_environment_level(sampler2D map, int size, vec2 place, int level) {
 //                 solid angle
 //   solid_angle:  Solid angle in sr.
 //   returns:      Within the range of values of the map.
-//   error:        float32 rounding: 2e-6 times the side of the level, times the largest difference
-//                 of adjacent texels.
+//   error:        float32 rounding: 2e-6 times the side of the level in texels, times the largest
+//                 difference of adjacent texels.
 vec3 fr_environment_radiance(sampler2D map, int size, vec3 l, float solid_angle) {
     float inverse = 1.0 / (abs(l.x) + abs(l.y) + abs(l.z));
     vec2 place = l.xz * inverse;
     vec2 folded = (1.0 - abs(place.yx)) * vec2(place.x < 0.0 ? -1.0 : 1.0, place.y < 0.0 ? -1.0 : 1.0);
     place = 0.5 * (l.y < 0.0 ? folded : place) + 0.5;
-    // A texel has the side 2/size. Its distance from the centre of the octahedron is the value of
-    // inverse; its solid angle is 4/size^2 / distance^3.
+    // A texel has the side 2/size. The distance of the texel from the centre of the octahedron is
+    // `inverse`; the solid angle of the texel is 4/size^2 / distance^3.
     float texels = solid_angle * (0.25 * float(size * size)) * (inverse * inverse * inverse);
     float last = floor(log2(float(size)) - 1.5);
     float level = clamp(0.5 * log2(max(texels, 1e-30)), 0.0, last);
@@ -99,11 +101,11 @@ vec3 fr_environment_radiance(sampler2D map, int size, vec3 l, float solid_angle)
 
 // Tangent axes of a normal, aligned with the camera.
 //
-//   formula:  first axis: v - (N.V) n, normalised; second axis: n x first axis. Arbitrary axes if
-//             the sine between n and v is at most 1e-3
+//   formula:  first axis: v - (N.V) n, normalised; second axis: n x first axis. The axes are
+//             arbitrary if the sine of the angle between n and v is at most 1e-3
 //   unit:     none
 //   returns:  Two columns of length 1.
-//   error:    float32 rounding: 2e-7 divided by the sine between n and v.
+//   error:    float32 rounding: 2e-7 divided by the sine of the angle between n and v.
 mat2x3 fr_environment_axes(vec3 n, vec3 v) {
     vec3 aside = v - dot(n, v) * n;
     float length_ = length(aside);
@@ -113,19 +115,19 @@ mat2x3 fr_environment_axes(vec3 n, vec3 v) {
 }
 
 // One sample of the lobe: direction and solid angle.
-// The slopes of the samples follow the Beckmann distribution on a spiral. Each slope has a partner
-// in the opposite direction: the other side of the cavity.
+// The slopes of the samples follow the Beckmann distribution on a spiral. Each slope is also used
+// in the opposite direction, as the other side of a V-cavity.
 //
 //   formula:  half vector n + s with |s|^2 = -m^2 ln(rest), l = 2 (V.H) H - V,
 //             solid angle 4 pi m^2 (V.H) (N.H)^3/(N rest), rest = 1 - (i + 1/2)/(N/2)
 //   axes:     Result of fr_environment_axes.
-//   towards:  Unit vector: direction of the slope in these axes, at the angle 1.94161104 i or
-//             opposite. The caller rotates it from slope to slope, because drivers need not compute
-//             sin and cos accurately.
+//   towards:  Unit vector: direction of the slope in these axes, at the angle 1.94161104 i radians
+//             or opposite. The caller rotates this vector from slope to slope, because drivers need
+//             not compute sin and cos accurately.
 //   i:        Number of the slope, from 0 to N/2 - 1, with N = FR_ENVIRONMENT_SAMPLES.
-//   unit:     l none, solid angle sr
+//   unit:     l: none; solid angle: sr
 //   returns:  l in xyz, its solid angle in w; w <= 0 if the half vector faces away from the camera.
-//   error:    float32 rounding: 2e-6 for l, 2e-6 relative for the solid angle.
+//   error:    float32 rounding: 2e-6 (absolute) for l, 2e-6 (relative) for the solid angle.
 vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, vec2 towards, int i) {
     float rest = 1.0 - (float(i) + 0.5) / float(FR_ENVIRONMENT_SAMPLES / 2);
     float radius = m * sqrt(-log(rest));

@@ -1,6 +1,6 @@
 // Fresnel reflectance of a dielectric in air for unpolarised light.
-// The host selects the term of fr_fresnel: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. Default:
-// FR_FRESNEL_SCHLICK.
+// The host selects the term that fr_fresnel computes: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. The
+// default is FR_FRESNEL_SCHLICK.
 //
 //   formula:  see fresnel/*.glsl; f0 for FR_FRESNEL_CONSTANT
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1); 0.028 for skin, with index of
@@ -10,7 +10,8 @@
 //   fresnel:  FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    See fresnel/*.glsl; FR_FRESNEL_CONSTANT is 1 - f0 too low at 90 degrees.
+//   error:    See fresnel/*.glsl. FR_FRESNEL_CONSTANT is too low by up to 1 - f0, the error at 90
+//             degrees.
 //   source:   See fresnel/*.glsl.
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
@@ -34,7 +35,7 @@ float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {
     return fr_fresnel_schlick(f0, v_dot_h);
 }
 
-// Fresnel reflectance times a constant; a constant argument selects the term.
+// Fresnel reflectance times a constant factor; a constant argument selects the term.
 //
 //   scale:    Constant factor, in (0, 1].
 //   returns:  In [0, scale].

@@ -3,18 +3,18 @@
 //   formula:  x = |h|^2, y = |n x h|^2; then cos^2(gamma) = 1 - y/x, tan^2(gamma) = y/(n.h)^2
 //   n:        Unit vector: normal.
 //   h:        l + v, of any length.
-//   n_dot_h:  dot(n, h); the caller has it as dot(n, l) + dot(n, v).
+//   n_dot_h:  dot(n, h); the caller passes the sum dot(n, l) + dot(n, v).
 //   unit:     none
 //   returns:  x and y, both >= 0.
 //   error:    float32 rounding, with e = 3e-7 (1 + 1/dot(n, h)):
-//             e for sin(gamma) = sqrt(y/x) with FR_SMALL_SLOPE 1;
-//             e for sin^2(gamma) = y/x with FR_SMALL_SLOPE 0, because the difference of two squares
-//             cancels for small gamma.
+//             with FR_SMALL_SLOPE 1, the error of sin(gamma) = sqrt(y/x) is e;
+//             with FR_SMALL_SLOPE 0, the error of sin^2(gamma) = y/x is e, because the difference
+//             of two squares cancels for small gamma.
 //   source:   Lagrange's identity: |n x h|^2 = (n.n)(h.h) - (n.h)^2.
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2. FR_SMALL_SLOPE 1 keeps the product accurate for
-// small m. It costs up to 8 % of a whole specular term (facerender measure). A host whose m stays
-// above 0.2 may disable it: #define FR_SMALL_SLOPE 0.
+// small m. This setting costs up to 8 % of a whole specular term (facerender measure). A host whose
+// m stays above 0.2 may turn the setting off: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 
@@ -26,9 +26,9 @@
 
 // Squared length of the half vector.
 //
-//   formula:  |h|^2 + FR_FLOOR, so that it can be a divisor
+//   formula:  |h|^2 + FR_FLOOR; because of FR_FLOOR, the result may be a divisor
 //   returns:  > 0.
-//   error:    float32 rounding: 3e-7 relative, plus FR_FLOOR.
+//   error:    float32 rounding: 3e-7 times |h|^2, plus FR_FLOOR.
 float fr_half_vector_square(vec3 h) {
     return h.x * h.x + (h.y * h.y + (h.z * h.z + FR_FLOOR));
 }
@@ -36,13 +36,14 @@ float fr_half_vector_square(vec3 h) {
 vec2 fr_half_vector(vec3 n, vec3 h, float n_dot_h) {
     float along = n_dot_h * n_dot_h;
 #if FR_SMALL_SLOPE == 1
-    // If the length of n is off by e, the error is 2 e dot(n, h) along n: e^2 in the square.
+    // If the length of n is 1 + e, `across` has an error of 2 e dot(n, h) along n. This error is
+    // perpendicular to `across`, so that only its square, of order e^2, enters across2.
     vec3 across = h - n_dot_h * n;
     float across2 = dot(across, across);
     return vec2(along + across2, across2);
 #else
     float h_dot_h = dot(h, h);
-    return vec2(h_dot_h, abs(h_dot_h - along));  // a rounded difference below 0 raises the lobe
+    return vec2(h_dot_h, abs(h_dot_h - along));  // A negative y would raise the lobe above 1.
 #endif
 }
 

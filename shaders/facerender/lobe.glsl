@@ -1,19 +1,21 @@
-// Lobe that the host selects by FR_LOBE at compile time, or by a constant argument. Default: exact.
+// Lobe that the host selects by FR_LOBE at compile time, or by a constant argument. The default is
+// the exact lobe.
 //
 //   formula:  E/c^k, E = exp(-tan^2(gamma)/m^2), or its approximation by the selected lobe
 //   c:        Cosine of the angle between normal and half vector, in [0, 1].
 //   m:        Roughness: RMS slope of the microfacets, in the domain of the selected lobe.
 //   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
 //   lobe:     FR_LOBE_EXACT or another macro below, a constant that the compiler folds. Only the
-//             lobe of FR_LOBE is available; others return -1. #define FR_LOBE FR_LOBE_EVERY makes
-//             all lobes available; functions without this argument then use the exact lobe.
+//             lobe of FR_LOBE is available; for other lobes the functions return -1. #define
+//             FR_LOBE FR_LOBE_EVERY makes all lobes available; functions without this argument then
+//             use the exact lobe.
 //   unit:     none
 //   returns:  1 at c = 1; the caller multiplies by the scale of the model.
 //   error:    See lobe/*.glsl.
 //   source:   See lobe/*.glsl.
 //
-// To use your own lobe, declare float my_lobe(float c, float m, int k), and before the include
-// #define FR_LOBE_FUNCTION my_lobe.
+// To use your own lobe, write two lines before the include: the declaration
+// float my_lobe(float c, float m, int k); and #define FR_LOBE_FUNCTION my_lobe.
 #ifndef FR_LOBE_GLSL
 #define FR_LOBE_GLSL
 
@@ -30,7 +32,8 @@
 #define FR_LOBE_OWN 90
 #define FR_LOBE_EVERY 91
 
-// Numbers, because Babylon.js and PlayCanvas compare macros as text and do not expand names.
+// FR_LOBE is a number here, because Babylon.js and PlayCanvas compare macros as text and do not
+// expand names.
 #if defined(FR_LOBE_FUNCTION) && !defined(FR_LOBE)
 #define FR_LOBE 90
 #endif
@@ -64,7 +67,7 @@
 #include "lobe/fitted.glsl"
 #endif
 
-// Power, 1 to 31, and steepness of FR_LOBE_G_POWER, which the host fits. Default: D8.
+// Power (1 to 31) and steepness of FR_LOBE_G_POWER, which the host fits. The default is D8.
 #ifndef FR_G
 #define FR_G 8
 #endif
@@ -72,7 +75,7 @@
 #define FR_STEEPNESS(m, k) ((2.0 / ((m) * (m)) - float(k)) / float(FR_G))
 #endif
 
-// Lobe for callers that already have 1/m^2, such as a BRDF; a constant argument selects it.
+// Lobe for callers that already have 1/m^2, such as a BRDF; a constant argument selects the lobe.
 //
 //   inverse_m2:  1/m^2.
 float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
@@ -111,7 +114,7 @@ float fr_lobe_of(float c, float m, int k, int lobe) {
     return fr_lobe_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
 }
 
-// Lobe that the host selects: #define FR_LOBE FR_LOBE_D16.
+// Lobe that the host selects, for example by #define FR_LOBE FR_LOBE_D16.
 float fr_lobe(float c, float m, int k) {
     return fr_lobe_of(c, m, k, FR_DEFAULT_LOBE);
 }

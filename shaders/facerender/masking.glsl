@@ -1,15 +1,16 @@
-// Masking and shadowing of microfacets, divided by the (N.L)(N.V) of a BRDF.
-// The host selects the term of fr_cook_torrance: #define FR_MASKING FR_MASKING_KELEMEN. Default:
-// FR_MASKING_V_CAVITY. FR_MASKING_NONE is G = 1; the BRDF then grows as 1/(N.V) towards the
+// Masking and shadowing of microfacets, divided by (N.L)(N.V).
+// The host selects the term of fr_cook_torrance: #define FR_MASKING FR_MASKING_KELEMEN. The default
+// is FR_MASKING_V_CAVITY. With FR_MASKING_NONE, G = 1; the BRDF then grows as 1/(N.V) towards the
 // silhouette.
 //
 //   formula:           G/((N.L)(N.V)) = x/(y h.h) for the selected term
-//   n_dot_h, h_dot_h:  dot(n, h) and dot(h, h) of h = l + v, not normalised.
-//   n_dot_l, n_dot_v:  Cosines of the directions to the light and to the camera, in [-1, 1].
+//   n_dot_h, h_dot_h:  dot(n, h) and dot(h, h) for the half vector h = l + v, not normalised.
+//   n_dot_l, n_dot_v:  dot(n, l) and dot(n, v) for the directions l to the light and v to the
+//                      camera, in [-1, 1].
 //   masking:           FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
 //   unit:              none
-//   returns:           x >= 0 and y > 0. x is 0 if a cosine is at most 0, or with
-//                      FR_MASKING_KELEMEN and FR_MASKING_NONE at most FR_MIN_COSINE.
+//   returns:           x >= 0 and y > 0. x is 0 if N.L or N.V is at most 0. With FR_MASKING_KELEMEN
+//                      or FR_MASKING_NONE, x is 0 if N.L or N.V is at most FR_MIN_COSINE.
 //   error:             See masking/*.glsl.
 //   source:            See masking/*.glsl.
 #ifndef FR_MASKING_GLSL

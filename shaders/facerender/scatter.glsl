@@ -2,16 +2,17 @@
 //
 //   source:   Profile: d'Eon and Luebke (2007), "Advanced techniques for realistic real-time skin
 //             rendering", GPU Gems 3, chapter 14; samples in the image: Jimenez et al. (2009),
-//             "Screen-space perceptual rendering of human skin", here with distances in space.
-//   error:    Against the integral of the profile over a mesh: docs/measurements/skin.md. Each
+//             "Screen-space perceptual rendering of human skin", here with distances between 3D
+//             positions.
+//   error:    docs/measurements/skin.md compares with the integral of the profile over a mesh. Each
 //             function states its float32 rounding.
 //   unit:     lengths: unit of the host; scattered light: unit of the image
 //
 //   gaussians:  Gaussians of the profile that are wider than half a pixel, with weight w (red,
-//               green, blue) and variance v > 0 in square units. rgb: w/(2 pi v), at most 1e8 in
-//               total; a: -log2(e)/(2 v).
-//   light:      Float texture without filtering. rgb: irradiance, in [0, 1e12]; a: fr_scatter_area
-//               for the normal of the mesh.
+//               green, blue) and variance v > 0 in square units. rgb: w/(2 pi v), whose sum over
+//               the Gaussians is at most 1e8; a: -log2(e)/(2 v).
+//   light:      Float texture without filtering. rgb: irradiance, in [0, 1e12]; a: result of
+//               fr_scatter_area for the normal of the mesh.
 //   place:      Float texture without filtering. xyz: position of the surface; w: a number other
 //               than 0, equal for surfaces that scatter into each other.
 #ifndef FR_SCATTER_GLSL
@@ -34,10 +35,10 @@ precision highp int;
 #define FR_SCATTER_GAUSSIANS 4
 #endif
 
-// Fraction of the light at one point that leaves the skin at another point, per unit area.
+// Fraction of the light entering at one point that leaves the skin at another point, per unit area.
 //
 //   formula:  sum of w exp(-r^2/(2 v))/(2 pi v)
-//   r2:       Squared distance, in [0, 1e18].
+//   r2:       Squared distance between the two points, in [0, 1e18].
 //   unit:     1/(square unit)
 //   returns:  >= 0.
 //   error:    float32 rounding: 1e-6 of the value at r2 = 0.
@@ -49,21 +50,23 @@ vec3 fr_scatter_profile(float r2, vec4[FR_SCATTER_GAUSSIANS] gaussians) {
     return sum;
 }
 
-// Surface area in a pixel, relative to a surface that faces the camera.
+// Surface area that a pixel shows, divided by the area of a surface that faces the camera.
 //
 //   formula:  1/max(|c|, 0.2)
 //   c:        N.V, in [-1, 1].
 //   unit:     none
 //   returns:  In [1, 5].
-//   error:    float32 rounding: 2e-7. Too low for |c| < 0.2, because few pixels show such surfaces.
+//   error:    float32 rounding: 2e-7. For |c| < 0.2 the area is too low; few pixels show such
+//             surfaces.
 float fr_scatter_area(float c) {
     return 1.0 / max(abs(c), 0.2);
 }
 
-// Rotation angle of the samples of a pixel, different in adjacent pixels: noise instead of banding.
+// Rotation angle of the samples of a pixel. It differs between adjacent pixels, which turns banding
+// into noise.
 //
-//   formula:  2 pi fract(52.983 fract(0.06711056 x + 0.00583715 y)) - pi, in integers
-//   pixel:    Column and row.
+//   formula:  2 pi fract(52.983 fract(0.06711056 x + 0.00583715 y)) - pi, computed with integers
+//   pixel:    Column and row of the pixel.
 //   unit:     radians
 //   returns:  In [-pi, pi].
 //   error:    float32 rounding: 4e-7.
@@ -78,21 +81,22 @@ float fr_scatter_turn(ivec2 pixel) {
 //
 //   formula:  rest E + (1 - rest) (sum of w E_i)/(sum of w), w = area_i R(d_i)/density_i, with R
 //             the profile
-//   pixel:    Column and row; place.w is not 0 there.
+//   pixel:    Column and row of a pixel where place.w is not 0.
 //   scale:    Pixels per unit of length across the view, at the depth of the pixel.
-//   rest:     Fraction of each channel that leaves where it enters: 1 minus the weights of the
-//             Gaussians.
-//   spiral:   Xy: offsets from the pixel before rotation, in units of length; z: 1/density of the
-//             samples there, in [0, 1e12]. Larger values overflow with the most light and the
-//             highest profile.
+//   rest:     Fraction of the light of each channel that leaves where it enters: 1 minus the sum of
+//             the weights of the Gaussians.
+//   spiral:   xy: offset of each sample from the pixel before rotation, in units of length; z:
+//             1/density of the samples at this offset, in [0, 1e12]. Larger z may overflow if
+//             irradiance and profile have their largest values.
 //             Example: radii distributed as the profile, angles 2.39996 i (Vogel 1979).
 //   unit:     unit of the image
-//   returns:  >= 0. The sums are over the pixels i of a spiral; d_i is the distance in space
-//             between the surfaces in the two pixels. Both sums include the pixel itself with w =
-//             1e-3, in case no other surface is near. Pixels outside the image are skipped.
-//   error:    At 99 % of the pixels of a face: 17 8-bit levels with 8 samples, 11 with 16, 8 with
-//             32, 7 with 64. Float32 rounding: 1e-5 of the largest irradiance, except where a
-//             sample rounds into another pixel.
+//   returns:  >= 0. In the formula, the sums run over the pixels i of the spiral; d_i is the
+//             distance between the surface positions in the pixel and in pixel i. Both sums include
+//             the pixel itself with w = 1e-3, in case no other surface is near. Pixels outside the
+//             image are skipped.
+//   error:    At 99 % of the pixels of a face, at most 17 8-bit levels with 8 samples, 11 levels
+//             with 16, 8 levels with 32, 7 levels with 64. Float32 rounding: 1e-5 of the largest
+//             irradiance, except where a sample rounds into another pixel.
 vec3 fr_scatter(
     sampler2D light, sampler2D place, ivec2 pixel, float scale,
     vec4[FR_SCATTER_GAUSSIANS] gaussians, vec3 rest, vec3[FR_SCATTER_SAMPLES] spiral

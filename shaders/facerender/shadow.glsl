@@ -2,23 +2,25 @@
 //
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    Against ray tracing: docs/measurements/skin.md. Float32 rounding: none, except where
-//             a depth equals the depth in the map within rounding; the result is then 0 or 1.
+//   error:    docs/measurements/skin.md compares with ray tracing. Float32 rounding: none, except
+//             where a depth equals the depth in the map within rounding; the texel then counts as
+//             lit or as dark.
 //   source:   Williams (1978), "Casting curved shadows on curved surfaces"; discs: Fernando (2005),
 //             "Percentage-closer soft shadows".
 //
-// Points are in light space. x and y are across the direction of the light, from -1 to 1 over the
-// map. z grows towards the light, with the same scale as x and y. For a point light at distance d
-// from the centre of a mesh in the unit sphere, light space is s d (x, y, z)/(d - z), with z along
-// the axis and s = sqrt(1 - 1/d^2). In light space rays are parallel, planes stay planes, and the
-// shadow of a sphere widens as with a distant disc light.
+// Points are in light space. x and y are perpendicular to the direction of the light, from -1 to 1
+// over the map. z grows towards the light, with the same scale as x and y. For a point light at
+// distance d from the centre of a mesh in the unit sphere, light space is s d (x, y, z)/(d - z).
+// There z is along the axis from the centre to the light, and s = sqrt(1 - 1/d^2). In light space
+// the rays from the light are parallel, planes stay planes, and the shadow edge of a sphere light
+// widens as for a distant disc light.
 //
-//   map:      Float texture without filtering: red is the z of the surface nearest to the light, or
-//             less than the z of every point where there is no surface.
-//   tile:     First texel of the map of the light, and its side in texels. One texture may hold the
-//             maps of several lights; nothing outside the tile casts shadows.
+//   map:      Float texture without filtering. Red: z of the surface nearest to the light; where
+//             there is no surface, a value below the z of every point.
+//   tile:     xy: first texel of the light's map in the texture; z: side of this map in texels. One
+//             texture may hold the maps of several lights; nothing outside the tile casts shadows.
 //   p:        Point in light space, moved by 1.25 texels (2.5/tile.z) along the normal of the mesh.
-//   bias:     Offset added to z, for example 0.004.
+//   bias:     Offset added to the z of the point, for example 0.004.
 #ifndef FR_SHADOW_GLSL
 #define FR_SHADOW_GLSL
 
@@ -28,15 +30,15 @@
 precision highp sampler2D;
 #endif
 
-// Number of samples of fr_shadow_disc for the search of occluders, and again for the visible
-// fraction.
+// Number of samples that fr_shadow_disc takes for the search of occluders, and again for the
+// visible fraction.
 #ifndef FR_SHADOW_SAMPLES
 #define FR_SHADOW_SAMPLES 12
 #endif
 
 // Visibility of the light at a depth, 0 or 1 per texel, interpolated between four texels.
 //
-//   formula:  step(map, z), bilinear
+//   formula:  bilinear interpolation of step(map, z)
 //   at, z:    Position and depth in light space.
 float fr_shadow_lit(sampler2D map, ivec3 tile, vec2 at, float z) {
     vec2 texel = (at * 0.5 + 0.5) * float(tile.z) - 0.5;
@@ -58,26 +60,26 @@ float fr_shadow_lit(sampler2D map, ivec3 tile, vec2 at, float z) {
 
 // Visible fraction of a light without angular radius.
 //
-//   formula:  fr_shadow_lit at p, with the bias
+//   formula:  fr_shadow_lit at p, with the bias added to z
 float fr_shadow_hard(sampler2D map, ivec3 tile, vec3 p, float bias) {
     return fr_shadow_lit(map, tile, p.xy, p.z + bias);
 }
 
 // Visible fraction of a disc light or a sphere light.
 //
-//   formula:     mean of fr_shadow_lit over the disc that the light covers, seen from p through a
-//                hole at the mean z of the occluders
-//   plane:       Change of z with x and y on the tangent plane at p, at most 8.
+//   formula:     mean of fr_shadow_lit over a disc: the cross-section, at the mean z of the
+//                occluders, of the cone from p to the light
+//   plane:       Change of z per unit of x and per unit of y on the tangent plane at p, in [-8, 8].
 //   tan_radius:  Tangent of the angle between the centre and the rim of the light, seen from the
 //                centre of the mesh, in (0, tan(20 degrees)].
 //   top:         Largest z of the occluders: 1 for a distant light, s d/(d - 1) for a point light.
-//                If it is p.z, the function skips the search and returns 1.
+//                If top is at most p.z, the function skips the search and returns 1.
 //   turn:        Rotation of the spiral in radians; a different angle at each pixel turns banding
 //                into noise.
-//   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds one. The
-//                radius of the search is tan_radius times the largest difference of z. Search and
-//                mean use samples on a spiral (Vogel 1979): radius sqrt((i + 1/2)/N), angle
-//                2.39996 i + turn.
+//   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds an occluder.
+//                The radius of the search is tan_radius times top - p.z, which is clamped to [0,
+//                1]. Search and mean use samples on a spiral (Vogel 1979): radius sqrt((i +
+//                1/2)/N), angle 2.39996 i + turn.
 float fr_shadow_disc(
     sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
     float turn
@@ -86,7 +88,8 @@ float fr_shadow_disc(
     float z = p.z + bias;
     float reach = tan_radius * clamp(top - p.z, 0.0, 1.0);
     vec2 start = vec2(cos(turn), sin(turn)) * inversesqrt(float(FR_SHADOW_SAMPLES));
-    // Loops with 0 iterations instead of branches: some drivers execute both sides of a branch.
+    // Loops with 0 iterations replace branches, because some drivers execute both sides of a
+    // branch.
     int turns = reach > 0.0 ? FR_SHADOW_SAMPLES : 0;
     int blocked = 0;
     float depth = 0.0;

@@ -1,12 +1,13 @@
-// Slope variance: unresolved detail of a pixel, a texel or a light, treated as microfacets.
+// Slope variance: unresolved detail within a pixel, a texel or a disc light, treated as
+// microfacets.
 //
-//   unit:     none: variance of the slopes along each of two axes
+//   unit:     none: variance of the slopes along each of the two tangent axes
 //   returns:  >= 0.
 //   error:    Each function states its error and its float32 rounding.
 //   source:   Variances of independent slopes add, as in Olano and Baker (2010), "LEAN mapping".
 //
-// Three variances widen the lobe: the normal map within its texels, the curvature of the mesh over
-// a pixel, and the disc of each light. The caller adds them before fr_slope_filtered.
+// Three variances widen the lobe: the variance of the normal map within a texel, of the curved mesh
+// within a pixel, and of each disc light. The caller passes their sum to fr_slope_filtered.
 #ifndef FR_SLOPE_VARIANCE_GLSL
 #define FR_SLOPE_VARIANCE_GLSL
 
@@ -16,8 +17,8 @@
 #define FR_MAP_DEVIATION 0.35
 
 // Fraction of the variance of a normal map that widens the lobe. Relief such as pores is mostly
-// flat with few steep walls: a normal distribution with the full variance has a lower peak than the
-// real highlight.
+// flat with few steep walls: a Gaussian distribution with the full variance has a lower peak than
+// the real highlight.
 #define FR_MAP_SHARE 0.5
 
 // Largest result of fr_slope_variance_pixel. At a silhouette the normal changes without bound, but
@@ -26,14 +27,15 @@
 
 // Roughness m after adding unresolved slope variance.
 //
-//   formula:   sqrt(m^2 + 2 variance), clamped to [FR_MIN_SLOPE, FR_MAX_SLOPE]; Beckmann's slopes
-//              have the variance m^2/2
+//   formula:   sqrt(m^2 + 2 variance), clamped to [FR_MIN_SLOPE, FR_MAX_SLOPE]; the slopes of a
+//              Beckmann distribution have the variance m^2/2
 //   m:         Roughness: RMS slope of the microfacets, in [0, 2].
 //   variance:  Unresolved slope variance, in [0, 1e18].
 //   returns:   RMS slope, in [FR_MIN_SLOPE, FR_MAX_SLOPE].
-//   error:     None for independent, normally distributed slopes; float32 rounding: 4e-7 relative.
+//   error:     The formula is exact for independent, normally distributed slopes; float32 rounding:
+//              4e-7 times the result.
 float fr_slope_filtered(float m, float variance) {
-    // The root comes last: compilers drop it if only the square of the result is used.
+    // The root comes last: compilers remove the root if only the square of the result is used.
     float least = FR_MIN_SLOPE * FR_MIN_SLOPE;
     return sqrt(clamp(m * m + 2.0 * variance, least, FR_MAX_SLOPE * FR_MAX_SLOPE));
 }
@@ -41,11 +43,13 @@ float fr_slope_filtered(float m, float variance) {
 // Slope variance of the texels that a mip level of a prepared normal map averages.
 // The command facerender shaders prepare-normal-map writes such maps.
 //
-//   formula:  0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35 with N the mean of unit normals
+//   formula:  0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of unit
+//             normals
 //   alpha:    Alpha channel of the map, filtered together with red, green and blue, in [0, 1].
-//   error:    Remaining error of a highlight: docs/measurements/skin.md; float32 rounding: 3e-7
-//             relative.
-//   source:   Toksvig (2005), "Mipmapping normal maps", with the variance stored instead of |N|.
+//   error:    docs/measurements/skin.md states the remaining error of a highlight; float32
+//             rounding: 3e-7 times the result.
+//   source:   Toksvig (2005), "Mipmapping normal maps"; here the map stores the standard deviation
+//             instead of |N|.
 float fr_slope_variance_map(float alpha) {
     float deviation = FR_MAP_DEVIATION * alpha;
     return FR_MAP_SHARE * deviation * deviation;
@@ -53,17 +57,19 @@ float fr_slope_variance_map(float alpha) {
 
 // Slope variance of a curved mesh over a pixel.
 //
-//   formula:   (|n_x|^2 + |n_y|^2)/24, at most 0.1: half of the sum per axis, times the variance
-//              1/12 of a position in a box
-//   n_x, n_y:  Change of the unit normal of the mesh, without normal map, from one pixel to the
-//              next, for example dFdx(n) and dFdy(n).
-//   error:     Error of a linear normal over the pixel; float32 rounding: 5e-7 relative.
-//   source:    Kaplanyan et al. (2016), Tokuyoshi and Kaplanyan (2019), with a box of one pixel.
+//   formula:   (|n_x|^2 + |n_y|^2)/24, at most 0.1: half of the sum for each axis, times 1/12, the
+//              variance of a uniform position in a pixel
+//   n_x, n_y:  Change of the unit normal of the mesh (without normal map) to the next pixel in x
+//              and in y, for example dFdx(n) and dFdy(n).
+//   error:     Error of assuming a linear normal within the pixel; float32 rounding: 5e-7 times the
+//              result.
+//   source:    Kaplanyan et al. (2016), Tokuyoshi and Kaplanyan (2019), here with a box filter of
+//              one pixel.
 float fr_slope_variance_pixel(vec3 n_x, vec3 n_y) {
     return min((dot(n_x, n_x) + dot(n_y, n_y)) / 24.0, FR_MAX_PIXEL_VARIANCE);
 }
 
-// Slope variance that a disc light adds, seen from the surface.
+// Slope variance that represents the extent of a disc light.
 //
 //   formula:  (s/k)^2/32 (1 + 1/(V.H)^2), s/k = 2 tan(R/2)
 //   s:        sin(R), with R the angle between the centre and the rim of the disc, in
@@ -71,11 +77,12 @@ float fr_slope_variance_pixel(vec3 n_x, vec3 n_y) {
 //   k:        (1 + cos(R))/2.
 //   v_dot_h:  Cosine of the angle between the direction to the camera and the unit half vector, in
 //             [0, 1]; clamped to at least sqrt(0.05).
-//   returns:  >= 0. A disc of radius R has the variance R^2/4 per axis; the half vector has 1/4 of
-//             it in the plane of L and V, and 1/(4 (V.H)^2) of it across.
-//   error:    mean error of the specular light for m = 0.15 and 0.3: 3 % with the light 20 degrees
-//             from the camera, 7 % at 60 degrees; 10 % at 110 degrees for R up to 10 degrees.
-//             Float32 rounding: 1e-6 relative.
+//   returns:  >= 0. A disc of radius R has the variance R^2/4 per axis. The half vector has 1/4 of
+//             this variance in the plane of L and V, and 1/(4 (V.H)^2) of it perpendicular to this
+//             plane.
+//   error:    Mean error of the specular light for m = 0.15 and 0.3: 3 % if the light is 20 degrees
+//             from the camera, 7 % at 60 degrees, and 10 % at 110 degrees (for R up to 10 degrees).
+//             Float32 rounding: 1e-6 times the result.
 float fr_slope_variance_disc(float s, float k, float v_dot_h) {
     float width = s / k;
     return width * width * (0.03125 + 0.03125 / max(v_dot_h * v_dot_h, 0.05));
@@ -83,15 +90,16 @@ float fr_slope_variance_disc(float s, float k, float v_dot_h) {
 
 // Cosine term of a disc light: the mean of max(N.L, 0) over the disc.
 //
-//   formula:  k c for c >= s, 0 for c <= -s, between them k (c + s)^2/(4 s)
+//   formula:  k c for c >= s; 0 for c <= -s; k (c + s)^2/(4 s) for c between -s and s
 //   c:        N.L of the centre of the disc, in [-1, 1].
 //   s:        sin(R), with R the angle between the centre and the rim of the disc, in
 //             [0, 30 degrees].
 //   k:        (1 + cos(R))/2.
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    None for c >= s or c <= -s; between them 0.0063 for R up to 10 degrees, 0.010 up to
-//             30. Float32 rounding: 4e-7.
+//   error:    The formula is exact for c >= s and for c <= -s. For c between -s and s, the error is
+//             at most 0.0063 for R up to 10 degrees, 0.010 for R up to 30 degrees. Float32
+//             rounding: 4e-7.
 float fr_cosine_disc(float c, float s, float k) {
     float above = max(c + s, 0.0);
     return k * (c >= s ? c : above * above / (4.0 * max(s, 1e-30)));

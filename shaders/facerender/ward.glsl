@@ -7,9 +7,9 @@
 //             (FR_LOBE).
 //   unit:     1/sr, for a specular reflectance of 1; includes 1/pi, excludes N.L
 //   returns:  Finite and >= 0 for finite vectors, also for m below its domain. Exactly 0 if N.L or
-//             N.V in float32 is at most 0, or if their product is at most 1e-12, the square of
+//             N.V in float32 is at most 0, or if (N.L)(N.V) is at most 1e-12, the square of
 //             FR_MIN_COSINE.
-//   error:    See cook_torrance.glsl, without F.
+//   error:    As in cook_torrance.glsl, without the factor F.
 //   source:   Ward (1992), eq. 4.
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL
@@ -19,7 +19,7 @@
 #include "lobe.glsl"
 
 // Ward's isotropic specular BRDF with the lobe as an argument.
-// For programs with different lobes per light.
+// Programs with different lobes per light use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the
 //             compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes available.
@@ -27,7 +27,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     float n_dot_l = dot(n, l);
     // Clamped, so that the product is at most 0 if both cosines are negative.
     float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
-    vec3 h = l + v;  // not normalised
+    vec3 h = l + v;  // Not normalised.
     float n_dot_h = n_dot_l + n_dot_v;
     float product = n_dot_l * n_dot_v;
     float m2 = FR_SLOPE(m) * FR_SLOPE(m) + FR_FLOOR;
@@ -35,9 +35,9 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) {
         float along = n_dot_h * n_dot_h + FR_FLOOR;
-        float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w
+        float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w.
         float x = fr_half_vector(n, h, n_dot_h).y / (along * w);
-        // log2(ln 2/(4 pi)) is the constant factor
+        // -4.1802625 is log2(ln 2/(4 pi)), the constant factor.
         value = exp2(-4.1802625 - x) * inversesqrt(w * w * product);
     } else
 #endif

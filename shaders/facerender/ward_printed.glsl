@@ -1,6 +1,6 @@
 // Ward's specular BRDF as published by Romanyuk et al. (2020).
-// Only for the reproduction of that paper: it is not reciprocal, and at normal incidence it is
-// 0.707 times Ward's BRDF. Use ward.glsl.
+// This file serves only to reproduce that paper: the BRDF is not reciprocal, and at normal
+// incidence it is 0.707 times Ward's BRDF. In all other cases use ward.glsl.
 //
 //   formula:  E/(4 pi m^2 sqrt(N.V + L.H)), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.

@@ -7,10 +7,11 @@
 //   m:        Roughness: RMS slope of the microfacets (Ward's alpha), in [1e-4, 2].
 //   u:        Two random numbers, uniform in [0, 1).
 //   unit:     none for the sample; 1/sr for the density
-//   returns:  The sample: a unit vector, below the surface if N.L <= 0; the BRDF is 0 there. Its
-//             weight BRDF (N.L)/density is c^3 (V.H) sqrt((N.L)/(N.V)), unbounded only for grazing
-//             N.V. If the half vector points away from the camera, the sample is -n.
-//   error:    Per component of the sample: 1e-5 in float32, or 2^-10 if sine and cosine are only as
+//   returns:  A unit vector l. If N.L <= 0, l points below the surface and the BRDF is 0. The
+//             weight of the sample, BRDF (N.L)/density, is c^3 (V.H) sqrt((N.L)/(N.V)); it is
+//             unbounded only for grazing N.V. If the half vector points away from the camera, l is
+//             -n.
+//   error:    At most 1e-5 per component of l in float32, or 2^-10 if sine and cosine are only as
 //             accurate as Vulkan requires.
 //   source:   Ward (1992); Walter (2005), "Notes on the Ward BRDF".
 #ifndef FR_WARD_SAMPLE_GLSL
@@ -31,8 +32,8 @@ vec3 fr_ward_sample(vec3 n, vec3 v, float m, vec2 u) {
 //   unit:     1/sr
 //   returns:  Finite and >= 0; 0 if N.V or N.L is at most FR_MIN_COSINE, which excludes the pole at
 //             l = -v below the surface.
-//   error:    float32 rounding r of fr_ward (cook_torrance.glsl), times the highest density in the
-//             same directions.
+//   error:    float32 rounding: r of fr_ward (see cook_torrance.glsl), times the density in the
+//             same directions with the highest value of the lobe.
 float fr_ward_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);
@@ -41,9 +42,9 @@ float fr_ward_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     bool above = min(n_dot_l, n_dot_v) > FR_MIN_COSINE;
     float along = above ? n_dot_h * n_dot_h : 1.0;
-    vec2 over = fr_half_vector(n, h, n_dot_h) / along;  // 1/c^2 and tan^2(gamma)
+    vec2 over = fr_half_vector(n, h, n_dot_h) / along;  // 1/c^2 and tan^2(gamma).
     float m2 = slope * slope;
-    float d = exp2(-FR_LOG2_E * over.y / m2) * over.x;  // E/c^2; 1/(c (V.H)) is 2/(N.h)
+    float d = exp2(-FR_LOG2_E * over.y / m2) * over.x;  // E/c^2; 1/(c (V.H)) is 2/(N.h).
     return above ? d / (2.0 * FR_PI * m2 * n_dot_h) : 0.0;
 }
 

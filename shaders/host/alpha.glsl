@@ -1,6 +1,6 @@
 // Opacity of a fragment.
-// ALPHA_MASK discards fragments below alpha_cutoff. ALPHA_BLEND blends fragments with the surfaces
-// behind them.
+// With ALPHA_MASK, fragments with an opacity below alpha_cutoff are discarded. With ALPHA_BLEND,
+// fragments are blended with the surfaces behind them.
 #ifndef HOST_ALPHA_GLSL
 #define HOST_ALPHA_GLSL
 
@@ -20,11 +20,12 @@ float opacity_here() {
 }
 
 #ifdef DEPTH_PEELING
-// Previous layer. red: depth; green: number of the triangle; alpha: 0 if there is no layer.
+// Previous layer of depth peeling. red: depth; green: number of the triangle; alpha: 0 if there is
+// no layer.
 uniform sampler2D previous_layer;
 
 // Discard all fragments except those behind the previous layer.
-// At equal depth the triangle that is drawn last is in front.
+// At equal depth the triangle drawn last counts as the triangle in front.
 void discard_previous_layers() {
     vec4 before = texelFetch(previous_layer, ivec2(gl_FragCoord.xy), 0);
     bool behind = gl_FragCoord.z > before.r;
@@ -37,9 +38,10 @@ void discard_previous_layers() {
 uniform float alpha_cutoff;
 
 // Return the fraction of a fragment that remains after the alpha cutoff.
-// With TO_COVERAGE samples per pixel the fraction may be partial in the pixel where the opacity
-// crosses the cutoff. OpenGL converts it to n covered samples (alpha to coverage). The offset of
-// 0.25 gives n samples whether a driver rounds to the nearest number or, like Mesa, up.
+// TO_COVERAGE is the number of samples per pixel. If it is defined, the fraction may be partial in
+// a pixel where the opacity crosses the cutoff. OpenGL converts the fraction to n covered samples
+// (alpha to coverage). The offset of 0.25 gives n samples both on drivers that round to the nearest
+// number and on drivers that round up, like Mesa.
 float share_left() {
     float alpha = opacity_here();
 #ifdef TO_COVERAGE

@@ -1,4 +1,4 @@
-// Draw depth only.
+// Draw only the depth of a surface.
 #ifdef UV
 in vec2 uv;
 #endif

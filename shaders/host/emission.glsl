@@ -1,5 +1,5 @@
 // Emissive radiance of a surface.
-uniform vec3 emissive;  // radiance
+uniform vec3 emissive;  // Emitted radiance.
 #ifdef EMISSIVE_MAP
 uniform sampler2D emissive_map;
 #endif

@@ -1,12 +1,12 @@
-// Environment lighting. ENVIRONMENT_SAMPLES is the number of samples per lobe; without it, there is
-// no specular environment light.
+// Environment lighting. ENVIRONMENT_SAMPLES is the number of samples per lobe. If this macro is
+// undefined, there is no specular environment light.
 #ifdef ENVIRONMENT_SAMPLES
 #define FR_ENVIRONMENT_SAMPLES ENVIRONMENT_SAMPLES
 #endif
 #include "facerender/environment.glsl"
 
 uniform vec3 environment_sh[9];
-uniform mat3 environment_turn;  // from mesh space to map space
+uniform mat3 environment_turn;  // Rotation from mesh space to map space.
 uniform float environment_scale;
 
 vec3 environment_irradiance(vec3 n) {

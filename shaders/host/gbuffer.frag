@@ -9,7 +9,7 @@
 #include "host/emission.glsl"
 #endif
 
-uniform float part;  // index of the part, from 1; 0 is the background
+uniform float part;  // Index of the part, from 1; 0 is the background.
 layout(location = 0) out vec4 position_part;
 layout(location = 1) out vec4 normal_slope;
 layout(location = 2) out vec4 albedo_weight;
@@ -17,10 +17,10 @@ layout(location = 3) out vec4 uv_occlusion;
 #ifdef TWO_LOBES
 layout(location = 4) out vec4 second_slope_weight;
 #endif
-#ifdef EMITTED  // index of the render target
+#ifdef EMITTED  // EMITTED is the index of the render target.
 layout(location = EMITTED) out vec4 emitted;
 #endif
-#ifdef LAYER  // index of the render target
+#ifdef LAYER  // LAYER is the index of the render target.
 layout(location = LAYER) out vec4 layer;
 #endif
 

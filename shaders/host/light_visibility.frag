@@ -1,4 +1,4 @@
-// Visible fraction at a point of each light that casts shadows, for the float64 reference.
+// Visible fraction of each shadow-casting light at a point, for the float64 reference.
 #include "facerender/constants.glsl"
 #include "host/light/light.glsl"
 #include "host/surface.glsl"

@@ -1,16 +1,16 @@
-// Subsurface scattering: adds the change of the diffuse light to an image, and composites the
-// background.
-// The program draws only where scatter_mask.frag marked pixels.
+// Subsurface scattering: adds the change of the diffuse light to an image, and composites the image
+// over the background.
+// The depth test limits the program to the pixels that scatter_mask.frag marked.
 #include "facerender/constants.glsl"
 #include "facerender/scatter.glsl"
 #include "host/scattering.glsl"
 
-uniform sampler2D light;  // see facerender/scatter.glsl
+uniform sampler2D light;  // See facerender/scatter.glsl.
 uniform sampler2D albedo;
 uniform vec3 background;
 uniform vec3 camera_position;
-uniform vec3 forward;  // unit vector
-uniform float pixels;  // per unit of length across the view, at depth 1
+uniform vec3 forward;  // Unit vector: viewing direction of the camera.
+uniform float pixels;  // Pixels per unit of length across the view, at depth 1.
 uniform vec4[FR_SCATTER_GAUSSIANS] gaussians;
 uniform vec3 rest;
 uniform vec3[FR_SCATTER_SAMPLES] spiral;

@@ -1,4 +1,4 @@
-// Marks the pixels that a profile scatters, by depth.
+// Marks, in the depth buffer, the pixels of one scattering profile.
 // The depth test then skips scatter.frag at all other pixels.
 #include "host/scattering.glsl"
 

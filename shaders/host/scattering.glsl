@@ -1,11 +1,13 @@
-// Pixels that scatter, and their profile: the texture of positions of facerender/scatter.glsl.
+// Pixels that scatter light, and the number of their profile, from the texture `place` of
+// facerender/scatter.glsl.
 // SEVERAL is defined if a pixel has several samples.
 uniform sampler2D image;
 uniform sampler2D place;
 uniform float profile;
 
-// Return the pixel that stands in for a pixel: the pixel itself in general.
-// It is a neighbour if the centre of the pixel sees nothing but other samples do.
+// Return the pixel whose surface represents a pixel: usually the pixel itself.
+// If no surface covers the centre of the pixel, but a surface covers other samples, return a
+// neighbour.
 ivec2 stand_in(ivec2 pixel) {
 #ifdef SEVERAL
     if (texelFetch(image, pixel, 0).a == 0.0) return pixel;

@@ -1,5 +1,5 @@
 // A triangle that covers the viewport.
-uniform float depth;  // from -1 to 1
+uniform float depth;  // Depth in clip space, from -1 to 1.
 
 void main() {
     vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1);

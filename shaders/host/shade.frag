@@ -1,12 +1,12 @@
 // Radiance of a point: the sum of irradiance x N.L x BRDF over all lights, plus the ambient term.
 // drawing/program.py writes the text before this file:
-// - the kinds of lights;
-// - EVERY_LIGHT, which calls add_light for each light with the number of its specular term, -1 for
-//   none;
+// - the includes of the kinds of lights;
+// - EVERY_LIGHT, which calls add_light for each light with the number of the light's specular term,
+//   or -1 for none;
 // - if a light has a specular term: SPECULAR and specular_term(term, n, l, v, m, f0); with
 //   TWO_LOBES the arguments second_m and lobe_weight precede f0;
 // - with ENVIRONMENT_SAMPLES: ENVIRONMENT_RADIANCE, the reflected environment light as an
-//   expression of n, v and the same arguments.
+//   expression of n, v and the arguments of specular_term after v.
 #include "facerender/constants.glsl"
 #ifdef COUPLED
 #include "facerender/albedo.glsl"
@@ -29,10 +29,10 @@
 #include "host/emission.glsl"
 #endif
 
-uniform float diffuse_brdf;  // kd/pi
+uniform float diffuse_brdf;  // kd/pi.
 uniform float f0;
 #ifdef AMBIENT
-uniform vec3 ambient;  // irradiance, the same from every direction
+uniform vec3 ambient;  // Irradiance, the same from every direction.
 #endif
 #ifdef VISIBLE
 uniform vec3 background;
@@ -47,9 +47,9 @@ layout(location = 0) out vec4 albedo;
 layout(location = 0) out vec4 radiance;
 layout(location = 3) out vec4 albedo;
 #endif
-layout(location = 1) out vec4 light;  // see facerender/scatter.glsl
+layout(location = 1) out vec4 light;  // See facerender/scatter.glsl.
 layout(location = 2) out vec4 place;
-uniform float profile;  // number of the scattering profile of the part, -1 for none
+uniform float profile;  // Number of the scattering profile of the part, -1 for none.
 #else
 out vec4 radiance;
 #endif
@@ -57,12 +57,13 @@ out vec4 radiance;
 vec3 diffuse;
 vec3 specular;
 #ifdef COUPLED
-mat2x4 specular_albedo;  // see fr_albedo_fit
+mat2x4 specular_albedo;  // See fr_albedo_fit.
 float camera_albedo;
 float mean_albedo;
 #endif
 
-// Add the light from direction l. `spread` is the fraction that the diffuse term receives.
+// Add the light from direction l. `spread` is the fraction of the irradiance that the diffuse term
+// receives.
 void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
     float cosine = dot(s.normal, l);
 #ifdef COUPLED
@@ -146,7 +147,7 @@ vec3 shaded(Point p) {
     albedo = vec4(diffuse_brdf * s.albedo, 1.0);
 #endif
 #ifdef ENVIRONMENT
-    add_environment(s, v);  // after SCATTER: it varies slowly and is not scattered
+    add_environment(s, v);  // After SCATTER: this slowly varying light is not scattered.
 #endif
     vec3 result = vec3(0.0);
 #ifdef DIFFUSE
@@ -162,8 +163,9 @@ vec3 shaded(Point p) {
 }
 
 #ifdef PIXEL_RATE
-// Per-pixel shading where visible.frag marked the part. Shades only the triangle that most samples
-// of the pixel see. Adds the difference from the background, weighted by coverage.
+// Per-pixel shading of the pixels that visible.frag marked. The program shades only the triangle
+// that most samples of the pixel see. It adds the difference from the background, weighted by
+// coverage.
 void main() {
     uint count = uint(triangle_count);
     uint seen[SAMPLES];
@@ -184,9 +186,9 @@ void main() {
     radiance = weight * vec4(shaded(point(triangle)) - background, 1.0);
 }
 #elif defined(VISIBLE)
-// Shading where visible.frag marked the part. Shades each triangle that the samples of the pixel
-// see once, at the centre of the pixel, as OpenGL does for multisampling. Adds the difference from
-// the background, weighted by coverage.
+// Shading of the pixels that visible.frag marked. If several samples see the same triangle, the
+// program shades this triangle once, at the centre of the pixel, as OpenGL does for multisampling.
+// It adds the difference from the background, weighted by coverage.
 void main() {
     uint count = uint(triangle_count);
     uint seen[SAMPLES];
@@ -214,7 +216,7 @@ void main() {
 #elif defined(ALPHA_MASK)
 void main() {
     radiance = vec4(shaded(point()), 1.0);
-    radiance.a = share_left();  // with multisampling OpenGL then sets it to 1 (alpha to one)
+    radiance.a = share_left();  // With multisampling OpenGL then sets alpha to 1 (alpha to one).
 }
 #elif defined(ALPHA_BLEND)
 void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0); }

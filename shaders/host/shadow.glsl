@@ -1,18 +1,18 @@
-// Visibility at a point of the lights that cast shadows.
+// Visibility of the shadow-casting lights at a point.
 // SHADOWS is the number of these lights. SHADOW_DISCS is defined if some of them are area lights.
 #include "facerender/shadow.glsl"
 
-uniform sampler2D shadow_map;  // one square tile per light, side by side
-uniform mat4 shadow_view[SHADOWS];   // from the renderer's space to light space
-uniform vec2 shadow_size[SHADOWS];   // tangent of the light's radius, largest z
+uniform sampler2D shadow_map;  // One square tile per light, side by side.
+uniform mat4 shadow_view[SHADOWS];   // Matrix from the renderer's space to light space.
+uniform vec2 shadow_size[SHADOWS];   // Tangent of the light's angular radius, largest z.
 
 const float BIAS = 0.004;
 // Noise: Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
 const vec2 NOISE = vec2(0.06711056, 0.00583715);
 
 #ifdef SHADOW_DISCS
-// Return the change of z with x and y on the plane of the triangle, in light space. It is clamped
-// to 8, because it is unbounded for edge-on triangles.
+// Return the change of z with x and y on the plane of the triangle, in light space. The change is
+// unbounded for edge-on triangles; it is clamped to [-8, 8].
 vec2 plane_of(mat4 view, vec3 at, Point p) {
     vec4 x = view * vec4(p.position_x, 0.0);
     vec4 y = view * vec4(p.position_y, 0.0);

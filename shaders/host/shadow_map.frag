@@ -1,4 +1,4 @@
-// Shadow map of a light: z of the nearest surface, in light space.
+// Shadow map of a light: z of the surface nearest to the light, in light space.
 in vec4 place;
 #ifdef UV
 in vec2 uv;

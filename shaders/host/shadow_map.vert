@@ -10,7 +10,7 @@ out vec2 uv2;
 #endif
 
 uniform mat4 to_light;
-uniform float top;  // largest z in light space
+uniform float top;  // Largest z in light space.
 
 out vec4 place;
 

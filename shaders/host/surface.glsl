@@ -11,19 +11,19 @@ uniform vec3 camera_position;
 #ifdef ALBEDO_FACTOR
 uniform vec3 albedo_factor;
 #endif
-uniform float slope;            // m; with a map, the factor on roughness^2
-uniform float specular_weight;  // ks; with a map, the factor on its value
+uniform float slope;            // m; with a roughness map, the factor on roughness^2.
+uniform float specular_weight;  // ks; with a specular map, the factor on the map's value.
 #ifdef ALBEDO_MAP
 uniform sampler2D albedo_map;
 #endif
 #ifdef NORMAL_MAP
 uniform sampler2D normal_map;
 #ifdef NORMAL_STRENGTH
-uniform float normal_strength;  // factor on x and y
+uniform float normal_strength;  // Factor on x and y of the mapped normal.
 #endif
 #endif
 #ifdef PROPERTY_MAP
-uniform sampler2D property_map;  // occlusion, roughness, specular weight
+uniform sampler2D property_map;  // Occlusion, roughness, specular weight.
 #endif
 #ifdef PROPERTIES_APART
 #ifdef OCCLUSION_MAP
@@ -37,14 +37,14 @@ uniform sampler2D specular_map;
 #endif
 #endif
 #ifdef OCCLUSION_STRENGTH
-uniform float occlusion_strength;  // weight of the occlusion map
+uniform float occlusion_strength;  // Weight of the occlusion map.
 #endif
 #ifdef TWO_LOBES
-uniform float second_slope;  // factor on m
-uniform float lobe_weight;   // weight of the first lobe
+uniform float second_slope;  // Ratio of the second lobe's m to the first lobe's m.
+uniform float lobe_weight;   // Weight of the first lobe.
 #endif
 #ifdef LOBE_MAP
-uniform sampler2D lobe_map;  // red: factor on the weight 1 - lobe_weight of the second lobe
+uniform sampler2D lobe_map;  // Red: factor on the weight 1 - lobe_weight of the second lobe.
 #endif
 
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
@@ -53,7 +53,7 @@ uniform sampler2D lobe_map;  // red: factor on the weight 1 - lobe_weight of the
 
 struct Surface {
     vec3 position;
-    vec3 view;  // unit vector to the camera
+    vec3 view;  // Unit vector to the camera.
     vec3 normal;
     vec3 albedo;
     float m;
@@ -68,17 +68,17 @@ struct Surface {
 #ifdef NORMAL_MAP
 // Tangent frame from screen-space derivatives: Schueler (2006), "Normal mapping without precomputed
 // tangents". The sign of the determinant handles mirrored charts and a flipped screen. The frame
-// does not depend on the length or the sign of the normal; `facing` is the sign.
+// does not depend on the length or the sign of the normal; `facing` is this sign.
 vec3 mapped_normal(Point p, float square, float facing) {
     vec3 across_y = cross(p.position_y, p.normal);
     vec3 across_x = cross(p.normal, p.position_x);
     vec3 tangent = across_y * p.uv_x.x + across_x * p.uv_y.x;
     vec3 bitangent = across_y * p.uv_x.y + across_x * p.uv_y.y;
-    // A chart of zero area has a zero frame; 1e-30 then keeps the vertex normal.
+    // A UV chart of zero area has a zero frame; the minimum 1e-30 then keeps the vertex normal.
     float longest = max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30);
-    float scale = square * inversesqrt(square * longest);  // for the length of the vertex normal
+    float scale = square * inversesqrt(square * longest);  // Factor to the vertex normal's length.
     if (dot(p.position_x, across_y) < 0.0) scale = -scale;
-    vec3 texel = TEXEL(normal_map, p, NORMAL_MAP_UV).xyz;  // in [0, 1], for [-1, 1]
+    vec3 texel = TEXEL(normal_map, p, NORMAL_MAP_UV).xyz;  // In [0, 1], encodes [-1, 1].
     vec2 along = texel.xy * (2.0 * scale) - scale;
 #ifdef NORMAL_STRENGTH
     along *= normal_strength;
@@ -92,9 +92,9 @@ Surface surface(Point p) {
     vec3 v = normalize(camera_position - p.position);
     float square = dot(p.normal, p.normal);
     // Inside open meshes back faces are visible, and their normals are flipped. A triangle just
-    // behind the silhouette may also be visible, because depth is rounded; its normal is not
-    // flipped. The test uses the unnormalised normal: interpolation shortens it in curved
-    // triangles, whose normals may point further away from the camera.
+    // behind the silhouette may also be visible, because depth is rounded; the normal of such a
+    // triangle is not flipped. The test uses the unnormalised normal: interpolation shortens the
+    // normal in curved triangles, where normals may point further away from the camera.
     float facing = p.inside && dot(p.normal, v) < -0.2 ? -1.0 : 1.0;
     vec3 n = facing * inversesqrt(square) * p.normal;
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
@@ -114,7 +114,7 @@ Surface surface(Point p) {
     float strength2 = normal_strength * normal_strength;
     variance += strength2 * fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
 #else
-    // Compilers fetch the texel once.
+    // mapped_normal fetches the same texel; compilers fetch it once.
     variance += fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
 #endif
 #endif
@@ -165,7 +165,7 @@ Surface surface(Point p) {
 #endif
 #endif
 #ifdef VERTEX_OCCLUSION
-    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // extrapolated beyond the edge of a triangle
+    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // Extrapolated beyond triangle edges.
 #endif
 #ifdef TWO_LOBES
     s.second_m = s.m * second_slope;

@@ -1,4 +1,5 @@
-// Texture coordinates of each map: uv, unless the program defines others before this file.
+// Texture coordinates of each map: uv, unless the program defines other coordinates before this
+// file.
 #ifndef HOST_TEXTURE_COORDINATES_GLSL
 #define HOST_TEXTURE_COORDINATES_GLSL
 

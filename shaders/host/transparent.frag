@@ -1,4 +1,4 @@
-// Transparent layers over an image: colour times coverage, and coverage.
+// Draw transparent layers over an image; rgb is colour times coverage, alpha is coverage.
 uniform sampler2D transparent;
 out vec4 radiance;
 

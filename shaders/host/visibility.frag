@@ -1,6 +1,6 @@
-// Number of the triangle that a sample sees. The parts of a mesh are numbered consecutively, from
-// `first`.
-// Float32 represents all whole numbers up to 2^24.
+// Number of the triangle that a sample sees.
+// The triangles of all parts are numbered consecutively; `first` is the number of the part's first
+// triangle. Float32 represents all whole numbers up to 2^24.
 uniform int first;
 out float triangle;
 

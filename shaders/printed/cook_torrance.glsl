@@ -1,13 +1,13 @@
 // Cook-Torrance as published by Romanyuk et al. (2020), literally.
-// It normalises the half vector, uses exp, divisions and powers, and has no guards. Only for
-// measuring the claims of the paper: it returns NaN and infinity at the horizon, and g-powers have
-// no clamp. Use facerender/cook_torrance.glsl.
+// The function normalises the half vector, uses exp, divisions and powers, and has no guards. It
+// serves only to measure the claims of the paper: it returns NaN and infinity at the horizon, and
+// g-powers have no clamp. In all other cases use facerender/cook_torrance.glsl.
 //
-//   n, l, v, m, f0, unit:  See facerender/cook_torrance.glsl; includes the 1/pi that the paper
-//                          omits.
+//   n, l, v, m, f0, unit:  See facerender/cook_torrance.glsl. The BRDF includes the factor 1/pi,
+//                          which the paper omits.
 //   FR_LOBE:               Exact, D4, D8 or D16.
-//   error:                 See facerender/cook_torrance.glsl, where that file is accurate;
-//                          unbounded elsewhere.
+//   error:                 As in facerender/cook_torrance.glsl where the error bound of that file
+//                          applies; unbounded elsewhere.
 #ifndef FR_PRINTED_COOK_TORRANCE_GLSL
 #define FR_PRINTED_COOK_TORRANCE_GLSL
 

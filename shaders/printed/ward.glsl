@@ -1,10 +1,11 @@
 // Ward as published by Romanyuk et al. (2020), literally: acos, tan and exp without guards.
-// Only for measuring the claims of the paper. Use facerender/ward.glsl;
-// facerender/ward_printed.glsl has the same values as this file.
+// The function serves only to measure the claims of the paper. In all other cases use
+// facerender/ward.glsl. facerender/ward_printed.glsl returns the same values as this file.
 //
 //   n, l, v, m, unit:  See facerender/ward.glsl.
 //   FR_LOBE:           Exact, D4, D8 or D16.
-//   error:             See facerender/ward.glsl, where that file is accurate; unbounded elsewhere.
+//   error:             As in facerender/ward.glsl where the error bound of that file applies;
+//                      unbounded elsewhere.
 #ifndef FR_PRINTED_WARD_GLSL
 #define FR_PRINTED_WARD_GLSL
 

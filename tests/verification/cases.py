@@ -149,7 +149,7 @@ def grid(*axes: ArrayLike) -> list[Singles]:
 
 
 def repeated(values: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return ``count`` rows that repeat those of ``values``."""
+    """Return ``count`` rows, repeating ``values``."""
     return np.resize(values, (count, *values.shape[1:]))
 
 
@@ -487,7 +487,7 @@ DISC = (0.2, 1.0, 0.1, 0.7)  # tangent of the radius, top, bias, turn
 def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]:
     """Return a tile of a shadow map, the inputs, the map, and the sensitivity of a disc's shadow.
 
-    Depths in the map are multiples of 1/4; those of the places lie between. The sensitivity is the
+    Depths in the map are multiples of 1/4; places have depths in between. The sensitivity is the
     change of the shadow when a place moves by 5e-5; places where it is 1e-2 or more are left out.
     """
     random = np.random.default_rng(11)
@@ -786,8 +786,8 @@ def brdf_case(
 ) -> Case:
     """Return the case of a BRDF, called by the term's generated GLSL or by another call.
 
-    The bounds are those of the header, relative to the BRDF with the lobe's peak in the same
-    directions. Below the surface the BRDF is exactly 0, and so is the bound.
+    The header states the bounds, relative to the BRDF with the lobe's peak in the same directions.
+    Below the surface the BRDF is exactly 0, and so is the bound.
     """
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
@@ -965,7 +965,7 @@ for _model, _brdf in MODELS.items():
 
 @case()
 def cook_torrance_half() -> Case:
-    """The bound is that of half precision on every target; tests/test_half.py emulates halves."""
+    """Every target has the bound of half precision; tests/test_half.py emulates half precision."""
     inputs = directions(np.resize(singles(np.linspace(0.1, 1.0, 10)), DIRECTIONS), 0.05)
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = (n * l).sum(axis=-1), (n * v).sum(axis=-1)

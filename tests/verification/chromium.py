@@ -16,5 +16,5 @@ _FLAGS = (
 
 
 def launch(playwright: Playwright) -> Browser:
-    """Start the system's Chromium or, if there is none, that of playwright."""
+    """Start the system's Chromium or, if there is none, playwright's Chromium."""
     return playwright.chromium.launch(executable_path=shutil.which("chromium"), args=_FLAGS.split())

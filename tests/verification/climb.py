@@ -90,8 +90,8 @@ def climb(
         reach = 10.0 ** random.uniform(-8.0, -1.0, (starts * tries, 1))
         for axis in "nlv":
             moved = near[axis] + reach * random.normal(size=near[axis].shape)
-            kept = random.random((starts * tries, 1)) < 0.4
-            near[axis] = np.where(kept, near[axis], rounded(moved))
+            same = random.random((starts * tries, 1)) < 0.4
+            near[axis] = np.where(same, near[axis], rounded(moved))
         factor = np.exp(reach[:, 0] * random.normal(size=starts * tries))
         near["m"] = np.clip(near["m"] * factor, *slopes).astype(np.float32)
         found = shares(near).reshape(starts, tries)

@@ -19,7 +19,7 @@ from tests.verification.targets import UNTRANSLATED
 
 MANY = 2**20  # samples of one draw
 
-OWN_INPUTS = (  # groups whose inputs here differ from those in tests/verification/cases.py
+OWN_INPUTS = (  # groups whose inputs here differ from tests/verification/cases.py
     *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
     *(
         "fr_masking_kelemen_ratio",

@@ -37,8 +37,8 @@ def load_scan(folder: Path) -> fr.Mesh:
 def pores(folder: Path, size: int = 2048) -> NDArray[np.float64]:
     """Return the slopes (size, size, 2) of the scan's pores, row 0 on top.
 
-    Frequencies above those of the tangent-space map come from the displacement map, which is scaled
-    to match the tangent-space map where both have detail.
+    Low frequencies come from the tangent-space map and high ones from the displacement map. The
+    latter is scaled to match the tangent-space map where both have detail.
     """
     from scipy.ndimage import gaussian_filter, zoom
 

@@ -142,8 +142,8 @@ def flicker(
 ) -> dict[str, float]:
     """Return the excess flicker of the highlight over camera azimuths, for each of FILTERS.
 
-    This is the standard deviation of the highlight's pixels less that of the reference, relative to
-    the mean of the reference.
+    Flicker is the standard deviation of the highlight's pixels. The excess over the flicker of the
+    reference is relative to the mean of the reference.
     """
     bench = Bench.of(mesh, texture, m, size)
     turned = [replace(bench, camera=replace(CAMERA, azimuth=each)) for each in azimuths]

@@ -66,7 +66,8 @@ def brute_force(
     Each image is the reference shading of that shading's G-buffer.
 
     cameras : default: the camera of the scene
-    within : fraction of each camera's pixels that counts; those with the largest errors do not
+    within : fraction of each camera's pixels that counts; the pixels with the largest errors are
+        ignored
     """
     budget = Budget.parse(unit)
     scenes = [replace(subject.scene, camera=each) for each in cameras or (subject.scene.camera,)]

@@ -1,6 +1,6 @@
-// Runs in a page: opens a WebGL 2 context and defines window.evaluate(). That function draws one
-// fragment per texel of its inputs with each fragment shader. It returns all pixels as base64 of
-// float32. The inputs are concatenated in a file, the fastest way to pass several megabytes.
+// Runs in a page: opens a WebGL 2 context and defines window.evaluate(), which draws one fragment
+// per texel of its inputs with each fragment shader. It returns all pixels as base64 of float32.
+// The inputs are concatenated in a file, the fastest way to pass several megabytes.
 () => {
     const gl = document.createElement("canvas").getContext("webgl2");
     if (!gl?.getExtension("EXT_color_buffer_float")) throw new Error("no WebGL 2 with float targets");

@@ -10,7 +10,7 @@ from .fields import Floats
 from .surface import Mesh, face_normals
 
 VOLUME_SIZE = 64  # cells along each edge of the periodic volume of random numbers
-VOLUME_BLUR = 0.8  # cells
+VOLUME_BLUR = 0.8  # standard deviation of the blur, in cells
 
 # Rotation from each layer of noise to the next finer one; it hides the lattice.
 LAYER_TURN = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.00], [0.48, 0.64, 0.60]])

@@ -1,5 +1,5 @@
-# FACERENDER_SHADERS_DIR, the include root, and the target facerender::shaders, which has it as its
-# include directory.
+# Defines the include directory FACERENDER_SHADERS_DIR, and the target facerender::shaders that uses
+# it.
 get_filename_component(FACERENDER_SHADERS_DIR
     "${CMAKE_CURRENT_LIST_DIR}/../../facerender/shaders" ABSOLUTE)
 if(NOT TARGET facerender::shaders)

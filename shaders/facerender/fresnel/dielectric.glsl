@@ -1,6 +1,6 @@
 // Exact Fresnel reflectance of a dielectric in air for unpolarised light.
-// It uses q = eta^2 - 1 and g - c = q/(g + c), so that nothing cancels for eta near 1. At q = c = 0
-// the floor 1e-20, whose square is in the range of float32, turns 0/0 into 0, the limit for c > 0.
+// The code uses q = eta^2 - 1 and g - c = q/(g + c), so that no digits cancel for eta near 1. At q
+// = c = 0 the sum g + c is raised to 1e-20. This turns 0/0 into 0, the limit for c > 0.
 //
 //   formula:  a^2 (1 + b^2)/2, a = (g - c)/(g + c), b = (c (g + c) - 1)/(c (g - c) + 1), c = V.H,
 //             g^2 = eta^2 + c^2 - 1, eta = (1 + sqrt(f0))/(1 - sqrt(f0))
@@ -10,7 +10,7 @@
 //             unit half vector, in [0, 1].
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    None in the formula.
+//   error:    The formula is exact.
 //   source:   Cook and Torrance (1982).
 #ifndef FR_FRESNEL_DIELECTRIC_GLSL
 #define FR_FRESNEL_DIELECTRIC_GLSL

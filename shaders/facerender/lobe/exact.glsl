@@ -1,6 +1,7 @@
 // Exact lobe, for hosts that build their own BRDF.
-// The BRDFs of the library compute it within their only division: E = 2^-x with
-// x = tan^2(gamma)/(m^2 ln 2), and 1/c^2 = x m^2 ln 2 + 1.
+// The BRDFs of the library do not call these functions. They compute the lobe together with the
+// other factors in one division: E = 2^-x with x = tan^2(gamma)/(m^2 ln 2), and 1/c^2 = x m^2 ln 2
+// + 1.
 //
 //   formula:  E/c^k, E = exp(-tan^2(gamma)/m^2)
 //   x:        tan^2(gamma)/m^2, >= 0.
@@ -11,7 +12,8 @@
 //   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
 //   unit:     none
 //   returns:  1 at gamma = 0; the caller multiplies by the scale of the model.
-//   error:    None in the formula; in float32 a relative error e of tan2 becomes e tan2/m^2.
+//   error:    The formula is exact. In float32 a relative error e of tan2 becomes a relative error
+//             e tan2/m^2 of the lobe.
 //   source:   Beckmann and Spizzichino (1963), as in Cook and Torrance (1982, k = 4) and Ward
 //             (1992, eq. 4, k = 0).
 #ifndef FR_LOBE_EXACT_GLSL
@@ -20,7 +22,7 @@
 #include "../constants.glsl"
 
 // Upper limit of tan2. It changes no value: exp(-1e6/m^2) is 0 in float32 for every m <= 2. Without
-// it (1 + tan2)^2 overflows, and 0 times infinity is NaN.
+// the limit (1 + tan2)^2 overflows, and 0 times infinity is NaN.
 #define FR_MAX_TAN2 1e6
 
 // Slope factor E of the exact lobe.
@@ -43,7 +45,7 @@ float fr_lobe_exact_tan2(float tan2, float m, int k) {
 }
 
 float fr_lobe_exact(float c, float m, int k) {
-    float x = clamp(c, 1e-3, 1.0);  // c = 1e-3 corresponds to FR_MAX_TAN2
+    float x = clamp(c, 1e-3, 1.0);  // c = 1e-3 corresponds to FR_MAX_TAN2.
     return fr_lobe_exact_tan2((1.0 - x) * (1.0 + x) / (x * x), m, k);
 }
 

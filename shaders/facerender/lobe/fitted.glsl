@@ -1,7 +1,8 @@
 // Fitted lobes: polynomials in 1 - c, clamped and raised to a power, that approximate E/c^k.
-// fr_lobe_fitted is a cubic to the power 5, fr_lobe_fitted_fine a quartic to the power 8. Each is
-// the best uniform approximation over all angles and slopes among the polynomials that decrease
-// monotonically, are exact at c = 1 and have coefficients cubic (fine: quartic) in m^2.
+// fr_lobe_fitted is a cubic to the power 5, fr_lobe_fitted_fine a quartic to the power 8. Both are
+// best uniform approximations over all angles and slopes under three conditions. The polynomial
+// decreases monotonically; it is exact at c = 1; the numerators of its coefficients are cubic in
+// m^2 for fr_lobe_fitted, quartic in m^2 for fr_lobe_fitted_fine.
 //
 //   formula:  max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c
 //   c:        Cosine of the angle between normal and half vector, in [0, 1].
@@ -12,12 +13,14 @@
 //   returns:  1 at c = 1, the peak; the caller multiplies by the scale of the model.
 //   error:    Largest difference from the exact lobe over all angles and the domain of m, in % of
 //             the peak (tests/test_lobes.py).
-//   source:   Constants: tools/fits/lobes.py; the clamped power: Lyon (1993).
+//   source:   tools/fits/lobes.py computes the constants; the clamped power is from Lyon (1993).
 //
 // If all fragments share one m, a host may define the coefficients before the include:
-// #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and FR_FITTED_FINE_COEFFICIENTS with a vec4.
-// facerender.lobes and facerender shaders flatten --m compute them. Constants save up to 30 % of
-// the term. On llvmpipe a uniform costs more than computing the coefficients.
+// #define FR_FITTED_COEFFICIENTS(m, k) vec3(...)
+// #define FR_FITTED_FINE_COEFFICIENTS(m, k) vec4(...)
+// The module facerender.lobes and the command facerender shaders flatten --m compute the
+// coefficients. Constant coefficients save up to 30 % of the cost of the specular term. On
+// llvmpipe, coefficients in a uniform cost more than computing them.
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
@@ -41,17 +44,17 @@
 //
 //   formula:     u/m^2
 //   u:           1 - c, in [0, 1].
-//   inverse_m2:  1/m^2; clamped to at least 1/m^2 of the largest m.
+//   inverse_m2:  1/m^2; clamped to at least 1/m^2 at the largest m of the domain.
 //   returns:     >= 0.
-//   error:       None in the formula.
+//   error:       The formula is exact.
 float fr_lobe_fitted_variable(float u, float inverse_m2, int k) {
     return u * max(inverse_m2, k == FR_K_COOK_TORRANCE ? 1.0 / 0.49 : 1.0);
 }
 
 // Numerators of the coefficients of fr_lobe_fitted.
 //
-//   formula:  a1 m^2, a2 m^4, a3 m^6, each a cubic in m^2
-//   returns:  Factors of u/m^2 and its powers.
+//   formula:  a1 m^2, a2 m^4, a3 m^6; each is a cubic in m^2
+//   returns:  Factors of u/m^2, (u/m^2)^2 and so on, in this order.
 //   error:    See fr_lobe_fitted.
 vec3 fr_lobe_fitted_numerators(float m, int k) {
     float w = FR_SLOPE(m) * FR_SLOPE(m);
@@ -74,7 +77,7 @@ vec3 fr_lobe_fitted_numerators(float m, int k) {
 
 // Coefficients of fr_lobe_fitted, for hosts that define FR_FITTED_COEFFICIENTS.
 //
-//   formula:  a1, a2, a3, with a_i m^(2i) a cubic in m^2
+//   formula:  a1, a2, a3; each a_i m^(2i) is a cubic in m^2
 //   returns:  Factors of u, u^2, u^3.
 //   error:    See fr_lobe_fitted.
 vec3 fr_lobe_fitted_coefficients(float m, int k) {
@@ -105,8 +108,8 @@ float fr_lobe_fitted(float c, float m, int k) {
 
 // Numerators of the coefficients of fr_lobe_fitted_fine.
 //
-//   formula:  a1 m^2, a2 m^4, a3 m^6, a4 m^8, each a quartic in m^2
-//   returns:  Factors of u/m^2 and its powers.
+//   formula:  a1 m^2, a2 m^4, a3 m^6, a4 m^8; each is a quartic in m^2
+//   returns:  Factors of u/m^2, (u/m^2)^2 and so on, in this order.
 //   error:    See fr_lobe_fitted_fine.
 vec4 fr_lobe_fitted_fine_numerators(float m, int k) {
     float w = FR_SLOPE(m) * FR_SLOPE(m);
@@ -131,7 +134,7 @@ vec4 fr_lobe_fitted_fine_numerators(float m, int k) {
 
 // Coefficients of fr_lobe_fitted_fine, for hosts that define FR_FITTED_FINE_COEFFICIENTS.
 //
-//   formula:  a1, a2, a3, a4, with a_i m^(2i) a quartic in m^2
+//   formula:  a1, a2, a3, a4; each a_i m^(2i) is a quartic in m^2
 //   returns:  Factors of u, u^2, u^3, u^4.
 //   error:    See fr_lobe_fitted_fine.
 vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {

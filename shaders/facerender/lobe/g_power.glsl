@@ -1,16 +1,16 @@
 // g-power lobe: D4, D8 and D16, a clamped linear factor to the power g.
-// The clamp is necessary: an even power makes a negative base positive. At m = 0.2 and 90 degrees
-// D16 as published reaches 2.3e4 times its peak.
+// The clamp is necessary: an even power makes a negative base positive. Without a clamp, as
+// published, D16 reaches 2.3e4 times its peak at m = 0.2 and 90 degrees.
 //
 //   formula:  max((n/g)(c - 1) + 1, 0)^g, n = 2/m^2 - k
 //   c:        Cosine of the angle between normal and half vector, in [0, 1].
 //   m:        Roughness: RMS slope of the microfacets, in [1e-4, 0.707) for Cook-Torrance, in
-//             [1e-4, 2] for Ward. Beyond the domain the result is finite but meaningless.
+//             [1e-4, 2] for Ward. Beyond this domain the result is finite but meaningless.
 //   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
 //   g:        4, 8 or 16.
 //   unit:     none
 //   returns:  1 at c = 1, the peak; the caller multiplies by the scale of the model.
-//   error:    Difference from the exact lobe in % of the peak (tests/test_lobes.py),
+//   error:    Largest difference from the exact lobe in % of the peak (tests/test_lobes.py),
 //             for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
 //             Cook-Torrance  g = 4:  6.96, 5.54, 2.46, 4.18, 17.8, 45.4;
 //                            g = 8:  3.11, 1.68, 1.43, 7.79, 20.9, 46.9;
@@ -27,13 +27,14 @@
 // Clamped linear factor to a power: the g-power lobe with free g and steepness.
 //
 //   formula:    max(1 - steepness (1 - c), 0)^g
-//   steepness:  Of the linear factor, >= 0; (2/m^2 - k)/g gives the g-power lobe.
+//   steepness:  Steepness of the linear factor, >= 0; (2/m^2 - k)/g gives the g-power lobe.
 //   g:          Power, 1 to 31, a constant.
-//   error:      None in the formula. As an approximation of E/c^k it depends on the steepness,
-//               which facerender plan fits to a slope.
+//   error:      The formula is exact. As an approximation of E/c^k, its error depends on the
+//               steepness, which facerender plan fits to a slope.
 //   source:     Lyon (1993).
 float fr_lobe_clamped_power(float c, float steepness, int g) {
-    // Not a (c - 1) + 1: Mesa expands the product, which loses the digits of small angles.
+    // Do not write steepness (c - 1) + 1: Mesa expands this product and loses the digits of small
+    // angles.
     float p = clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0);
     float p2 = p * p;
     float p4 = p2 * p2;

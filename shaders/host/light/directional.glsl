@@ -1,7 +1,7 @@
 // Directional lights.
 #include "host/light/light.glsl"
 
-uniform vec3 light_direction[DIRECTIONAL_LIGHTS];  // direction to the light
+uniform vec3 light_direction[DIRECTIONAL_LIGHTS];  // Direction to the light.
 uniform vec3 light_irradiance[DIRECTIONAL_LIGHTS];
 
 Light directional_light(int i, vec3 position) {

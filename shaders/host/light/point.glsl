@@ -2,7 +2,7 @@
 #include "host/light/light.glsl"
 
 uniform vec3 light_position[POINT_LIGHTS];
-uniform vec3 light_intensity[POINT_LIGHTS];  // irradiance at distance 1
+uniform vec3 light_intensity[POINT_LIGHTS];  // Irradiance at distance 1.
 
 Light point_light(int i, vec3 position) {
     vec3 to_light = light_position[i] - position;

@@ -2,8 +2,8 @@
 #include "host/light/area.glsl"
 
 uniform vec3 sphere_position[SPHERE_LIGHTS];
-uniform vec3 sphere_intensity[SPHERE_LIGHTS];  // irradiance at distance 1
-uniform float sphere_size[SPHERE_LIGHTS];  // radius, in units of length
+uniform vec3 sphere_intensity[SPHERE_LIGHTS];  // Irradiance at distance 1.
+uniform float sphere_size[SPHERE_LIGHTS];  // Radius, in units of length.
 
 Disc sphere_light(int i, vec3 position) {
     vec3 to_light = sphere_position[i] - position;

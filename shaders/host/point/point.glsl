@@ -4,20 +4,20 @@
 
 struct Point {
     vec3 position;
-    vec3 normal;  // any length
+    vec3 normal;  // Interpolated normal, of any length.
 #ifdef CURVATURE
-    vec3 normal_x;  // change per pixel
+    vec3 normal_x;  // Change of the normal per pixel.
     vec3 normal_y;
 #endif
-    bool inside;  // whether the back face is visible
+    bool inside;  // Whether the camera sees the back face.
 #if defined(NORMAL_MAP) || defined(SHADOWS)
-    vec3 position_x;  // change per pixel
+    vec3 position_x;  // Change of the position per pixel.
     vec3 position_y;
 #endif
 #ifdef UV
     vec2 uv;
 #if defined(NORMAL_MAP) || defined(VISIBLE)
-    vec2 uv_x;  // change per pixel of the coordinates of the normal map
+    vec2 uv_x;  // Change of the normal map's coordinates per pixel.
     vec2 uv_y;
 #endif
 #endif

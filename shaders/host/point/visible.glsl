@@ -6,8 +6,8 @@
 #include "host/visible.glsl"
 
 uniform sampler2D triangle_setup;
-uniform vec3 ray;  // from the camera to the outer corner of the first pixel; any length
-uniform vec3 ray_x;  // change of the ray per pixel to the right
+uniform vec3 ray;  // Vector from the camera to the first pixel's outer corner on the far plane.
+uniform vec3 ray_x;  // Change of the ray to the next pixel to the right.
 uniform vec3 ray_y;
 
 #define TEXEL(map, p, place) textureGrad(map, (p).place, (p).uv_x, (p).uv_y)
@@ -41,8 +41,9 @@ Point point(uint triangle) {
     float across = dot(direction, plane.xyz);
     Point p;
     p.inside = across > 0.0;
-    // The ray may intersect the plane of an edge-on triangle anywhere. Nothing is drawn beyond the
-    // far plane, at 1, or nearer than 1e-3 (scenes/view.py).
+    // The ray may intersect the plane of an edge-on triangle at any distance. The distance is
+    // clamped to [1e-3, 1]: 1 is the far plane, and nothing is drawn nearer than 1e-3
+    // (scenes/view.py).
     if (abs(across) < 1e-7) across = 1e-7;
     float distance = clamp((plane.w - dot(camera_position, plane.xyz)) / across, 1e-3, 1.0);
     p.position = camera_position + distance * direction;

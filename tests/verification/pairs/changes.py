@@ -1,5 +1,5 @@
-"""Changes that make the second image of a pair: those that a comparison must fail, and those that
-it must pass. A change takes a Room and returns the image, or None if it does not apply there.
+"""Changes that make the second image of a pair; a comparison must fail some and pass others. A
+change takes a Room and returns the image, or None if it does not apply there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Encode = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class Against:
-    """An image and a golden other than that of the scene.
+    """An image with a golden of its own, other than the scene's golden.
 
     Attributes
     ----------
@@ -265,8 +265,8 @@ def missing_faces(room: Room, count: int = 20) -> Linear:
     part = mesh.parts[number]
     centres = mesh.normalised(part.positions[part.faces].mean(axis=1))
     away = np.linalg.norm(centres - seen.position[row, column], axis=1)
-    kept = np.sort(np.argsort(away)[count:])
-    return room.draw(mesh=_with_part(room, number, replace(part, faces=part.faces[kept])))
+    left = np.sort(np.argsort(away)[count:])
+    return room.draw(mesh=_with_part(room, number, replace(part, faces=part.faces[left])))
 
 
 def _with_part(room: Room, number: int, part: Part) -> fr.Mesh:
@@ -308,7 +308,7 @@ def edge(linear: Linear, count: int, seed: int = 1) -> Places:
 
 
 def dark(linear: Linear, count: int, seed: int = 1) -> Places:
-    """Choose pixels inside the silhouette, from the darkest 0.1 % of those above 0.001."""
+    """Choose pixels inside the silhouette: the darkest 0.1 % of all pixels above 0.001."""
     inside = eroded(linear[..., 3] >= 1.0, 3)
     level = linear[..., :3].max(axis=-1)
     inside &= level > 1e-3

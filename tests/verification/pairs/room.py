@@ -89,10 +89,10 @@ class Room:
     ) -> Linear:
         """Draw the scene with some of its fields replaced.
 
-        shading : default: that of the setting
+        shading : default: the setting's shading
         patch : a passage of the GLSL and its replacement
-        view : default: that of the scene's camera
-        samples : per pixel; default: those of the setting
+        view : default: the view of the scene's camera
+        samples : samples per pixel; default: as in the setting
         """
         own = replace(self.scene, **scene)  # type: ignore[arg-type]
         how = shading or self.setting.shading

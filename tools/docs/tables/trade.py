@@ -81,12 +81,12 @@ def headline(measurement: Measurement) -> str:
         rows.append(
             [
                 f"**{name}**" if name.startswith("exact") else name,
-                f"{ns:.2f}, {ns / of:.2f}",
-                f"{cycles}, {cycles / all_cycles:.2f}",
+                f"{ns:.2f} ({ns / of:.2f})",
+                f"{cycles} ({cycles / all_cycles:.2f})",
                 "-" if error is None else f"{error:.2f}",
             ]
         )
-    return markdown_table(["Cook-Torrance", "ns", "cycles", "error, %"], rows)
+    return markdown_table(["Cook-Torrance", "ns (relative)", "cycles (relative)", "error, %"], rows)
 
 
 def in_program(measurement: Measurement, model: str) -> str:
