@@ -4,9 +4,9 @@
 >>> frame = fr.render("head.glb", model="cook-torrance", lobe="exact", m=0.3)
 >>> frame.save("head.png")
 
-render          draws one image in one call; a Renderer keeps its uploads for several images
+render          draws one image in one call; a Renderer keeps uploaded meshes and maps
 load_mesh       loads a mesh file with its materials, or converts a trimesh object
-Mesh            from_arrays creates one; with_material changes its materials, select its parts
+Mesh            from_arrays creates a mesh; with_material changes materials, select picks parts
 Material        reflectance of a part; a Texture is a map from a file, an array or a Pillow image
 simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion
 Scene           mesh, Camera, Light, ambient light, background and environment
@@ -15,10 +15,10 @@ Shading         the specular Term of each light, and the terms to omit
 Job             a scene with its outputs as plain data, for files and other machines
 Frame, GBuffer  results of a renderer
 compare         tests whether two images match, with reasons; shifted moves a scene by pixels
-plan            finds the cheapest Shading within an error budget; turntable returns its cameras
+plan            finds the cheapest Shading within an error budget; turntable returns cameras
 load_cameras    reads cameras from a file; save_animation writes .gif, .webp or .mp4
 brdf, lobes     the reference functions in float64
-shader_source   returns a GLSL file without includes for a target; shader_dir is the include
+shader_source   returns a GLSL file for a target, includes inserted; shader_dir is the include
                 directory; resolve_includes and moderngl_includes serve your own programs
 """
 
@@ -26,7 +26,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from facerender.scenes import sources
-from facerender.system import IMPORTER  # noqa: F401  # as early as possible
+from facerender.system import IMPORTER  # noqa: F401  # early, to store the process id
 
 if TYPE_CHECKING:
     from facerender import brdf as brdf
@@ -106,8 +106,8 @@ __all__ = list(("__version__", "brdf", "lobes", *_HOME))  # noqa: C410  # mypy w
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first access. A cold start is short, and the command installs its
-    signal handlers before its imports."""
+    """Import a public name on first access. This shortens a cold start, and the command can install
+    its signal handlers before other imports."""
     if name in ("brdf", "lobes"):
         return import_module(f"facerender.{name}")
     if name not in _HOME:

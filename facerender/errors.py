@@ -1,4 +1,4 @@
-"""Exceptions and warnings of facerender for causes outside its code, and checks that raise them.
+"""Exceptions and warnings of facerender for causes outside its code, and checks of values.
 Each message is one line that names the thing, the value and the remedy."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _noted: ContextVar[list[str] | None] = ContextVar("_noted", default=None)
 
 
 class FacerenderError(Exception):
-    """Base class of all; the command line prints them as ``facerender: error: ...``."""
+    """Base class of facerender's errors; the command prints them as ``facerender: error: ...``."""
 
 
 class InputError(FacerenderError, ValueError):
@@ -71,8 +71,8 @@ def shown(value: Any) -> str:
 
 
 def reason(error: Exception) -> str:
-    """Return the message of a system or library error, to be used within a sentence; its type if
-    the message is empty."""
+    """Return the message of a system or library error, to be used within a sentence. Return the
+    type of the error if the message is empty."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     return clipped(str(error)) or type(error).__name__
@@ -108,7 +108,7 @@ def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
 
     Raises
     ------
-    InputError : one of them is not an instance of ``kind``
+    InputError : a value is not an instance of ``kind``
     """
     found = tuple(values) if isinstance(values, Iterable) else (values,)
     if not all(isinstance(each, kind) for each in found):

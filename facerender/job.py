@@ -1,5 +1,5 @@
 """Render jobs as plain data that can be pickled and stored as TOML or JSON. The command line and
-programs create jobs; the renderer draws their scenes. No OpenGL here."""
+programs create jobs; the renderer draws their scenes. This module does not use OpenGL."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ MAX_SAMPLES = 64
 
 @dataclass(frozen=True)
 class MeshFile:
-    """The files of a mesh, and how it is reduced. Parameters as in :func:`facerender.load_mesh`
-    (paths as text), :meth:`facerender.Mesh.select` and :func:`facerender.simplified`.
-    ``occlusion``: bake it with :func:`facerender.with_occlusion`."""
+    """The files of a mesh, its selected parts and its number of triangles. Parameters as in
+    :func:`facerender.load_mesh` (paths as text), :meth:`facerender.Mesh.select` and
+    :func:`facerender.simplified`. ``occlusion``: whether :func:`facerender.with_occlusion` is used.
+    """
 
     path: str | None = None
     albedo: str | None = None
@@ -68,7 +69,7 @@ class MeshFile:
         check_fields(self, "mesh ")
 
     def load(self, cache: bool = False) -> Mesh:
-        """Load the mesh; errors and warnings as in these functions."""
+        """Load the mesh; errors and warnings as in the functions that :class:`MeshFile` names."""
         return self._prepared(load_mesh(**self._files, cache=cache), cache)
 
     def cached(self) -> Mesh | None:
@@ -126,9 +127,9 @@ class Output:
 
     Parameters
     ----------
-    path : .png, .exr, .jpg or .webp
+    path : path with the suffix .png, .exr, .jpg or .webp
     only : one term instead of the complete image, see :meth:`facerender.Renderer.render`
-    exposure : in stops; .exr ignores it
+    exposure : exposure in stops, default 0; .exr files ignore it
     """
 
     path: str
@@ -151,11 +152,11 @@ class Job:
     Parameters
     ----------
     mesh : files of the mesh
-    material : factors of :class:`facerender.Material` that replace the file's in all parts
+    material : factors of :class:`facerender.Material` that replace the factors of all parts
     camera, lights, ambient, background : see :class:`facerender.Scene`
     environment : file of the environment map, or None
     shading : see :class:`facerender.Shading`
-    planned : size and samples of the images for which the shading was planned, or None
+    planned : images for which the shading was planned, with their level of detail; or None
     image : settings of the renderer
     outputs : image files
 
@@ -201,7 +202,7 @@ class Job:
 
         Parameters
         ----------
-        mesh : result of ``self.mesh.load()`` that several jobs share; None to load it
+        mesh : result of ``self.mesh.load()``, which several jobs may share; None to load the mesh
 
         Raises
         ------
@@ -223,13 +224,13 @@ class Job:
         )
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
-        """Return the level of detail of an image. The planned one is used only for the planned size
-        and samples; for others, a FacerenderWarning is emitted.
+        """Return the level of detail of an image. The planned level is used only for the planned
+        size and samples; other sizes and samples cause a FacerenderWarning and use all triangles.
 
         Parameters
         ----------
         samples : samples per pixel of the renderer
-        name : of the scene, for the warning
+        name : name of the scene, for the warning
         """
         if self.planned and self.planned.holds(self.image.size, samples):
             return self.planned.detail

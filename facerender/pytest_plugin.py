@@ -1,7 +1,7 @@
 """pytest plugin: the fixture ``facerender_snapshot`` compares images with the tests' goldens.
 
-Pytest imports this module in every session if facerender is installed. Other modules of facerender
-are therefore imported with the first image only.
+Pytest imports this module in every session if facerender is installed. This module therefore
+imports other modules of facerender only when a test checks the first image.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def pytest_configure(config: pytest.Config) -> None:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise pytest.UsageError(f"cannot make {folder}: {error.strerror}") from None
-        config.option.facerender_report = str(folder)  # workers may have another directory
+        config.option.facerender_report = str(folder)  # workers may have another current folder
         if not hasattr(config, "workerinput"):
             for old in folder.glob("actual/*.exr"):
                 old.unlink()
@@ -78,7 +78,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _setting(config: pytest.Config, name: str) -> Any:
-    """Return the value of the command line, or else of the ini file."""
+    """Return the value of an option from the command line, or else from the ini file."""
     value = config.getoption(f"facerender_{name}")
     return config.getini(f"facerender_{name}") if value is None else value
 
@@ -93,7 +93,7 @@ def _updates(config: pytest.Config) -> Updates:
 
 
 def _limit(config: pytest.Config, name: str) -> float | None:
-    """Return a limit of the ini file, or None."""
+    """Return a limit from the ini file, or None if the file does not set this limit."""
     text = config.getini(f"facerender_{name}")
     try:
         return float(text) if text else None
@@ -107,7 +107,7 @@ def _goldens(module: Path) -> Path:
 
 
 class Snapshot:
-    """Compares images with their goldens; returned by the fixture :func:`facerender_snapshot`."""
+    """Value of the fixture :func:`facerender_snapshot`; it compares images with their goldens."""
 
     def __init__(self, request: pytest.FixtureRequest) -> None:
         self._request = request
@@ -131,11 +131,13 @@ class Snapshot:
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
         name : name of the golden; default: the test's name with class and parameters
-        mask, limits : see :func:`facerender.compare`; default of the limits: the ini file
+        mask : see :func:`facerender.compare`
+        limits : see :func:`facerender.compare`; default: the values in the ini file
         metadata : metadata for the golden in addition to the frame's, for example GL_RENDERER for
             an array
-        draw : draw(x, y) returns the image shifted by x pixels to the right and y pixels down. A
-            written golden stores the range over shifts of 0.1 pixels, so that these pass
+        draw : function draw(x, y), which returns the image shifted by x pixels to the right and y
+            pixels down. A written golden then stores each pixel's range over shifts of at most 0.1
+            pixels, so that images with such shifts pass
 
         Raises
         ------
@@ -174,7 +176,7 @@ class Snapshot:
             raise AssertionError(f"{result.failure}\n  golden {result.golden}\n  actual {actual}")
 
     def _record(self, result: GoldenResult, file: str) -> None:
-        """Record a check for the session, and write its entry of the report to a file."""
+        """Record a check for the session, and write the check's report entry to a file."""
         node, report = self._request.node, _setting(self._request.config, "report")
         golden = _goldens(self._request.path) / file
         record = {"golden": str(golden), "written": str(result.written or ""), "entry": ""}
@@ -220,7 +222,7 @@ def _file_name(name: str) -> str:
 
 @pytest.fixture
 def facerender_snapshot(request: pytest.FixtureRequest) -> Snapshot:
-    """Compares an image with its golden: facerender_snapshot.check(frame)."""
+    """Compare an image with its golden by facerender_snapshot.check(frame)."""
     return Snapshot(request)
 
 
@@ -238,8 +240,8 @@ def pytest_runtest_makereport(
 class _Session:
     """State of a session: checks and goldens.
 
-    With pytest-xdist, the workers send it to the reporting process in their reports and at their
-    end.
+    With pytest-xdist, each worker sends checks to the reporting process with its test reports, and
+    the ids of tests that did not pass when the worker ends.
     """
 
     def __init__(self, config: pytest.Config) -> None:
@@ -247,7 +249,7 @@ class _Session:
         self.unused: list[Path] = []
         self._checks: list[dict[str, str]] = []
         self._passed: set[str] = set()
-        self._collected: dict[str, set[str]] = {}  # ids that must pass, by module
+        self._collected: dict[str, set[str]] = {}  # ids that must pass, keyed by module
 
     @pytest.hookimpl(wrapper=True)
     def pytest_make_collect_report(
@@ -269,7 +271,7 @@ class _Session:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
-        output = getattr(node, "workeroutput", {})  # missing if the worker died
+        output = getattr(node, "workeroutput", {})  # absent if the worker died
         for module, waiting in output.get("facerender", {}).items():
             self._collected.setdefault(module, set()).update(waiting)
 
@@ -281,7 +283,7 @@ class _Session:
                 lists = {module: sorted(ids) for module, ids in waiting.items()}
                 self.config.workeroutput["facerender"] = lists
             return
-        # --lf skips whole files as if they were empty.
+        # With --lf, pytest collects skipped files as if they had no tests.
         if judged and not self.config.getoption("lf", False):
             self.unused = self._find_unused([module for module in waiting if not waiting[module]])
         fails = self.unused and _setting(self.config, "unused") == "fail"
@@ -292,7 +294,7 @@ class _Session:
             self._write_report(paths)
 
     def _find_unused(self, modules: list[str]) -> list[Path]:
-        """Return goldens that none of these modules used, and goldens of deleted modules."""
+        """Return unused goldens of these modules, and all goldens of deleted modules."""
         used = {check["golden"] for check in self._checks}
         folders = {_goldens(Path(module)) for module in modules}
         for root in {folder.parent for folder in folders}:
@@ -308,7 +310,7 @@ class _Session:
     def _write_report(self, paths: list[Path]) -> None:
         from facerender.comparison.report import Entry, write_report
 
-        entries = {}  # the last entry of a test that was rerun
+        entries = {}  # keyed by name, so that the last run of a rerun test counts
         for path in paths:
             entry = Entry(**json.loads(path.read_text(encoding="utf-8")))
             entries[entry.name] = entry

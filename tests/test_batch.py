@@ -476,7 +476,7 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
         (["--chunk", "0"], "--chunk 0: give at least 1"),
         (["--scene", "none.toml"], "cannot read none.toml: no such file"),
         (["-o", "nowhere://here"], "nowhere://here cannot be reached"),
-        (["--layout", "shards"], "id 'a.1' has a dot, where readers of shards end the name"),
+        (["--layout", "shards"], "id 'a.1' contains a dot, at which readers of shards split"),
         (["-o", "/dev/null/out"], "cannot write to /dev/null/out: not a directory"),
     ],
 )

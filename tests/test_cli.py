@@ -529,7 +529,7 @@ def test_no_opengl(cli: Cli) -> None:
 def test_no_opengl_of_the_requested_backend(cli: Cli) -> None:
     cli.fail_to_render(
         r"no OpenGL context \(osmesa: libosmesa is not there\); "
-        r".*apt-get install libosmesa6; Mesa 25.1 has none: use egl$",
+        r".*apt-get install libosmesa6; Mesa 25.1 and later lack it: use egl$",
         "--backend",
         "osmesa",
     )

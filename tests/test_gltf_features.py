@@ -268,7 +268,7 @@ def _(folder):
     mesh, messages = file.load(folder)
     assert messages == [
         "the occlusion map of a.glb needs a third set or transform of texture coordinates: "
-        "ignored, a material can have two",
+        "ignored, because a material can have only two",
         "a.glb has no second texture coordinates: maps that use them are ignored",
     ]
     material = mesh.materials[0]

@@ -106,7 +106,7 @@ def test_child_of_a_child_is_refused_with_a_remedy(drawn):
 
     own, answer = in_child(draw_and_fork).split(maxsplit=1)
     assert own == drawn[1]
-    assert answer.startswith("ContextError: no OpenGL context (egl: it was in use before this")
+    assert answer.startswith("ContextError: no OpenGL context (egl: this driver was in use")
     assert answer.endswith("start processes by spawn or forkserver (multiprocessing.get_context), "
                          "not by fork")  # fmt: skip
     assert in_child(lambda: in_child(draw)) == drawn[1], (
@@ -133,7 +133,7 @@ def test_osmesa_is_refused_after_a_fork(drawn):
 
     require_backend("osmesa")
     answer = in_child(lambda: draw("osmesa"))
-    assert answer.startswith("ContextError: no OpenGL context (osmesa: it was in use before this")
+    assert answer.startswith("ContextError: no OpenGL context (osmesa: this driver was in use")
 
 
 def test_context_of_a_host_is_refused_after_a_fork(egl):
@@ -152,7 +152,7 @@ def test_context_of_a_host_is_refused_after_a_fork(egl):
 def test_a_gpu_is_refused_after_a_fork(drawn, monkeypatch):
     monkeypatch.setitem(contexts._opened, "egl", False)
     answer = in_child(draw)
-    assert answer.startswith("ContextError: no OpenGL context (egl: it was in use before this")
+    assert answer.startswith("ContextError: no OpenGL context (egl: this driver was in use")
 
 
 def test_child_draws_after_the_parent_used_another_context(drawn):

@@ -154,7 +154,8 @@ MESSAGES = [
         "render tri.obj --scattering skin -o x.png",
         (
             "scattering needs the size of tri.obj, which does not specify its unit: give "
-            "--millimetres, such as 1 or 1000 (load_mesh(..., millimetres=1))"
+            "--millimetres 1 if the unit is 1 mm, or 1000 if it is 1 m (load_mesh(..., "
+            "millimetres=1))"
         ),
     ),
     (

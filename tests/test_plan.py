@@ -412,7 +412,7 @@ def test_errors_agree_with_the_reference_and_the_renderer(
 @pytest.mark.parametrize(
     ("changes", "options", "message"),
     [
-        ({"lights": ()}, {}, "the scene has no lights: add one, there is no shading to plan"),
+        ({"lights": ()}, {}, "the scene has no lights, so there is no shading to plan: add a "),
         ({}, {"full": Shading(lobe="d8")}, "a plan chooses the lobe: omit d8"),
         ({}, {"full": Shading(lobe=GPower(4, 0.3))}, r"omit g-power 4 \(0.3/m\^2\)"),
         (

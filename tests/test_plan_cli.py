@@ -319,7 +319,7 @@ def test_bad_option(options, message, cli):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("lights = []", r"the scene has no lights: add one, there is no shading to plan"),
+        ("lights = []", r"the scene has no lights, so there is no shading to plan: add a light"),
         ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of tables"),
         ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
         ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: omit d8"),

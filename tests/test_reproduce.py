@@ -150,7 +150,7 @@ def test_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, resul
     assert printed.err == ""
     (tmp_path / "file").write_text("")
     assert paper.main(["-o", str(tmp_path / "file")]) == 2
-    assert f"error: cannot make {tmp_path / 'file'}: " in capsys.readouterr().err
+    assert f"error: cannot create {tmp_path / 'file'}: " in capsys.readouterr().err
     monkeypatch.undo()
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert paper.main(["-o", str(tmp_path / "none")]) == 2

@@ -1,7 +1,7 @@
 """Chunks: groups of jobs that are drawn, written and committed together.
 
-The name of a chunk contains a digest of everything that its pixels depend on. A chunk is done if
-its record exists.
+The name of a chunk contains a digest of everything that the chunk's files depend on. A chunk is
+done if its record exists.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from facerender.drawing.context import Backend
 
 Layout = Literal["files", "shards"]
-Record = dict[str, Any]  # the record of a job, drawn or failed
+Record = dict[str, Any]  # the record of a drawn or failed job
 
 _PACKAGE = Path(__file__).parents[1]
 # Source files that the pixels depend on.
 _FOLDERS = ("terms", "glsl", "scenes", "loading", "drawing", "images")
 _MODULES = ("batch/outputs.py", "job.py", "shading.py")
-_LARGEST = 128  # most jobs per chunk
-# Least number of chunks, if there are enough jobs. At most this many full chunks of jobs wait for
-# further jobs of their mesh.
+_LARGEST = 128  # maximum number of jobs per chunk
+# Minimum number of chunks, if there are enough jobs. The jobs in memory that wait for jobs with the
+# same mesh fill at most this number of chunks.
 _CHUNKS = 64
 _FILES = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
@@ -52,7 +52,8 @@ class Settings:
     timeout : seconds without a message after which a worker counts as hung
     tries : maximum number of attempts for a job that crashes or hangs its worker
     code_version : digest of the code that draws, see :func:`code_version`
-    run : ID of the command, by which workers that outlive a killed command detect the next one
+    run : ID of the command. A worker that outlives its killed command stops writing if batch.json
+        contains the ID of another command
     """
 
     output: str
@@ -71,8 +72,9 @@ class Chunk:
     Attributes
     ----------
     number : position among the chunks of the batch
-    rows, keys : the jobs, and for each a digest of everything that its files depend on
-    kept : records of jobs that an earlier run has drawn, by position in the chunk
+    rows : the jobs
+    keys : for each job, a digest of everything that the job's files depend on
+    kept : records of jobs that an earlier run has drawn, keyed by the position in the chunk
     """
 
     number: int
@@ -92,7 +94,7 @@ class Chunk:
 def chunk_size(total: int) -> int:
     """Return the number of jobs per chunk.
 
-    It depends only on the total number of jobs, so that it is the same for any number of workers.
+    The size depends only on the total number of jobs: any number of workers gives the same chunks.
     """
     size = 1
     while size < _LARGEST and total >= 2 * _CHUNKS * size:
@@ -101,11 +103,11 @@ def chunk_size(total: int) -> int:
 
 
 def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
-    """Divide rows into chunks, each with one mesh and one image size if there are enough such rows.
+    """Divide rows into chunks; rows with equal mesh and image tables share a chunk where possible.
 
     Few rows are in memory at a time.
 
-    size : jobs per chunk; None selects it with :func:`chunk_size`
+    size : maximum number of jobs per chunk; None: the result of :func:`chunk_size`
     """
     rows = iter(rows)
     if size is None:
@@ -123,7 +125,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
         return Chunk(number - 1, tuple(group), keys)
 
     def pack() -> list[Row]:
-        """Return the rows of the groups that have waited longest, as many groups as fit."""
+        """Return the rows of the groups that have waited longest, as many as fit into a chunk."""
         packed: list[Row] = []
         for name in list(waiting):
             if packed and len(packed) + len(waiting[name]) > size:
@@ -146,7 +148,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
 
 @cache
 def code_version() -> str:
-    """Return a digest of the package version, and of the Python and shader sources that draw."""
+    """Return a digest of the package version and of all sources that the pixels depend on."""
     paths = [path for name in _FOLDERS for path in sorted((_PACKAGE / name).rglob("*.py"))]
     paths += (_PACKAGE / name for name in _MODULES)
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
@@ -156,7 +158,7 @@ def code_version() -> str:
 def key_of(row: Row) -> str:
     """Return a digest of everything that a job's files depend on.
 
-    The digests of its input files are cached until :func:`forget_files`.
+    The digests of the job's input files are cached until :func:`forget_files`.
     """
     facts = [row.id, _with_contents(row.tables), row.outputs, row.exposure]
     return digest_of(code_version(), json.dumps(facts, sort_keys=True))[:24]
@@ -196,7 +198,7 @@ def _mesh_content(path: str) -> str:
 
 @lru_cache(100_000)
 def _content(path: str) -> str:
-    """Return a digest of a file's content, or its path if the file cannot be read."""
+    """Return a digest of a file's content, or the file's path if the file cannot be read."""
     try:
         if os.path.isfile(path):
             with open(path, "rb") as file:

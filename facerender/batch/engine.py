@@ -14,7 +14,7 @@ from facerender.errors import FacerenderError, InputError
 from facerender.system.memory import available
 
 _WORKER_MIB = 700  # least memory per worker
-_SECONDS = 30  # timeout for finding a scheduler, and for its first worker
+_SECONDS = 30  # timeout of the connection to a scheduler, and of the wait for its first worker
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def dask(address: str) -> Iterator[Engine]:
         raise InputError(
             f"--scheduler {address} needs dask.distributed: pip install 'facerender[batch]'"
         ) from None
-    for name in [*logging.getLogger().manager.loggerDict]:  # errors are reported here
+    for name in [*logging.getLogger().manager.loggerDict]:  # this module reports the errors
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
@@ -78,7 +78,7 @@ def dask(address: str) -> Iterator[Engine]:
             raise InputError(
                 f"the scheduler at {address} has no worker; run: dask worker {address}"
             ) from None
-        # Not pure: Dask would reuse the result of a chunk whose files were deleted since.
+        # With pure=True, Dask would reuse the result of a chunk whose files have been deleted.
         executor = client.get_executor(pure=False, retries=2)
         yield Engine(executor, slots, 0)
     finally:
@@ -93,7 +93,7 @@ def scheduler_gone() -> FacerenderError:
 def default_workers() -> tuple[int, str]:
     """Return the default number of workers, and the reason as text.
 
-    It is one per core that this process may use, if there is enough memory for all of them.
+    The default is one worker per core that this process may use, or as many as fit into memory.
     """
     cores, memory = _cores(), available()
     fit = max(1, int(memory // _WORKER_MIB))

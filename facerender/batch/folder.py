@@ -38,11 +38,11 @@ Table = Literal["jsonl", "parquet"]
 
 @contextmanager
 def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
-    """Lock the output folder and write batch.json. An object store cannot be locked.
+    """Lock the output folder and write batch.json. An output URL is not locked.
 
     Raises
     ------
-    InputError : another command writes to the folder, or it is not writable
+    InputError : another command writes to the folder, or the folder is not writable
     """
     storage = Storage(settings.output)
     with ExitStack() as held:
@@ -67,7 +67,7 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
 
 
 def status(output: str) -> dict[str, int]:
-    """Return the number of "jobs" of a batch, and how many are "done", "failed" and "left".
+    """Return the number of "jobs" of a batch, and how many of them are "done", "failed", "left".
 
     Raises
     ------
@@ -94,7 +94,7 @@ def set_aside(storage: Storage, work: Work) -> None:
         storage.rename(f"{RECORDS}/{name}.jsonl", f"{STALE}/{name}.jsonl")
     known = record_names(storage, STALE)
     for name in work.stale & record_names(storage, BEGUN):
-        if name in known:  # its record is already there and has more data
+        if name in known:  # the record in STALE has more data than the list in BEGUN
             storage.drop(f"{BEGUN}/{name}.jsonl")
         else:
             storage.rename(f"{BEGUN}/{name}.jsonl", f"{STALE}/{name}.jsonl")
@@ -118,7 +118,7 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
             for record in records_of(storage, name):
                 (bad if "error" in record else good).write(json.dumps(record) + "\n")
     _drop_stale(storage, drawn)
-    for name in storage.names(BEGUN):  # left by a worker that ended after the record was written
+    for name in storage.names(BEGUN):  # left if a worker ended after it wrote the record
         storage.drop(f"{BEGUN}/{name}")
     if failed.stat().st_size:
         storage.move(failed, "failed.jsonl")

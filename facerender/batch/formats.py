@@ -21,14 +21,15 @@ from facerender.errors import FacerenderError, InputError, clipped, reason, show
 from facerender.job import MESH_PATHS
 from facerender.system.files import read_file, tables_of
 
-# The line where a row ends, None if the format has no lines; and the row or its error.
+# The number of the line where a row ends (None for .parquet, .toml and .py), and the row or its
+# error.
 Found = tuple[int | None, Table | InputError]
 
 _LONGEST_LINE = 2**20
 _MOST_TOML = 2**26  # Bytes.
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
-_TEXT = {  # Columns of a .csv file whose cells are always text, even if they look like numbers.
+_TEXT = {  # Columns of a .csv file in which every cell is text, even if it looks like a number.
     *(
         "id",
         "outputs",
@@ -44,11 +45,11 @@ _TEXT = {  # Columns of a .csv file whose cells are always text, even if they lo
 
 
 def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
-    """Yield the rows of a table as :func:`nested` returns them; the suffix selects the format.
+    """Yield the rows of a table as :func:`nested` returns them; the file suffix sets the format.
 
     Raises
     ------
-    InputError : the file, or the rest of it, cannot be read
+    InputError : the file cannot be read, or only in part
     """
     file = Path(path)
     try:
@@ -220,7 +221,7 @@ def _toml(path: Path) -> Iterator[Found]:
 
 
 def _py(path: Path) -> Iterator[Found]:
-    path.open("rb").close()  # An unreadable file is no error of the user's program.
+    path.open("rb").close()  # Raises OSError here if the file cannot be read.
 
     def running(step: Callable[[], Any]) -> Any:
         try:
@@ -238,7 +239,7 @@ def _py(path: Path) -> Iterator[Found]:
 
 
 def _where(path: Path, error: BaseException) -> str:
-    """Describe an error of a user's program in one line, with the number of its line there."""
+    """Describe an error in a .py table in one line of text, with the line number in that file."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)

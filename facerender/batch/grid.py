@@ -1,4 +1,4 @@
-"""Rows of a .toml file: common tables, a list of jobs, a grid of axes, and random values.
+"""Generates the rows of a .toml file: common tables, a list of jobs, a grid of axes, random values.
 
 Rows are generated one at a time.
 """
@@ -24,11 +24,11 @@ _BLOCK = 1024  # rows whose random numbers are generated together
 
 
 def grid_rows(tables: Table) -> Iterator[Table]:
-    """Yield the rows of a file's tables; rows of one mesh are neighbours.
+    """Yield the rows that a file's tables define; rows with the same mesh are neighbours.
 
-    The loops are, from the outermost: meshes of the grid, ``jobs``, other axes (the last changes
-    fastest), and ``random.count`` repetitions. If several tables define a key, random wins over
-    grid, grid over jobs, and jobs over the common tables.
+    The loops are, from the outermost: meshes of the grid, ``jobs``, other axes of the grid (the
+    last axis changes fastest), ``random.count`` repetitions. If several tables define a key, random
+    wins over grid, grid over jobs, and jobs over the common tables.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def _leaves(
 ) -> Iterator[tuple[str, Any]]:
     """Yield the values of nested tables with their dotted keys; keys may contain dots themselves.
 
-    A table for which `whole` returns true is a value.
+    A table for which `whole` returns true counts as a value.
     """
     for key, value in table.items():
         if isinstance(value, Mapping) and value and not whole(value):
@@ -155,7 +155,7 @@ def _axis(key: str, value: Any) -> _Axis:
 
 
 def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
-    """Return a function from a row number to a random value, as a row with only this key.
+    """Return a function that maps a row number to a random value, as a row with only `key`.
 
     The value depends only on the seed, the key and the row number. It comes from Philox, a
     counter-based generator: every block of four words depends only on a key and a counter. The
@@ -193,7 +193,7 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
         first, second = words(number // _BLOCK)[number % _BLOCK]
         u, v = (first >> 11) * 2.0**-53, (second >> 11) * 2.0**-53
         value = _DISTRIBUTIONS[kind](ends[0], ends[1], u, v)
-        # The exp and log of two machines agree on 12 digits.
+        # Rounded, because exp and log agree only to 12 digits on all machines.
         row: Table = placed(keys, min(max(float(f"{value:.12g}"), low), high))
         return row
 
@@ -205,7 +205,8 @@ def _normal(mean: float, sigma: float, u: float, v: float) -> float:
     return mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
 
 
-# Arguments: both ends, or mean and standard deviation; then two uniform numbers in [0, 1).
+# Arguments: both ends of the range, or mean and standard deviation; then two uniform numbers in
+# [0, 1).
 _DISTRIBUTIONS: dict[str, Callable[[float, float, float, float], float]] = {
     "uniform": lambda low, high, u, _: (1.0 - u) * low + u * high,
     "log_uniform": lambda low, high, u, _: math.exp((1.0 - u) * math.log(low) + u * math.log(high)),

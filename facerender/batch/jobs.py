@@ -32,7 +32,7 @@ from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image")
-OWN = ("id", "outputs", "exposure", "scene")  # Other keys of a row.
+OWN = ("id", "outputs", "exposure", "scene")  # Keys of a row that are not in TABLES.
 TABLE_KINDS: dict[str, Any] = {
     "mesh": MeshFile,
     "camera": Camera,
@@ -42,14 +42,14 @@ TABLE_KINDS: dict[str, Any] = {
     "planned": Planned,
     "image": ImageSettings,
 }
-_TOGETHER = ("m", "second_slope", "lobe_weight")  # Material values that limit each other.
+_TOGETHER = ("m", "second_slope", "lobe_weight")  # Values that limit each other's range.
 ID = "[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}"
 
 _ID = re.compile(ID)
 _SPEC = re.compile(r"[+-]?0?[0-9]{0,2}(\.[0-9]{1,2})?[defgs]?")
-_LONGEST_FAULT = 400  # Characters of a message.
-_MOST_GOOD = 4096  # Cached hashes of tables that passed the checks.
-_MOST_TWICE = 10_000  # Duplicate ids that are described.
+_LONGEST_FAULT = 400  # Maximum number of characters in a message.
+_MOST_GOOD = 4096  # Maximum number of cached hashes of valid tables.
+_MOST_TWICE = 10_000  # Maximum number of duplicate ids that are described.
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Row:
     id : name of the job's files: 1 to 128 letters, digits, ".", "_" and "-"; no "." at the start
     tables : nested plain data for :meth:`facerender.Job.from_dict`, with absolute paths. With an
         environment map, lights and ambient light default to none. Rows share parts of their
-        tables: do not modify them
+        tables: do not modify these tables
     outputs : names from OUTPUTS
     exposure : exposure of the 8-bit images, in stops
     """
@@ -77,12 +77,12 @@ class Row:
 class JobTable:
     """A table of jobs, whose rows are checked as they are read.
 
-    An iteration reads all rows. It yields the valid rows until the first invalid one.
+    An iteration reads and checks all rows, but yields only the rows before the first invalid row.
 
     Parameters
     ----------
-    path : .jsonl, .csv, .parquet, .toml or .py
-    common : default values for all rows, with the keys of a row
+    path : path of the table, a .jsonl, .csv, .parquet, .toml or .py file
+    common : default values for all rows; with the keys of a row
     most : maximum number of invalid rows to describe
 
     Attributes
@@ -90,7 +90,7 @@ class JobTable:
     rows : number of rows, including invalid ones
     meshes : number of different mesh files in the valid rows; the built-in head counts as one
     faults : one message for each of the first `most` invalid rows
-    more : number of further invalid rows
+    more : number of invalid rows that `faults` does not describe
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class JobTable:
     def __iter__(self) -> Iterator[Row]:
         """Yield valid rows; raise InputError if the file cannot be read or has no rows."""
         meshes, good = set[int](), set[int]()
-        ids = array("q")  # Hashes: 8 bytes per row.
+        ids = array("q")  # Hashes of the ids: 8 bytes per row.
         bad = 0
         for position, row in _rows(self._path, self._common):
             self.rows += 1
@@ -158,7 +158,7 @@ class JobTable:
 def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
 ) -> Iterator[tuple[str, Row | InputError]]:
-    """Yield each row, or the error of an invalid row, with its position for messages."""
+    """Yield the position of each row as text for messages, and the row or its error."""
     name = PurePath(path).name
     own, folder = nested(common), os.getcwd()
     base = _over_scene(own, own.pop("scene", None), folder)
@@ -181,7 +181,7 @@ def _rows(
 
 
 def _over_scene(tables: Table, scene: Any, folder: str) -> Table:
-    """Return tables merged over the tables of a scene file, if there is one."""
+    """Return the tables of a scene file, if one is given, with `tables` merged over them."""
     if scene is None:
         return tables
     check_path("scene", scene)
@@ -203,7 +203,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
             if name in mesh
         }
         tables["mesh"] = {**mesh, **paths}
-    if "environment" in tables:  # Replaces the default lights, as in facerender render.
+    if "environment" in tables:  # It replaces the default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     environment = tables.get("environment")
     if type(environment) is dict and environment.get("file", STUDIO) != STUDIO:
@@ -222,7 +222,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
 
 @lru_cache(64)
 def _scene_tables(path: str, folder: str) -> Table:
-    """Return the tables of a scene file, such as `facerender plan` writes.
+    """Return the tables of a scene file; `facerender plan` writes such files.
 
     The working directory, `folder`, is part of the cache key because `path` may be relative.
     """
@@ -292,7 +292,7 @@ def _id(template: Any, number: int, tables: Table) -> str:
 
 @lru_cache(256)
 def _parts(template: str) -> list[tuple[str, str, str]]:
-    """Split a template into triples: literal text, the name that follows it, and its format.
+    """Split a template into triples: literal text, and name and format of the field after it.
 
     Raises
     ------
@@ -342,7 +342,7 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
 def _check(row: Row, position: str, good: set[int]) -> None:
     """Check the tables of a row as :meth:`facerender.Job.from_dict` does.
 
-    Tables whose hashes are in `good` are skipped; the hashes of valid tables are added to it.
+    Tables whose hashes are in `good` are skipped; the hashes of valid tables are added to `good`.
 
     Raises
     ------
@@ -364,7 +364,7 @@ def _check(row: Row, position: str, good: set[int]) -> None:
                 good.add(name)
     except InputError as error:
         raise InputError(f"{position}: {error}") from None
-    except (TypeError, ValueError, ArithmeticError) as error:  # A type that no check expects.
+    except (TypeError, ValueError, ArithmeticError) as error:  # A value of an unexpected type.
         raise InputError(f"{position}: {shown(row.tables)} cannot be used: {error}") from None
 
 

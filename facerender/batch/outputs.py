@@ -1,6 +1,6 @@
-"""Outputs of a job: the content of its files, and the data of its record, including the camera.
+"""Outputs of a job: the contents of its files, and the data of its record, including the camera.
 
-The renderer is a parameter: this module does not use OpenGL itself.
+This module does not use OpenGL directly: the caller passes a renderer.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from facerender.scenes.view import View, view_of
 if TYPE_CHECKING:
     from facerender.drawing.renderer import Renderer
 
-# Each of these takes one draw; all other outputs come from one G-buffer.
+# Each of these outputs takes one draw; all other outputs come from one G-buffer.
 _SHADED: dict[str, Only | None] = {"image": None, "specular": "specular", "diffuse": "diffuse"}
-# Channel names in layers.exr. The last letter selects how compositing programs show a channel: Y is
-# grey. mask.A is the name of Nuke's own mask layer.
+# Channel names in layers.exr. The last letter of a name selects how compositing programs show the
+# channel: Y is grey. mask.A is the name of Nuke's own mask layer.
 _CHANNELS = {
     "image": ("R", "G", "B", "A"),
     "specular": ("specular.R", "specular.G", "specular.B"),
@@ -51,11 +51,11 @@ class Drawn:
 
     Attributes
     ----------
-    files : content by file name, such as "image.png"
+    files : contents of the files, keyed by the file name, such as "image.png"
     facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" from
-        :func:`camera_facts`. With output depth, "depth_scale": mesh units per pixel value. With
-        output parts or layers, "parts": the number of parts. For a planned scene, "planned":
-        whether the plan covers this size and number of samples, and was therefore applied
+        :func:`camera_facts`. With output depth, "depth_scale": mesh units per step of the 16-bit
+        depth. With output parts or layers, "parts": the number of parts. For a planned scene,
+        "planned": whether the plan covers this size and number of samples; only then it is applied
     """
 
     files: dict[str, bytes]
@@ -75,13 +75,13 @@ def draw(
     mesh : the result of ``job.mesh.load()``
     renderer : made for the job's image settings
     outputs : names from OUTPUTS
-    exposure : exposure of the PNG files image, specular and diffuse, in stops
+    exposure : exposure of image.png, specular.png and diffuse.png, in stops
 
     Raises
     ------
-    InputError : an error of :func:`check_outputs`, :meth:`facerender.Job.scene` or
-        :meth:`facerender.Renderer.render`; more than 65535 parts for parts.png; layers.exr without
-        OpenEXR
+    InputError : :func:`check_outputs`, :meth:`facerender.Job.scene` or
+        :meth:`facerender.Renderer.render` raises this error; the mesh has more than 65535 parts,
+        the maximum of parts.png; OpenEXR is missing, which layers.exr needs
     """
     check_outputs(outputs)
     if "layers" in outputs:
@@ -97,8 +97,8 @@ def draw(
     }
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
-    # Simplify before job.scene() replaces the mesh by one with the job's material: the simplified
-    # mesh is cached for its original, and all jobs share it.
+    # Simplify before job.scene() replaces the mesh by a copy with the job's material: the cache of
+    # simplified meshes is keyed by the original mesh, which all jobs share.
     drawn = mesh if detail.triangles is None else simplified(mesh, detail.triangles)
     scene = job.scene(drawn)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
@@ -122,7 +122,7 @@ def draw(
 def _frames(
     job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Sequence[str]
 ) -> dict[str, Frame]:
-    """Return the frames that the outputs need, by name."""
+    """Return the frames that the outputs need, keyed by the name of the output."""
     values = replace(detail, samples=min(detail.samples, renderer.samples)).values
     frames = {
         name: renderer.render(scene, job.shading, only, **values)
@@ -178,7 +178,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
 
 
 def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any]:
-    """Return an entry of "frames" in a transforms.json for nerfstudio and instant-ngp.
+    """Return one item of the list "frames" in a transforms.json for nerfstudio and instant-ngp.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _depth_scale(view: View, mesh: Mesh) -> float:
 
 
 def _layers(frames: Mapping[str, Frame]) -> dict[str, NDArray[Any]]:
-    """Return the channels of layers.exr: every pass as float32."""
+    """Return the float32 channels of layers.exr, keyed by the channel name."""
     return {
         channel: frames[name].linear[..., index]
         for name, channels in _CHANNELS.items()

@@ -1,4 +1,4 @@
-"""Parquet tables of records: one column per value; nested values have dotted names."""
+"""Writes Parquet tables of records: one column per value; nested values have dotted names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from facerender.errors import InputError
 
-_ROWS = 4096  # in memory at a time
+_ROWS = 4096  # rows in memory at a time
 _NUMBERS = {"int", "float"}
 
 
@@ -27,7 +27,8 @@ def check_parquet() -> None:
 def write_parquet(lines: Path, target: Path) -> None:
     """Convert a file of records, one JSON object per line, to a Parquet file.
 
-    A column with values of different kinds, or with lists of tables, contains JSON text.
+    A column with lists of tables, or with values of different kinds, contains JSON text; a column
+    with integers and floats contains floats.
     """
     import pyarrow as pa
     from pyarrow.parquet import ParquetWriter
@@ -68,7 +69,7 @@ def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _kinds(lines: Path) -> dict[str, str]:
-    """Return the kind of values in each column."""
+    """Return the kind of the values in each column, keyed by the column's name."""
     kinds: dict[str, str] = {}
     for row in _rows(lines):
         for name, value in row.items():

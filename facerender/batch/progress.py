@@ -27,7 +27,7 @@ class Progress(ExitStack):
     Parameters
     ----------
     work : the work of the batch
-    workers : number of workers of this process, which report every step; 0 for a cluster
+    workers : number of local workers, which report every step; 0 for a cluster
     lines : whether to print a JSON line for each chunk and each failed job
     quiet : whether to hide the bars
     """
@@ -47,13 +47,13 @@ class Progress(ExitStack):
         self._free = [tqdm(bar_format="{desc}", position=each, leave=False) for each in positions]
         for bar in (self._bar, *self._free):
             self.callback(bar.close)
-        self._of: dict[int, tqdm[Any]] = {}  # by thread ID of the supervisor
+        self._of: dict[int, tqdm[Any]] = {}  # keyed by the supervisor's thread ID
         self._workers, self._lines, self._failed = workers, lines, 0
         self._jobs, self._done = work.jobs, work.jobs - work.left
         self.enter_context(if_ended(self._ended))
 
     def report(self, worker: str, step: str, job: str) -> None:
-        """Show the step of a worker of this process. The supervisor's thread calls this."""
+        """Show the step of a local worker. The thread of its supervisor calls this method."""
         if step in ("done", "kept", "failed"):
             self._bar.update()
         thread = threading.get_ident()
@@ -63,7 +63,7 @@ class Progress(ExitStack):
             self._of[thread].set_description_str(f"{worker}  {step} {job}")
 
     def finished(self, outcome: Outcome) -> None:
-        """Show a finished chunk."""
+        """Count the jobs of a finished chunk, and print its JSON lines."""
         jobs = outcome.drawn + outcome.kept + len(outcome.failed)
         self._done += jobs
         if not self._workers:

@@ -15,7 +15,7 @@ class Order:
 
     Attributes
     ----------
-    left : positions of these jobs in the chunk
+    left : positions of the remaining jobs in the chunk
     tar, size : see :class:`facerender.batch.records.Writer`
     """
 
@@ -32,14 +32,14 @@ class Message:
 
     Attributes
     ----------
-    step : "loads": the worker loads the job's mesh; "draws": it draws the job; "done": the job is
-        drawn; "kept": the files of an earlier run are reused; "failed": the job failed; "cannot":
-        no job can be drawn; "end": the chunk is finished. "starts" is never sent: the supervisor
-        uses it until the first message arrives
+    step : "loads": the worker loads the job's mesh; "draws": the worker draws the job; "done": the
+        job is drawn; "kept": the files of an earlier run are reused; "failed": the job failed;
+        "cannot": no job can be drawn; "end": the chunk is finished. "starts" is never sent: it is
+        the supervisor's value until the first message arrives
     position : position of the job in the chunk
-    record : record of the job, with "done", "kept" and "failed"
+    record : record of the job in the steps "done", "kept" and "failed"; otherwise None
     size : size of the tar in bytes after this step
-    text : the reason, with "cannot"
+    text : the reason why no job can be drawn, in step "cannot"
     """
 
     step: Literal["starts", "loads", "draws", "done", "kept", "failed", "cannot", "end"]

@@ -1,4 +1,4 @@
-"""Files of a chunk: the outputs of its jobs, or one tar of them, and the chunk's record.
+"""Files of a chunk: the outputs of the jobs, separate or in one tar, and the chunk's record.
 
 The record is written last: its presence marks a finished chunk.
 """
@@ -20,32 +20,32 @@ from facerender.batch.jobs import Row, file_name
 from facerender.batch.storage import Storage
 
 ABOUT = "batch.json"  # Settings of the batch, and the ID of the last run.
-BEGUN = "begun"  # Folder: lists of the files of chunks that may have no record yet.
+BEGUN = "begun"  # Folder: for each unfinished chunk, a list of its files.
 RECORDS = "records"
 STALE = "stale"  # Folder: records of chunks whose jobs have changed.
 _BLOCK = 512  # Bytes per tar block.
 
 
 class Writer:
-    """Writer for the files of a chunk's jobs, in job order: separate files, or members of a tar.
+    """Writer of the files of a chunk's jobs, in job order, as separate files or members of a tar.
 
     Parameters
     ----------
-    tar : the unfinished tar of layout "shards", or None
-    size : number of valid bytes in the tar; the rest is cut off
+    tar : the unfinished tar with layout "shards"; None with layout "files"
+    size : number of valid bytes in the tar; the constructor cuts off the rest
     """
 
     def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
         self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
         self.size = size
         self._tar = tar
-        self._get = lru_cache(1)(self.storage.get)  # Neighbouring jobs mostly share a tar.
+        self._get = lru_cache(1)(self.storage.get)  # Neighbouring jobs are mostly in the same tar.
         if tar is not None:
             with tar.open("r+b" if size else "wb") as file:
                 file.truncate(size)
 
     def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
-        """Write the files of a job and return its record; raise OSError on failure."""
+        """Write the files of a job and return the job's record; raise OSError on failure."""
         row = self.chunk.rows[position]
         # On remote storage this check would cost one request per job.
         if self._tar is None and not self.storage.remote:
@@ -68,7 +68,7 @@ class Writer:
     def keep(self, position: int) -> Record | None:
         """Reuse the files of a job that an earlier run drew, and return the new record.
 
-        Return None if there are no such files, or if they have changed.
+        Return None if no earlier run drew the job, or if its files have changed.
         """
         if (kept := self.chunk.kept.get(position)) is None:
             return None
@@ -78,7 +78,7 @@ class Writer:
             return None
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         if digests != {name: about["sha256"] for name, about in kept["files"].items()}:
-            return None  # Another run has overwritten them.
+            return None  # Another run has overwritten the files.
         facts = {key: kept[key] for key in kept if key not in ("id", "number", "key", "files")}
         if self._tar is None:
             return self._record(position, facts, kept["files"])
@@ -97,14 +97,14 @@ class Superseded(OSError):
 def _check_run(storage: Storage, run: str) -> None:
     try:
         about = json.loads(storage.get(ABOUT))
-    except FileNotFoundError:  # Called without a coordinator.
+    except FileNotFoundError:  # Only a coordinator writes this file, and a caller may have none.
         return
     if about["run"] != run:
         raise Superseded("another run of the batch has started")
 
 
 def begin(settings: Settings, chunk: Chunk) -> None:
-    """List the files that a chunk will have.
+    """Write a list of the files that a chunk will have.
 
     If the chunk is interrupted and its jobs change, a later run removes the listed files.
 
@@ -125,8 +125,8 @@ def begin(settings: Settings, chunk: Chunk) -> None:
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
     """Finish the tar of a chunk, then write the chunk's record, which marks the chunk as done.
 
-    The first line of the record counts the jobs; each further line describes one job.
-    Raises OSError like :func:`begin`.
+    The first line of the record counts the drawn and failed jobs; each further line describes one
+    job. Raises OSError if a file cannot be written, or another run has started.
     """
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
@@ -158,7 +158,7 @@ def _shard(chunk: Chunk) -> str:
 
 
 def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]:
-    """Return the files of a drawn job; raise FileNotFoundError or KeyError if one is missing."""
+    """Return a drawn job's files; raise FileNotFoundError or KeyError if a file is missing."""
     files: Mapping[str, Mapping[str, str]] = record["files"]
     paths = {name: about["path"] for name, about in files.items()}
     if all(path.startswith("data/") for path in paths.values()):
@@ -169,10 +169,10 @@ def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]
 
 
 def _append(tar: Path, pieces: Iterable[bytes]) -> int:
-    """Append to an existing tar and return its new size.
+    """Append to an existing tar and return the new size of the tar.
 
-    The tar must not be created again: if another coordinator has removed it, a new tar would lack
-    the earlier members.
+    This function never creates a tar: if another coordinator has removed the tar, a new one would
+    lack the earlier members.
     """
     with tar.open("r+b") as file:
         file.seek(0, os.SEEK_END)
@@ -195,7 +195,7 @@ def read_head(storage: Storage, name: str) -> dict[str, int]:
 
 
 def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
-    """Yield the records of a chunk's jobs, both drawn and failed."""
+    """Yield the records of a chunk's drawn and failed jobs."""
     for line in storage.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
         yield json.loads(line)
 

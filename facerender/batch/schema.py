@@ -1,4 +1,4 @@
-"""JSON Schema of a row of a table of jobs, made from dataclasses, their ranges and the registry."""
+"""Builds the JSON Schema of a row of a job table from dataclasses, ranges and the registry."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _lights(table: Schema) -> Schema:
 
 def _shading() -> Schema:
     terms = _fields("shading", Term)
-    # Without defaults: the default of a light's term is the shading's value.
+    # Without defaults: a value that a light lacks is the value of the shading of all lights.
     lights = _object(
         {name: {key: each[key] for key in each if key != "default"} for name, each in terms.items()}
     )
@@ -153,7 +153,7 @@ def _of_range(limits: Range) -> Schema:
 
 
 def _of_type(hint: Any) -> Schema:
-    """Return the schema of the plain data of a type.
+    """Return the schema of a type's values as plain data.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Output storage of a batch: a local folder, or a URL that fsspec supports (s3://...).
 
-Files are written atomically: each is complete or missing.
+Files are written atomically: each file is either complete or missing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Storage:
 
     Raises
     ------
-    InputError : the protocol of the URL is unknown, or its package is missing
+    InputError : the protocol of the URL is unknown, or the Python package for it is missing
     """
 
     def __init__(self, root: str) -> None:
@@ -71,13 +71,13 @@ class Storage:
             self.move(Path(self.root, name), other)
 
     def unfinished(self) -> Path:
-        """Return a unique local path for a temporary file, and create its folder."""
+        """Return a unique local path for a temporary file, and create the folder of the path."""
         folder = Path(tempfile.gettempdir() if self.remote else self.root, _UNFINISHED)
         folder.mkdir(parents=True, exist_ok=True)
         return folder / uuid4().hex
 
     def get(self, name: str, most: int | None = None) -> bytes:
-        """Return a file's content, or its first `most` bytes; FileNotFoundError if missing."""
+        """Return a file, or its first `most` bytes; raise FileNotFoundError if it is missing."""
         if self.remote:
             return bytes(self._system.cat_file(f"{self._path}/{name}", end=most))
         with open(f"{self.root}/{name}", "rb") as file:
@@ -101,7 +101,7 @@ class Storage:
             self._system.rm_file(f"{self._path}/{name}")
 
     def prune(self, name: str) -> None:
-        """Remove the folder of a file if it is empty. Call this only while no worker writes."""
+        """Remove the folder of a file if the folder is empty. Call only while no worker writes."""
         with suppress(OSError):
             if not self.remote:
                 Path(self.root, name).parent.rmdir()

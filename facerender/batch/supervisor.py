@@ -1,7 +1,7 @@
 """The supervisor of a worker process, which the engines call.
 
-It restarts a worker that crashes or hangs, identifies the responsible job, and commits the chunk.
-It does not use OpenGL itself.
+The supervisor restarts a worker that crashes or hangs, identifies the responsible job, and commits
+the chunk. It does not use OpenGL.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Report = Callable[[str, str, str], None]  # Worker, step, job id.
 _ALONE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _THREAD = threading.local()
 _NO_JOB = -1
-_TO_START = 60.0  # Seconds that a new worker has for its first message.
+_TO_START = 60.0  # Time limit for the first message of a new worker, in seconds.
 
 
 class CannotDraw(FacerenderError, RuntimeError):
@@ -49,9 +49,10 @@ class Outcome:
     Attributes
     ----------
     chunk : number of the chunk
-    drawn, kept : number of jobs that were drawn, and that were reused from an earlier run
+    drawn : number of jobs that were drawn
+    kept : number of jobs whose files from an earlier run were reused
     failed : records of the failed jobs
-    seconds : duration
+    seconds : time to draw, write and commit the chunk
     deaths : number of workers that ended or hung
     renderer : GL_RENDERER and GL_VERSION; "" if no job was drawn
     worker : host and process ID of the last worker
@@ -90,8 +91,8 @@ class Supervisor:
     Pebble 5.2.3 was tried instead of this class. Its pool uses multiprocessing, which cannot start
     processes in Dask workers ("daemonic processes are not allowed to have children"). If an idle
     worker is killed, the pool ends with "Unexpected error within the Pool", without the exit
-    status. A worker that hangs during its start has no time limit. With 30 kills in 400 jobs, it
-    wrote the same files as this class. It would save about 25 lines.
+    status. A worker that hangs while it starts has no time limit. With 30 kills in 400 jobs, Pebble
+    wrote the same files as this class. Pebble would save about 25 lines.
     """
 
     def __init__(self) -> None:
@@ -142,8 +143,8 @@ class Supervisor:
     ) -> tuple[list[Record], Counter[str], int]:
         """Draw the jobs of a chunk.
 
-        Return their records in order, the number of jobs by last step, and the number of workers
-        that ended or hung.
+        Return the jobs' records in order, the number of jobs per final step ("done", "kept",
+        "failed"), and the number of workers that ended or hung.
         """
         records: dict[int, Record] = {}
         attempts, steps, size = Counter[int](), Counter[str](), 0
@@ -209,8 +210,8 @@ class Supervisor:
         """Return the connection to the worker; start a worker if none runs."""
         if self._connection is None or self._process is None or self._process.poll() is not None:
             self.stop()
-            # A socket, unlike a pipe, has time limits. Without them, a worker that stops in the
-            # middle of a message would block this thread for ever.
+            # A socket, unlike a pipe, has time limits. Without time limits, a worker that stops in
+            # the middle of a message would block this thread for ever.
             ours, theirs = socket.socketpair()
             limit = struct.pack("ll", math.ceil(timeout), 0)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)

@@ -1,4 +1,4 @@
-"""Rows of a table of jobs as nested plain data: dotted keys, shorthands, merging.
+"""Converts rows of a table of jobs to nested plain data: dotted keys, shorthands, merging.
 
 ``formats.py`` reads the files; ``jobs.py`` makes jobs from the rows.
 """
@@ -22,7 +22,7 @@ Table = dict[str, Any]
 
 _DEEPEST = 10  # levels of nested tables and lists
 _DIGITS = frozenset("0123456789")
-_MOST_BITS = 64  # of a whole number
+_MOST_BITS = 64  # largest size of a whole number, in bits
 
 
 def nested(row: Any) -> Table:
@@ -58,17 +58,17 @@ def nested(row: Any) -> Table:
 
 
 def placed(keys: Sequence[str], value: Any) -> Any:
-    """Return a value inside nested tables with these keys, the outermost first."""
+    """Return a value inside nested tables with the given keys, the outermost key first."""
     for key in reversed(keys):
         value = {key: value}
     return value
 
 
 def merged(base: Table, over: Table) -> Table:
-    """Return the first table, updated with the second.
+    """Return table `base`, updated with table `over`.
 
-    Tables are merged, numbered items replace the items of a list, and other values are replaced.
-    The arguments are not modified; the result may share parts with them.
+    Nested tables are merged, numbered items replace items of a list, and other values are replaced.
+    The arguments are not modified; the result may share parts with the arguments.
     """
     both = dict(base)
     for key, value in over.items():
@@ -83,11 +83,11 @@ def merged(base: Table, over: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Convert tables whose keys are the numbers from 0 to lists, except ``shading.lights``.
+    """Convert tables with the keys 0, 1, 2, ... into lists, except ``shading.lights``.
 
     Raises
     ------
-    InputError : a number is missing
+    InputError : a number is missing among these keys
     """
     if type(value) is dict:
         items = {
@@ -149,7 +149,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
             continue
         full = f"{name}.{key}" if name else key
         each = _plain(each, full, depth + 1)
-        if each == {} and value[key]:  # it contained only None
+        if each == {} and value[key]:  # the value contained only None
             continue
         if "." in key:
             key, *parts = key.split(".")
@@ -161,7 +161,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
 
 
 def _joined(one: Any, other: Any, name: str) -> Any:
-    """Add the values of the second table to the first and return it; no value may be in both."""
+    """Add the values of table `other` to table `one`, and return `one`; no value may be in both."""
     if type(one) is not dict or type(other) is not dict:
         raise InputError(f"{clipped(name)} is given twice, or as a whole and in parts: remove one")
     for key, value in other.items():

@@ -1,4 +1,4 @@
-"""Remaining work of a batch: its chunks, compared with the records of earlier runs."""
+"""Finds the remaining work of a batch: compares its chunks with the records of earlier runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from facerender.batch.records import BEGUN, STALE, read_head, record_names, reco
 from facerender.batch.storage import Storage
 from facerender.errors import FacerenderError, InputError, reason
 
-_IN_MEMORY = 1 << 20  # bytes of chunks in memory before they are written to disk
+_IN_MEMORY = 1 << 20  # bytes of the temporary file that stay in memory; a larger file is on disk
 
 
 class Spool:
@@ -34,7 +34,7 @@ class Spool:
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._of: dict[str, tuple[int, int]] = {}  # by name: number of jobs, file offset
+        self._of: dict[str, tuple[int, int]] = {}  # by chunk name: number of jobs, file offset
 
     def add(self, chunk: Chunk) -> None:
         """Write a chunk."""
@@ -59,12 +59,12 @@ class Spool:
 
 @contextmanager
 def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterator[Spool]:
-    """Read all rows and store them as chunks; `size` is that of :func:`chunks`.
+    """Read all rows and store them as chunks of `size` jobs; None as in :func:`chunks`.
 
     Raises
     ------
     FacerenderError : the temporary file cannot be written
-    InputError : the layout does not allow an id
+    InputError : an id contains a dot, which layout "shards" does not allow
     """
     forget_files()
     with tempfile.SpooledTemporaryFile(_IN_MEMORY) as file:
@@ -84,8 +84,8 @@ def _with_valid_ids(rows: Iterable[Row], settings: Settings) -> Iterator[Row]:
     for row in rows:
         if settings.layout == "shards" and "." in row.id:
             raise InputError(
-                f"id {row.id!r} has a dot, where readers of shards end the name: give an id "
-                "without a dot, or use --layout files"
+                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
+                "an id without a dot, or use --layout files"
             )
         yield row
 
@@ -98,8 +98,9 @@ class Work:
     ----------
     spool : all chunks
     todo : names of the chunks to draw
-    jobs, left : number of jobs of all chunks, and of the chunks to draw
-    stale : names of chunks that an earlier run drew or began, and whose jobs have changed
+    jobs : number of jobs in all chunks
+    left : number of jobs in the chunks to draw
+    stale : names of chunks that an earlier run drew or began and whose jobs have changed since
     """
 
     spool: Spool
@@ -127,7 +128,7 @@ def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
 def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
     """Yield the chunks to draw, each with the records of its jobs that are already drawn.
 
-    These are stale records, or the records of the same chunk if other jobs of it failed.
+    Such a record is stale, or it belongs to the same chunk if another job of the chunk failed.
     """
     known = _DrawnBefore(storage)
     names = record_names(storage)
@@ -142,7 +143,7 @@ def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
 
 
 class _DrawnBefore:
-    """Index of the stale records of drawn jobs by key; it takes 16 bytes of memory per record."""
+    """Index of the stale records of drawn jobs, keyed by the job's key; 16 bytes per record."""
 
     def __init__(self, storage: Storage) -> None:
         self._names = sorted(record_names(storage, STALE))

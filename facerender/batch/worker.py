@@ -1,7 +1,7 @@
 """The worker process, which draws chunks; only this process uses OpenGL.
 
-It reports each step before it starts the step: if the worker crashes or hangs, the supervisor can
-identify the responsible job.
+The worker reports each step before the step starts: if the worker crashes or hangs, the supervisor
+can identify the responsible job.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from facerender.loading.references import named_files
 from facerender.scenes.mesh import Mesh
 from facerender.system.signals import heed_the_coordinator
 
-_MESHES = _RENDERERS = 2  # Cached by each worker.
+_MESHES = _RENDERERS = 2  # Meshes, and renderers, that each worker caches.
 _NO_MEMORY = 9  # Exit status: out of memory.
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 def main(handle: int) -> None:
-    """Draw the chunks that arrive on a socket until it is closed; `handle` is its descriptor."""
+    """Draw the chunks that arrive on the socket with descriptor `handle`, until it is closed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     heed_the_coordinator()
-    warnings.simplefilter("ignore", FacerenderWarning)  # The records contain them.
+    warnings.simplefilter("ignore", FacerenderWarning)  # The records contain the warnings.
     connection = Connection(handle)
     run = ""
     while True:
@@ -87,7 +87,7 @@ def _draw(order: Order) -> Iterator[Message]:
                 facts["warnings"] = texts
             try:
                 record = writer.write(position, drawn.files, facts)
-            except OSError as error:  # Such as a full disk; not caused by the job.
+            except OSError as error:  # For example a full disk: the job is not the cause.
                 yield Message("cannot", text=f"cannot write to {settings.output}: {error}")
                 return
         except MemoryError:
@@ -123,7 +123,8 @@ def _no_context(backend: Backend) -> str:
 def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
     """Return a mesh, and the warnings of its loader.
 
-    Only the first mesh is written to the disk cache: all meshes of a large batch could fill it.
+    Only the worker's first mesh is written to the disk cache: all meshes of a large batch could
+    fill the disk.
     """
     own = [getattr(file, each) for each in MESH_PATHS]
     for path in [*filter(None, own), *(named_files(Path(file.path)) if file.path else ())]:
@@ -134,7 +135,7 @@ def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
 
 
 def _check_file(path: str | Path) -> None:
-    """Raise InputError for a pipe or a device, which may never end. The loader checks the rest."""
+    """Raise InputError for a pipe or a device, because reading it may never end."""
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise InputError(f"{path} is a pipe or a device: give a file")
 

@@ -1,5 +1,5 @@
 """The command line, one module per command. Results go to standard output. Warnings and errors go
-to standard error; an error is one line and exit status 2."""
+to standard error. An error prints one line and sets exit status 2."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COMMANDS = {
     "doctor": "check the OpenGL drivers and packages of this machine",
     "completion": "print a shell-completion script",
 }
-INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h; 1 means different images, 3 failed jobs
+INTERNAL_ERROR = 70  # exit status EX_SOFTWARE of sysexits.h; all statuses: see main()
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
@@ -41,7 +41,7 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
     def add_argument(self, action: argparse.Action) -> None:
         super().add_argument(action)
         if action.nargs == argparse.PARSER:
-            # Python 3.11 ignores the indentation of commands, and breaks the line of the longest.
+            # Python 3.11 ignores the indentation of command names, and wraps the longest of them.
             longest = 4 + max(map(len, action.choices or ("",)))
             self._action_max_length = max(self._action_max_length, longest)
 
@@ -50,11 +50,12 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         own = {"allow_abbrev": False, "formatter_class": _Formatter}
         super().__init__(*arguments, **{**own, **keywords})
-        # argparse takes -35 as a value; -35,10 must not be an option either.
+        # argparse takes -35 as a value, but -35,10 as an option unless this pattern matches it.
         self._negative_number_matcher = re.compile(r"-[\d.]")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Raise the error for an unknown argument in the subcommand, whose help has the options."""
+        """Raise the error for an unknown argument in the parser of the subcommand, so that the
+        message refers to the help of the subcommand."""
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -67,10 +68,10 @@ class _Parser(argparse.ArgumentParser):
 def console() -> NoReturn:
     """Run the command of this process, then end the process."""
     make_usable()
-    gc.set_threshold(100_000)  # saves 40 ms of a cold start: imports leave no garbage
+    gc.set_threshold(100_000)  # saves 40 ms of a cold start, as imports leave no garbage
     status: int | str | None = 2
-    # Runs after the threads and all other exit handlers, and skips the finalizers of the
-    # interpreter: a signal would find no handler among them.
+    # This exit handler runs after all threads and all other exit handlers. It skips the finalizers
+    # of the interpreter, because no handler would catch a signal during these.
     atexit.register(lambda: os._exit(int(status or 0)))
     try:
         status = main()
@@ -133,7 +134,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
 
 
 def parser_of(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser; only commands named in the arguments are imported and have options."""
+    """Return the parser. Only commands that the arguments name are imported and have options."""
     parser = _Parser(
         prog="facerender",
         description="Render face meshes without a display, with Cook-Torrance or Ward highlights.",

@@ -74,7 +74,7 @@ def add(batch: argparse.ArgumentParser) -> None:
         add_number(drawing, name, text, _LIMITS[name], without, **keywords)
 
     local = "worker processes on this machine"
-    add_limited("workers", local, "by cores and free memory", metavar="N")
+    add_limited("workers", local, "depends on cores and free memory", metavar="N")
     note = "Requires pip install 'facerender[batch]'"
     scheduler = Help("address of a Dask scheduler, whose workers draw", "none", note=note)
     drawing.add_argument("--scheduler", metavar="ADDRESS", help=scheduler)
@@ -83,7 +83,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     add_limited("timeout", silence, f"{_TIMEOUT:g}", default=_TIMEOUT, metavar="SECONDS")
     attempts = "maximum attempts per crashing or hanging job"
     add_limited("tries", attempts, f"{_TRIES}", default=_TRIES, metavar="N")
-    add_limited("chunk", "jobs per chunk", "1 to 128, by the number of jobs", metavar="N")
+    add_limited("chunk", "jobs per chunk", "1 to 128, depends on the number of jobs", metavar="N")
 
     written = batch.add_argument_group("output")
     layout = Help("a folder per job, or a tar file per chunk", "files")
@@ -91,7 +91,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     written.add_argument("--layout", choices=layouts, default="files", help=layout)
     kind = Help("format of the table of drawn jobs", "jsonl")
     written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help=kind)
-    add_flag(written, "transforms", "also write the cameras as transforms.json, as for nerfstudio")
+    add_flag(written, "transforms", "also write the cameras as transforms.json for nerfstudio")
     add_flag(written, "retry-failed", "also redraw jobs that failed in an earlier run")
     add_flag(written, "json", "print a line of JSON per chunk, per failed job and at the end")
     add_quiet(written)
@@ -99,7 +99,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     ask = batch.add_argument_group("instead of drawing")
     add_flag(ask, "check", "read and check all rows of the table")
     counts = Help(
-        "folder or URL of a batch whose drawn, failed and remaining jobs to count", "none"
+        "count the drawn, failed and remaining jobs of the batch in this folder or URL", "none"
     )
     ask.add_argument("--status", metavar="OUT", help=counts)
     add_flag(ask, "schema", "print the JSON Schema of a row of the table")
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_read(options: argparse.Namespace) -> None:
-    """Raise InputError if a table of the batch would replace an input file."""
+    """Raise InputError if a result table of the batch would replace an input file."""
     if options.output is None or "://" in options.output or options.check:
         return
     from facerender.batch.folder import TABLES
@@ -143,7 +143,7 @@ def _check_read(options: argparse.Namespace) -> None:
 
 
 def _table(options: argparse.Namespace) -> JobTable:
-    """Return the table of jobs, with the values of the options as defaults of its rows."""
+    """Return the table of jobs. The values of the options are defaults of the rows."""
     from facerender.batch.jobs import JobTable
 
     common = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
@@ -153,7 +153,7 @@ def _table(options: argparse.Namespace) -> JobTable:
 
 
 def _check_faults(table: JobTable) -> None:
-    """Print the errors of the first invalid rows, and raise InputError with the last of them."""
+    """If rows are invalid, print the first errors, and raise InputError with the last of these."""
     if table.faults:
         for fault in table.faults[:-1]:
             print_message(f"facerender: error: {fault}")
@@ -196,7 +196,7 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
 def _surviving_pipes() -> Iterator[None]:
     """Ignore SIGPIPE, so that writing to an ended worker or scheduler raises an error.
 
-    Otherwise the handler of the command line ends the process with status 141.
+    Without this, the SIGPIPE handler of the command line ends the process with status 141.
     """
     before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
@@ -221,7 +221,7 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:
 def _print_status(
     output: str, as_json: bool, drawn: int | None = None, seconds: float = 0.0
 ) -> int:
-    """Print the status of a batch, and return the exit status."""
+    """Print the number of done, failed and remaining jobs, and return the exit status."""
     from facerender.batch.folder import status
 
     counts = status(output)

@@ -27,7 +27,8 @@ from facerender.terms.ranges import IntegerRange, Range, range_of
 def parse_sizes(text: str) -> list[tuple[int, int]]:
     """Parse a size such as 1024, or a range such as 512..1024.
 
-    A range gives both ends and sizes between them, spaced evenly by factors of at most sqrt(2).
+    A range gives both ends and sizes between the ends. Each size is the previous one times a
+    constant factor of at most sqrt(2).
     """
     first, *rest = map(parse_size, text.split("..", 1))
     if not rest:
@@ -41,7 +42,7 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
 
 
 def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
-    """Parse numbers separated by commas; raise InputError unless their count is allowed."""
+    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
@@ -58,7 +59,7 @@ def add_mesh(command: argparse.ArgumentParser) -> None:
     command.add_argument("mesh", nargs="?", metavar="MESH", help=formats)
 
 
-MAPS_TITLE = "maps, which replace those of the mesh file"
+MAPS_TITLE = "maps, which replace the maps of the mesh file"
 _FILES_MAP = "the mesh file's"
 _MAPS = {
     "albedo": Help("albedo map, sRGB", _FILES_MAP),
@@ -82,7 +83,7 @@ def add_flip_v(command: argparse._ActionsContainer) -> None:
 
 
 def bounds_of(limits: Range) -> dict[str, str]:
-    """Return a range as the parameters values and unit of :class:`Help`."""
+    """Return a range as the arguments ``values`` and ``unit`` of :class:`Help`."""
     return {"values": str(limits).removesuffix(limits.unit).strip(), "unit": limits.unit}
 
 
@@ -95,12 +96,12 @@ def add_number(
     note: str = "",
     **keywords: Any,
 ) -> None:
-    """Add an option with a number, whose help has the range, the unit and the default.
+    """Add an option for a number. The help states its range, unit and default.
 
     Parameters
     ----------
-    name : name in Python, such as "lobe_weight"
-    without : text of the default
+    name : name of the option in Python, such as "lobe_weight"
+    without : default, as the help states it
     text, note : see :class:`Help`
     keywords : further arguments of ``add_argument``
     """
@@ -125,7 +126,7 @@ def add_field(
 
     Parameters
     ----------
-    without : text of the default, or format of the field's default
+    without : default, as the help states it, or a format such as "{:g}" for the field's default
     text, note, keywords : see :func:`add_number`
     """
     default = without.format(getattr(kind, name)) if "{" in without else without
@@ -139,7 +140,7 @@ def add_size(
     metavar: str = "N|WxH",
     **keywords: Any,
 ) -> None:
-    """Add --size; parameters as of :func:`add_number`."""
+    """Add --size. For the parameters see :func:`add_number`."""
     limits = bounds_of(range_of(ImageSettings, "size"))
     size = Help("width and height, or N for both", without, **limits, note=note)
     group.add_argument("--size", metavar=metavar, help=size, **keywords)
@@ -160,9 +161,9 @@ def add_switch(group: argparse._ActionsContainer, name: str, text: str, default:
 
 
 def add_backend(group: argparse._ActionsContainer, backends: Iterable[str]) -> None:
-    """Add --backend with some of the names of OpenGL backends."""
+    """Add --backend, which accepts the names in `backends`."""
     backends = tuple(backends)
-    note = "auto tries egl, then osmesa; on Windows and macOS it is native (WGL, CGL). "
+    note = "auto tries egl, then osmesa; on Windows and macOS, auto is native (WGL, CGL). "
     note += "On Linux, native is GLX, which requires an X server"
     if "current" in backends:
         note += ". current is the OpenGL context of the calling program"
@@ -181,7 +182,7 @@ def add_verbose(command: argparse._ActionsContainer) -> None:
 
 
 def step_log(options: argparse.Namespace) -> Callable[[str], None]:
-    """Return a function that logs a step if --verbose is given; see :func:`add_verbose`."""
+    """Return a function that logs a step, but only with --verbose; see :func:`add_verbose`."""
     if options.quiet and options.verbose:
         raise InputError("--quiet and --verbose exclude each other: leave one of them out")
     began = time.monotonic()
@@ -218,17 +219,18 @@ def check_outputs(
 ) -> None:
     """Check the output files of a command before it starts to work.
 
-    Also removes unfinished files that killed commands left in the same directories.
+    The function also deletes unfinished files of killed commands in the directories of the output
+    files.
 
     Parameters
     ----------
     written : output files; None is ignored
-    read : input files; evaluated only if an output file already exists
+    read : input files; they are listed only if an output file already exists
 
     Raises
     ------
-    InputError : an output file cannot be written, appears twice, or is also an input file, even
-        under another name
+    InputError : an output file cannot be written, appears twice, or is also an input file; the
+        paths may differ, for example through a link
     """
     names: dict[object, str | Path] = {}
     for name in (each for each in written if each):
@@ -246,7 +248,7 @@ def check_outputs(
 
 
 def _identity(name: str | Path) -> object:
-    """Return a value that is equal for all names of one file."""
+    """Return a value that is equal for all paths of one file."""
     try:
         facts = os.stat(name)
     except (OSError, ValueError):  # no such file yet
@@ -255,7 +257,7 @@ def _identity(name: str | Path) -> object:
 
 
 def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
-    """Yield the files of a mesh, and every path at which the files that it refers to may be."""
+    """Yield the input files of a mesh, and all possible paths of files that these refer to."""
     yield from (getattr(mesh, name) for name in MESH_PATHS)
     if mesh.path is not None:
         for path in named_files(Path(mesh.path)):
@@ -264,9 +266,9 @@ def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
 
 def import_trimesh(mesh: str | None) -> None:
     """Import trimesh without scipy and networkx, if trimesh reads the mesh."""
-    # trimesh imports scipy and networkx if they are installed; no switch prevents that. Reading a
-    # file needs neither, and they extend the import from 0.23 s to 1.0 s. Hiding them is safe here:
-    # no other code runs in the process of the command.
+    # trimesh imports scipy and networkx if they are installed; no switch prevents that. The import
+    # takes 1.0 s with both and 0.23 s without, and reading a file needs neither. To hide them is
+    # safe: no other code runs in the process of the command.
     if mesh is None or Path(mesh).suffix.lower() in GLTF:
         return
     absent = [name for name in ("scipy", "networkx") if name not in sys.modules]

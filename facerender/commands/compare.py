@@ -24,12 +24,12 @@ from facerender.images.read import read_image
 from facerender.system.atomic import write_text
 from facerender.terms.ranges import Range
 
-# Text and unit of each limit.
+# Help text and unit of each limit, keyed by the name of the limit.
 LIMITED = {
     "point": ("difference of a pixel that the pixels around it do not explain", "radiance"),
-    "block": ("relative change of the mean of a block of pixels", ""),
-    "trend": ("mean product of adjacent blocks' changes, each over its standard error", ""),
-    "grain": ("added noise between adjacent pixels, relative to the level", ""),
+    "block": ("change of the mean of a block of pixels, divided by this mean", ""),
+    "trend": ("mean product of adjacent blocks' changes, in units of the standard errors", ""),
+    "grain": ("noise added between adjacent pixels, as a fraction of a pixel's level", ""),
     "texture": ("fraction of the variance between adjacent pixels that was added or lost", ""),
     "coverage": ("fraction of the pixels whose coverage changed", ""),
     "shift": ("displacement of the whole image", "pixels"),
@@ -53,7 +53,7 @@ def add(compare: argparse.ArgumentParser) -> None:
     for name, (text, unit) in LIMITED.items():
         values = Range(0.0, HIGHEST, unit)
         add_number(limits, name, text, values, default_of(name), metavar="LIMIT")
-    file = Help("pytest's ini file, or pyproject.toml, with limits that no option sets", "none")
+    file = Help("pytest's ini file, or pyproject.toml: limits that no option sets", "none")
     limits.add_argument("--limits", metavar="FILE", help=file)
     mask = Help("image that is not 0 at the pixels to compare", "all pixels")
     limits.add_argument("--mask", metavar="FILE", help=mask)
@@ -63,14 +63,14 @@ def add(compare: argparse.ArgumentParser) -> None:
         "off",
         note="DIR has a folder for each run or driver. All images of the same name must pass. The "
         "limits are printed as a section of pytest's ini file, each with the smallest change that "
-        "it still detects",
+        "the limit still detects",
     )
     own.add_argument("--calibrate", metavar="DIR", help=runs)
     output = Help("new .ini, .cfg or .toml file for the limits of --calibrate", "none")
     own.add_argument("-o", "--output", metavar="FILE", help=output)
     results = compare.add_argument_group("results")
     note = "Requires pip install 'facerender[measure]'"
-    heatmap = Help("map of the FLIP metric, for two images", "none", note=note)
+    heatmap = Help("image of the FLIP metric at each pixel, for two images", "none", note=note)
     results.add_argument("--heatmap", metavar="OUT.png", help=heatmap)
     report = Help("HTML page with all images and metrics", "none")
     results.add_argument("--report", metavar="OUT.html", help=report)
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
             elif not options.json:
                 print_result(f"{pair.name}: {pair.comparison}")
             if not options.heatmap:
-                del pair  # frees its images before the next pair is read
+                del pair  # frees the images of this pair before the next is read
         if options.report:
             progress("report", 0.0)
             write_report(options.report, entries)
@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
-    """Find limits that all pairs of images pass, and print or write them."""
+    """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import calibration_of, runs_of, text_of
 
     for name in ("a", *LIMITED, "limits", "heatmap", "report"):

@@ -11,7 +11,7 @@ from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 
-_FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")  # and names that begin with OUT
+_FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")  # and metavars that begin with OUT
 
 
 def add(completion: argparse.ArgumentParser) -> None:

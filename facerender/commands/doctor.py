@@ -15,7 +15,7 @@ from facerender.commands.streams import print_result
 from facerender.drawing.context import AUTO, Finding, probe
 from facerender.system import cache
 
-# Python packages by the extra that needs them; "" is facerender itself.
+# Python packages, keyed by the extra that needs them; "" is facerender without extras.
 PACKAGES = {
     "": ("moderngl", "glcontext", "numpy", "trimesh", "pyrr", "Pillow", "scipy"),
     "exr": ("OpenEXR",),
@@ -33,10 +33,10 @@ def add(doctor: argparse.ArgumentParser) -> None:
     doctor.set_defaults(command=run)
     doctor.description = (
         "Print the versions of facerender, Python and the system, the OpenGL driver of\n"
-        "each backend, the packages of each extra, and the cache. Each missing part has a\n"
-        "remedy. Exit status: 0 an OpenGL backend works, 2 none works."
+        "each backend, the packages of each extra, and the cache. A remedy is printed for\n"
+        "each missing part. Exit status: 0 an OpenGL backend works, 2 none works."
     )
-    text = Help("print all of it except the cache as JSON", "off")
+    text = Help("print everything except the cache as JSON", "off")
     doctor.add_argument("--json", action="store_true", help=text)
 
 

@@ -30,8 +30,8 @@ def add(explore: argparse.ArgumentParser) -> None:
     explore.set_defaults(command=run)
     explore.description = (
         "Write one HTML file that draws a mesh in a browser with two shadings, and shows\n"
-        "their difference and cost. It opens from disk, needs no network, and uses the\n"
-        "GPU of its reader."
+        "their difference and cost. The file opens from disk, needs no network, and uses\n"
+        "the GPU of the reader's machine."
     )
     add_mesh(explore)
     output = Help("output file, which ends in .html or .htm", "required")

@@ -1,4 +1,4 @@
-"""Help texts: texts of options with range and default, usage lines, examples of each command."""
+"""Help texts: texts of options with range and default, usage lines, and examples of commands."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ class Help(str):
     Attributes
     ----------
     text : effect of the option
-    default : value without the option, or "required"
+    default : value if the option is not given, or "required"
     values : range, such as "0 to 1"; "" for a file, a switch or a choice
     unit : unit of the values
-    note : further sentences, without the last period
+    note : further sentences, without the period at the end
     """
 
     text: str
@@ -82,13 +82,13 @@ class Help(str):
 
 
 def groups_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[argparse.Action]]]:
-    """Yield the title and the options of each group of a parser; argparse publishes neither."""
+    """Yield the title and the options of each group of a parser, from private attributes."""
     for group in parser._action_groups:
         yield group.title or "", list(group._group_actions)
 
 
 def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    """Return the commands of a parser by name."""
+    """Return the parsers of a parser's commands, keyed by command name."""
     for _, actions in groups_of(parser):
         for action in actions:
             if isinstance(action.choices, dict):

@@ -17,9 +17,9 @@ from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.system.data import data_dir
 
-_HEAD = 230.0  # mm from chin to crown, roughly: to guess the length of a unit
+_HEAD = 230.0  # approximate mm from chin to crown, to guess the length of a mesh unit
 _SRGB = ("albedo_map", "emissive_map")
-_ALWAYS = ("albedo", "f0", "ks", "alpha")  # listed even if they have their defaults
+_ALWAYS = ("albedo", "f0", "ks", "alpha")  # listed even if the values are defaults
 
 
 def add(info: argparse.ArgumentParser) -> None:
@@ -27,16 +27,16 @@ def add(info: argparse.ArgumentParser) -> None:
     info.description = (
         "List the contents of a mesh file as facerender draws them: parts, vertices,\n"
         "triangles, materials, maps, bounds, size, length of a unit, repairs and\n"
-        "omissions. It draws nothing."
+        "omissions. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
-    add_flag(info, "json", "print all of it, with every material factor, as JSON")
+    add_flag(info, "json", "print the contents, with every material factor, as JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     import_trimesh(options.mesh)
-    with warnings.catch_warnings(record=True) as caught:  # part of the result
+    with warnings.catch_warnings(record=True) as caught:  # warnings are part of the result
         warnings.simplefilter("always", FacerenderWarning)
         mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
     path = Path(options.mesh) if options.mesh else data_dir("assets") / "head.glb"
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def facts_of(mesh: Mesh) -> dict[str, Any]:
-    """Return a mesh's description as plain data; lengths without "mm" are in mesh units."""
+    """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm."""
     size = mesh.bounds[1] - mesh.bounds[0]
     known = mesh.millimetres
     parts = [

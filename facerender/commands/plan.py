@@ -48,7 +48,7 @@ def add(plan: argparse.ArgumentParser) -> None:
     prices = Help(
         "cost to minimise",
         "frame",
-        note="frame is the time of whole frames, of which a few are measured. The others are the "
+        note="frame is the time of whole frames, of which a few are measured. Other values are the "
         "cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 (RDNA2) "
         "and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws, otherwise navi21; here "
         "is measured on this machine",
@@ -125,7 +125,7 @@ _PINNED = "# Written by facerender plan.\n"
 def _check_pinned(name: str | None) -> None:
     """Raise InputError if --scene would replace a file that facerender plan did not write.
 
-    In ``render``, --scene names an input file, so that a mix-up is likely.
+    Users may give an input file by mistake, because --scene names one in ``render``.
     """
     if name is None or not os.path.isfile(name):
         return

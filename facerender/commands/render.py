@@ -83,7 +83,7 @@ def add(render: argparse.ArgumentParser) -> None:
     add_samples(image)
     exposure = "exposure of all formats except .exr"
     add_field(image, Output, "exposure", exposure, default=Output.exposure, metavar="STOPS")
-    note = "parts has a colour per part; in an .exr it has the number of the part"
+    note = "parts gives each part a colour, or in an .exr file the number of the part"
     only = Help("term or data to render", "the whole image", note=note)
     image.add_argument("--only", choices=ONLY, help=only)
     image.add_argument("--format", choices=FORMATS, help=Help("format of -o -", "png"))

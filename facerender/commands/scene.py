@@ -1,4 +1,4 @@
-"""The scene options of ``render`` and ``plan``, and the job that they describe."""
+"""The scene options of ``render`` and ``plan``, and the job that these options describe."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from facerender.terms.ranges import range_of
 _FACTORS = (
     *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"),
 )
-_OR_FILE = "{:g} or the mesh file's"  # default of a factor that mesh files may set
+_OR_FILE = "{:g} or the mesh file's"  # default in the help, for factors that a mesh file may set
 WHERE = (
     f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for "
     "N views around the mesh (8); gltf[:NAME], for cameras of the mesh file; or a camera file: "
@@ -94,7 +94,7 @@ def add_scene(
 def add_budget(
     group: argparse._ArgumentGroup, text: str, required: bool = False, within: str | None = None
 ) -> None:
-    """Add --budget and --within, whose value is ``within`` if it is not given."""
+    """Add --budget and --within; ``within`` is the default value of --within."""
     note = "1/255 is one 8-bit level, 0.5% is relative radiance, '0.02 flip' is the FLIP metric"
     budget = Help(text, "required" if required else "none", "at least 0", note=note)
     group.add_argument("--budget", required=required, metavar="ERROR", help=budget)
@@ -104,7 +104,7 @@ def add_budget(
 
 
 def add_samples(group: argparse._ArgumentGroup) -> None:
-    note = "Above the maximum of the driver, each sample is a shifted image of its own"
+    note = "Above the driver's maximum, each sample is drawn as a separate, shifted image"
     add_field(group, ImageSettings, "samples", "samples per pixel", note=note, metavar="N")
 
 
@@ -125,13 +125,13 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     add_field(terms, Material, "m", slope, _OR_FILE, note, metavar="M")
     add_field(terms, Material, "f0", "Fresnel reflectance at normal incidence", _OR_FILE)
     add_field(terms, Material, "ks", "specular weight", _OR_FILE)
-    note = "coupled reduces it by the light that the specular term reflects"
+    note = "coupled reduces the diffuse light by the light that the specular term reflects"
     diffuse = Help("diffuse term", Shading.diffuse, note=note)
     terms.add_argument("--diffuse", choices=DIFFUSE, help=diffuse)
     add_field(terms, Material, "kd", "diffuse weight")
     text = "specular antialiasing: widen the lobe by normal-map slopes smaller than a pixel"
     add_switch(terms, "slope-filter", text, "on")
-    text = "also widen the lobe by the curvature in a pixel, for images below about 128 pixels"
+    text = "also widen the lobe by a pixel's curvature, for images below about 128 x 128 pixels"
     add_switch(terms, "curvature", text, "off")
     second = "m of a second lobe, as a factor of m"
     add_field(terms, Material, "second_slope", second, "{:g}: one lobe", metavar="F")
@@ -150,7 +150,7 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
 def _add_maps(maps: argparse._ArgumentGroup) -> None:
     add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map", "lobe-map")
     add_flip_v(maps)
-    text = "direction of green in normal maps, those of the mesh file included"
+    text = "direction of green in normal maps, including maps of the mesh file"
     green = Help(text, MeshFile.normal_map_y, note="down is the convention of DirectX")
     maps.add_argument("--normal-map-y", choices=NORMAL_MAP_Y, help=green)
     strength = "factor on the slopes of normal maps"
@@ -193,16 +193,17 @@ def _add_lighting(scene: argparse._ArgumentGroup) -> None:
     ambient = Help("ambient irradiance, E or R,G,B", default, **limits)
     scene.add_argument("--ambient", metavar="E", help=ambient)
     text = "ray-trace ambient occlusion at the vertices of parts without an occlusion map"
-    dims = "It dims ambient light and the diffuse light of the environment map"
+    dims = "Occlusion dims ambient light and the diffuse light of the environment map"
     add_flag(scene, "occlusion", text, f"{dims}. Requires pip install 'facerender[rays]'")
 
 
 def job_of(
     options: argparse.Namespace, size: tuple[int, int] | None
 ) -> tuple[Job, dict[str, Camera]]:
-    """Return the job of the options and of the scene file, and the cameras by name.
+    """Return the job that options and scene file describe, and the cameras, keyed by name.
 
-    The options may name cameras; otherwise the scene file does, or there is one default camera.
+    The cameras come from the options, otherwise from the scene file. If neither has a camera, one
+    default camera is used.
 
     Parameters
     ----------
@@ -239,7 +240,7 @@ def job_of(
 
 
 def values_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Return the values of the named options that were given."""
+    """Return the values of those named options that the command line sets."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
@@ -256,7 +257,7 @@ def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     Parameters
     ----------
     cache : whether the disk cache is used for the mesh and its decoded maps
-    ahead : whether threads start to decode the maps before there is a renderer
+    ahead : whether threads start to decode the maps before the renderer is created
     """
     mesh = job.mesh.cached() if cache else None
     if mesh is None:
@@ -274,7 +275,7 @@ def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
 
     Raises
     ------
-    InputError : an option would have no effect, because the file pins a value of the shading
+    InputError : an option would have no effect, because the scene file pins the same value
     """
     for key, names in (
         ("m", ("m", "roughness_map")),
@@ -303,7 +304,8 @@ def _cameras(
     options: argparse.Namespace, settings: dict[str, Any], size: tuple[int, int] | None
 ) -> tuple[Camera, dict[str, Camera]]:
     """Remove the cameras from the settings of a scene file; return the job's camera, and all
-    cameras by name. An orbiting camera of an option inherits its other fields from the file."""
+    cameras, keyed by name. An orbiting camera of an option inherits fields that the option does not
+    set from the file's camera."""
     path = settings.pop("cameras", ())
     camera = settings.pop("camera", path[0] if path else Camera())
     changes = values_of(options, "fov", "frame")
@@ -328,14 +330,14 @@ def _placed(
     mesh: str | None,
     size: tuple[int, int] | None,
 ) -> dict[str, Camera]:
-    """Return the cameras of one --camera option by name.
+    """Return the cameras of one --camera option, keyed by name.
 
     Parameters
     ----------
     place : value of the option
-    camera : camera that orbiting cameras are derived from
-    changes : fields of :class:`Camera` to change in cameras of files
-    size : image size; None if the camera file states it
+    camera : camera whose fields an orbiting camera inherits
+    changes : values of :class:`Camera` fields, which replace the values in camera files
+    size : image size; None if the camera file states the size
     """
     word, _, rest = place.partition(":")
     if word == "turntable":

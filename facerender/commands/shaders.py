@@ -39,7 +39,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
         "Print a shader as one file, which contains each included file once and only the\n"
         "chosen terms. With --m, all coefficients of the lobe are constants."
     )
-    text = "file of the library such as cook_torrance or lobe/exact, function, or your GLSL file"
+    text = "library file, such as cook_torrance or lobe/exact; library function; or your GLSL file"
     flatten.add_argument("name", metavar="NAME", help=Help(text, "required"))
     versions = "330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal"
     default = "GLSL to include, without #version"
@@ -53,8 +53,8 @@ def add(shaders: argparse.ArgumentParser) -> None:
     summary = "prepare a normal map for specular antialiasing"
     prepare = actions.add_parser("prepare-normal-map", help=summary)
     prepare.description = (
-        "Write a normal map with all mip levels as KTX 2.0. Its alpha channel has the\n"
-        "deviation of the slopes, which slope_variance.glsl reads."
+        "Write a normal map with all mip levels as KTX 2.0. Its alpha channel stores the\n"
+        "standard deviation of the normals' slopes, which slope_variance.glsl reads."
     )
     source = Help("normal map: .png, .jpg, .tif or .webp", "required")
     prepare.add_argument("source", metavar="IN", help=source)

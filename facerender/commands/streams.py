@@ -1,5 +1,5 @@
-"""Standard output for results and standard error for messages, even if a stream is closed, is full
-or cannot encode a character."""
+"""Functions that print results on standard output and messages on standard error, even if a stream
+is closed, is full or cannot encode a character."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from facerender.errors import FacerenderError, reason
 
 
 def make_usable() -> None:
-    """Open closed standard streams, so that no other file gets their numbers, and escape characters
-    that a stream cannot encode."""
+    """Open closed standard streams, so that no other file gets their descriptors (0, 1 and 2), and
+    escape characters that a stream cannot encode."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)
@@ -41,7 +41,7 @@ def print_result(*lines: object, end: str = "\n") -> None:
 
 
 def print_bytes(content: bytes) -> None:
-    """Write binary output to standard output; raises as :func:`print_result`."""
+    """Write bytes to standard output. For errors see :func:`print_result`."""
     try:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
@@ -53,7 +53,7 @@ def print_bytes(content: bytes) -> None:
 
 
 def print_message(*lines: object) -> None:
-    """Print messages on standard error; ignore errors of the stream."""
+    """Print messages on standard error, and ignore errors of this stream."""
     try:
         _print("\n".join(map(str, lines)) + "\n", sys.stderr)
     except OSError:
@@ -61,7 +61,7 @@ def print_message(*lines: object) -> None:
 
 
 def _print(text: str, stream: TextIO) -> None:
-    bars: Any = sys.modules.get("tqdm")  # its write() keeps text out of progress bars
+    bars: Any = sys.modules.get("tqdm")  # tqdm.write() prints without breaking progress bars
     if bars is None:
         stream.write(text)
     else:
@@ -70,6 +70,6 @@ def _print(text: str, stream: TextIO) -> None:
 
 
 def _mute(stream: TextIO) -> None:
-    """Discard the buffer of a stream; the interpreter would report an error when it flushes it."""
+    """Discard the buffer of a stream, so that the interpreter does not fail to flush it at exit."""
     with suppress(OSError), open(os.devnull, "wb") as nothing:
         os.dup2(nothing.fileno(), stream.fileno())

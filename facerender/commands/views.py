@@ -20,9 +20,9 @@ from facerender.scenes.vectors import Vector
 from facerender.system.memory import MIB, limit
 
 STANDARD_OUTPUT = "-"
-FPS = 12.0  # default of animations
+FPS = 12.0  # default frame rate of animations
 _FIELDS = {"index", "name"}
-_PIXEL_BYTES = 32  # of a sheet: 16 for linear RGBA, and up to 16 while it is written
+_PIXEL_BYTES = 32  # per pixel of a sheet: 16 for linear RGBA, and up to 16 to write the file
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Destination:
     Attributes
     ----------
     files : file names, or STANDARD_OUTPUT alone
-    kind : "each": one file per image. "moving", "sheet": one file with all images
+    kind : "each" for one file per image, "moving" for one animation, "sheet" for one image with
+        all images in a grid
     count : number of images
     format : format of an image on standard output; None for files
     fps : images per second of an animation
@@ -54,7 +55,7 @@ class Destination:
         fps: float | None,
         transparent: bool,
     ) -> Destination:
-        """Return the destination of images, before any of them is drawn.
+        """Return the destination of images, before the first image is drawn.
 
         Parameters
         ----------
@@ -66,7 +67,7 @@ class Destination:
 
         Raises
         ------
-        InputError : the path, format or fps does not fit the images
+        InputError : the path, the format or fps is invalid for these images
         """
         kind: Literal["each", "moving", "sheet"] = "sheet" if as_sheet else "each"
         files: tuple[str, ...] = (path,)
@@ -95,7 +96,7 @@ class Destination:
         return cls(files, kind, len(names), format, FPS if fps is None else fps)
 
     def write(self, frames: Iterator[Frame], exposure: float, background: Vector | None) -> Frame:
-        """Write each image as soon as it is drawn; return the last one."""
+        """Write each image as soon as it is drawn, and return the last image."""
         last: list[Frame] = []
 
         def remembered() -> Iterator[Frame]:
@@ -121,8 +122,8 @@ class Destination:
 
 
 def _moves(path: str, count: int) -> bool:
-    """Return whether the file is an animation: a .gif, an .mp4, or a .webp of several images whose
-    name contains neither {index} nor {name}."""
+    """Return whether a file is an animation. A .gif and an .mp4 always are. A .webp is one if
+    there are several images, and its file name contains neither {index} nor {name}."""
     suffix = os.path.splitext(path)[1].lower()
     return suffix in (".gif", ".mp4") or (suffix == ".webp" and count > 1 and not _has_fields(path))
 
@@ -130,8 +131,8 @@ def _moves(path: str, count: int) -> bool:
 def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
     """Return the file name of each image.
 
-    {index}, with at least three digits, and {name} in the pattern are replaced. Without them,
-    several images of out.png are named out_000.png and so on.
+    {index} becomes the image's number with at least three digits, and {name} the image's name. If
+    out.png has neither of these fields, several images are named out_000.png and so on.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _has_fields(pattern: str) -> bool:
-    """Return whether a file name contains {index} or {name}; other braces are ordinary letters."""
+    """Return whether a file name contains {index} or {name}. Other braces have no meaning."""
     try:
         return any(part[1] in _FIELDS for part in string.Formatter().parse(pattern))
     except ValueError:
@@ -163,7 +164,7 @@ def _has_fields(pattern: str) -> bool:
 
 
 def _plain(name: str) -> str:
-    """Return the name of a camera, which may be from an untrusted file, as part of a file name."""
+    """Return a camera's name, possibly from an untrusted file, as a safe part of a file name."""
     plain = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
     return plain.lstrip(".")[:80] or "_"
 
@@ -188,9 +189,9 @@ def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None
 
 
 def sheet(frames: Iterable[Frame], count: int, background: Vector | None) -> Frame:
-    """Return one frame with ``count`` images in a grid; empty cells have the background.
+    """Return one frame with ``count`` images in a grid; empty cells show the background.
 
-    The grid has as many columns as rows, or one more. Each image is released after it is copied.
+    The grid has as many columns as rows, or one column more. Each image is released after copying.
     """
     columns, rows = _grid(count)
     for index, frame in enumerate(frames):

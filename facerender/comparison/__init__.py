@@ -1,1 +1,1 @@
-"""Comparison of two images: checks, goldens, calibration of limits, report."""
+"""Comparison of two images: checks, reference images of tests (goldens), limits and report."""

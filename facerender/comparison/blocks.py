@@ -1,11 +1,12 @@
-"""Statistics of blocks, which detect small changes of many pixels: a lobe, weight or exposure.
+"""Statistics of blocks, for small changes of many pixels by another lobe, weight or exposure.
 
-A block of 16 x 16 pixels has a mean change, in which smooth pixels weigh more than pixels at edges
-and in texture. The effect of a displacement of the whole image is subtracted. Its standard error
-comes from the scatter of the block's cells of 4 x 4 pixels, and from the grain of the difference.
-Changes by drivers, cameras and codecs are random: neighbouring blocks do not agree. A changed lobe
-or weight changes the face smoothly. The trend is the mean product of neighbouring blocks' changes,
-each divided by its standard error: Moran's (1950) statistic without its denominator.
+The change of a block is the mean change of its 16 x 16 pixels; pixels in smooth areas weigh more
+than pixels at edges and in texture. The effect of a displacement of the whole image is subtracted.
+The change's standard error is estimated from the scatter of the block's cells of 4 x 4 pixels, and
+from the grain of the difference image. Drivers, cameras and codecs change neighbouring blocks at
+random. A changed lobe or weight changes neighbouring blocks alike. The trend is the mean product of
+the changes of two neighbouring blocks, in units of the blocks' standard errors. It is the statistic
+of Moran (1950) without the denominator.
 """
 
 from __future__ import annotations
@@ -19,29 +20,29 @@ from numpy.typing import NDArray
 
 from facerender.comparison.neighbourhoods import Float, Mask, filtered
 
-BLOCK, _CELL = 16, 4  # pixels a side
+BLOCK, _CELL = 16, 4  # width and height of a block and of a cell, in pixels
 LEAST = 48  # pixels that a block needs to be judged
 FLOOR = 0.01  # smallest radiance that relative differences are divided by
 MOVED = 0.25  # default limit of the whole image's displacement, in pixels
-_WILD = 1e3  # relative steps are clipped here, since squares of larger ones may overflow
-_SPREAD = 4.0  # a judged block's weight must be spread over more cells than this
+_WILD = 1e3  # relative steps are clipped to this, since squares of larger steps may overflow
+_SPREAD = 4.0  # blocks are judged if their weight is spread over more cells than this
 _FEW = 4  # grain and texture need at least this number of changed blocks
 _CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Scales of an encoding: relative to a pixel's level, or in 8-bit levels.
+    """Constants of an encoding. Linear: fractions of a pixel's level; sRGB: 8-bit levels.
 
     Attributes
     ----------
     noise : expected noise of a pixel in flat areas
-    slope : factor on the step to a neighbour that counts as noise, since edges move a little
-    edge : pixels with a larger step to a neighbour do not count
-    flat : the same for the grain
-    error : smallest standard error of a block
+    slope : fraction of the step to a neighbour that counts as noise, since edges move a little
+    edge : largest step to a neighbour of a pixel that counts
+    flat : largest step to a neighbour of a pixel that counts for the grain
+    error : smallest standard error of a block's change
     grain : standard error of a block's mean per unit of the grain
-    drift : change of means by another driver's filter of 8-bit textures: 0.3 levels
+    drift : change of a block's mean by another driver's filter of 8-bit textures: 0.3 levels
     """
 
     noise: float
@@ -79,22 +80,22 @@ def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
 class BlockSums:
     """Sums over a strip of two images.
 
-    Sums over cells of 4 x 4 pixels have the shape (H, W) and average the channels. In linear images
-    a pixel's change and level are divided by its level, which is its largest channel.
+    Sums over cells of 4 x 4 pixels have the shape (H, W) and are means over the channels. In linear
+    images a pixel's change and level are divided by the pixel's largest channel in both images.
 
     Attributes
     ----------
     weight : weights of the pixels, over cells
     change : weighted changes, over cells
-    across, down : weighted changes by a displacement of one pixel, over cells
+    across, down : weighted changes that a displacement of one pixel causes, over cells
     channels : (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
-    pixels : (2, H, W) over blocks: number of pixels that count, and that count for the grain
-    grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas. The
-        common part of the channels for the difference, reference and image; and the rest of the
-        difference
-    texture : (2, H, W) over blocks: the common part for reference and image in all pixels that
-        count
-    normal : (2, 3), normal equations of the displacement
+    pixels : (2, H, W) over blocks: number of pixels that count, and number of flat pixels
+    grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas. First
+        three: the part common to all channels, of the difference image, reference and image. Last:
+        the remaining part, of the difference image
+    texture : (2, H, W) over blocks: squared differences between adjacent pixels in all areas, the
+        part common to all channels, of the reference and of the image
+    normal : (2, 3), normal equations of the least-squares displacement
     """
 
     weight: NDArray[np.float32]
@@ -109,9 +110,9 @@ class BlockSums:
 
     @classmethod
     def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> BlockSums:
-        """Return the sums over ``rows`` of two images (H, W, C), whose other rows are neighbours.
+        """Return the sums over ``rows`` of two images (H, W, C); other rows serve as neighbours.
 
-        inside : (H, W), pixels that are not near an edge of the coverage
+        inside : (H, W), mask of the pixels that are not near an edge of the coverage
         """
         count = a.shape[2]
         planes = [[np.ascontiguousarray(image[..., i]) for i in range(count)] for image in (a, b)]
@@ -175,11 +176,11 @@ class BlockStatistics:
 
     Attributes
     ----------
-    sums, scale : the sums over the images, and the scales of their encoding
+    sums, scale : the sums over the images, and the constants of the images' encoding
     foreign : whether another driver drew the image
-    moved : displacement of the whole image that is subtracted, at most, in pixels
-    allowed : additional standard error of blocks
-    looser : additional standard error of blocks for the trend only
+    moved : largest displacement of the whole image whose effect is subtracted, in pixels
+    allowed : additional standard error of each block's change
+    looser : additional standard error of each block's change for the trend only
     """
 
     sums: BlockSums
@@ -227,7 +228,7 @@ class BlockStatistics:
 
     @cached_property
     def _cells(self) -> NDArray[np.float64]:
-        """Effective number of each block's cells, by their weights."""
+        """Effective number of cells of each block, computed from the weights of the cells."""
         return np.asarray(self._weight**2 / np.maximum(block_sums(self.sums.weight**2), 1e-12))
 
     @cached_property
@@ -250,7 +251,8 @@ class BlockStatistics:
 
     @cached_property
     def channels(self) -> NDArray[np.float64]:
-        """Change of each block's mean in its worst channel, relative to that mean, or in levels.
+        """Change of each block's mean in the block's worst channel. Linear images: fraction of that
+        mean; sRGB images: 8-bit levels.
 
         NaN if the block is not judged; 0 if the change is within three standard errors.
         """
@@ -265,7 +267,7 @@ class BlockStatistics:
 
     @cached_property
     def _grains(self) -> NDArray[np.float64]:
-        """Medians over blocks of the grain per flat pixel, (4,)."""
+        """Medians over blocks of :attr:`BlockSums.grain` per flat pixel, (4,)."""
         flat = self.sums.pixels[1]
         counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
@@ -275,10 +277,10 @@ class BlockStatistics:
 
     @property
     def grain(self) -> float:
-        """RMS of differences between adjacent pixels: image less reference.
+        """RMS of differences between adjacent pixels: image minus reference.
 
-        It is at most the RMS of the images' difference. In linear images it is the RMS of the
-        channels' independent noise if this is larger.
+        The value is at most the RMS for the difference image. For linear images it is the RMS of
+        the noise that is independent in each channel, if this RMS is larger.
         """
         difference, reference, image, own = self._grains
         more = image - reference
@@ -287,8 +289,8 @@ class BlockStatistics:
 
     @cached_property
     def texture(self) -> float:
-        """Variance between adjacent pixels: image less reference, as a fraction of the sum of both;
-        the median over blocks."""
+        """Variance between adjacent pixels: image minus reference, divided by the sum of the two
+        variances; the median over blocks."""
         if self.changed.sum() < _FEW:
             return 0.0
         one, other = self.sums.texture[:, self.changed]
@@ -297,7 +299,7 @@ class BlockStatistics:
 
     @property
     def gain(self) -> float:
-        """By how much the changed blocks together are brighter: relative, or in levels."""
+        """Brightness that the changed blocks gained: fraction of the reference, or 8-bit levels."""
         change, across, down, level = self.sums.channels[:, :, self.changed].sum(axis=(0, 2))
         if self.scale is STEPS:
             level = len(self.sums.channels) * self._weight[self.changed].sum()
@@ -305,12 +307,12 @@ class BlockStatistics:
 
     @cached_property
     def trend(self) -> float:
-        """Mean product of neighbouring blocks' changes, each divided by its standard error."""
+        """Mean product of the changes of two neighbouring blocks, in units of standard errors."""
         return float(self._products.mean()) if self._products.size else 0.0
 
     @property
     def z_score(self) -> float:
-        """The trend divided by the standard error that it has without a change."""
+        """The trend divided by the standard error of the trend of unchanged images."""
         return self.trend * float(np.sqrt(self._products.size))
 
     @cached_property
@@ -324,7 +326,7 @@ class BlockStatistics:
 
 
 def _common(channels: list[Float]) -> Float:
-    """Return the mean product of two different channels, in which their rounding averages out."""
+    """Return the mean product of two different channels, in which rounding errors average out."""
     count = len(channels)
     if count == 1:
         return np.square(channels[0])

@@ -1,12 +1,12 @@
 """Calibration: find limits for another renderer from pairs of images that must pass.
 
-A limit is the smallest that every pair passes, times MARGIN, and not less than rounding needs.
-Bisection also finds the smallest change that each limit detects. The change is applied to images of
-the pairs, and the other limits are disabled.
+Each limit is the smallest value with which every pair passes, times MARGIN. It is never less than
+rounding needs. Bisection also finds the smallest change that each limit detects: changes are
+applied to image B of a few pairs, and the other limits are disabled.
 
 Limits are stored in pytest's ini file or pyproject.toml, for the pytest plugin and ``facerender
 compare --limits``. Limits for linear images are options of pytest such as ``facerender_point``.
-Limits for 8-bit images have another section, since goldens are never 8-bit images.
+Limits for 8-bit images are in another section, since goldens are never 8-bit images.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from facerender.system.progress import Progress, no_progress
 
 NAMES = tuple(each.name for each in fields(Limits))
 PREFIX = "facerender_"
-_MOST = 1 << 20  # bytes of a file of limits
+_MOST = 1 << 20  # largest size of a file of limits, in bytes
 MARGIN = 1.5
-# Smallest limits: rounding to half floats or 8-bit levels needs them, and a camera or samples that
-# move by 0.1 pixels.
+# Smallest limits: narrower ones would fail images that differ by rounding to half floats or 8-bit
+# levels, or by a movement of the camera or the samples by 0.1 pixels.
 LEAST: dict[Encoding, Limits] = {
     "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=2e-3, shift=0.15),
     "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=2e-3, shift=0.15),
 }
-# The change that each limit must detect, as text before an amount. The two pixels are adjacent, in
-# a smooth area.
+# The change that each limit must detect, as text that an amount follows. The two pixels of "point"
+# are adjacent and lie in a smooth area.
 CHANGES = {
     "point": "2 pixels brightened by",
     "block": "an exposure change of",
@@ -56,7 +56,7 @@ CHANGES = {
     "coverage": "a coverage change of",
     "shift": "a shift of",
 }
-# Amounts of change that each limit should detect, in units of Calibration.sees.
+# Amount of change that each limit should detect, in the unit of Calibration.sees.
 _FRACTIONS = {"block": 0.01, "trend": 0.03, "grain": 0.02, "texture": 0.03}
 STATED: dict[Encoding, dict[str, float]] = {
     "linear": {"point": 0.1, **_FRACTIONS},
@@ -68,7 +68,7 @@ _AROUND = 3  # flat pixels on each side of the brightened pixels
 _OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
 
 
-Noted = Mapping[str, tuple[float, str]]  # limits by name, each with a comment
+Noted = Mapping[str, tuple[float, str]]  # limits keyed by name, each with a comment
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,12 @@ class Calibration:
     ----------
     pairs : number of compared pairs
     limits : limits that all pairs pass
-    least : the same without the margin
-    needed : by limit, the pair that needs it; limits that rounding alone needs are missing
-    sees : by limit, the smallest of its :data:`CHANGES` that it detects in every altered pair;
-        infinite if none. In radiance or levels for pixels, otherwise a fraction. For coverage and
-        shift these are the limits
+    least : the same limits without the margin
+    needed : the pair that needs each limit, keyed by the limit's name; without limits that only
+        rounding needs
+    sees : amount of the smallest of :data:`CHANGES` that each limit detects in every altered pair,
+        keyed by the limit's name; infinite if it detects none. The unit is radiance or 8-bit levels
+        for point, otherwise a fraction. The amounts for coverage and shift are the limits
     """
 
     encoding: Encoding
@@ -95,8 +96,8 @@ class Calibration:
 
     @property
     def noted(self) -> dict[str, tuple[float, str]]:
-        """The limits by name, each with a comment: the change that it detects, and the pair that
-        needs more than the default."""
+        """The limits keyed by name, each with a comment: the smallest change that it detects, and
+        the pair that needs a limit wider than the default."""
         noted = {}
         for name, limit in asdict(self.limits).items():
             by = self.sees[name]
@@ -108,7 +109,7 @@ class Calibration:
 
     @property
     def blind(self) -> list[str]:
-        """Warnings of limits that do not detect a change of :data:`STATED`."""
+        """Warnings about limits that do not detect the change in :data:`STATED`."""
         return [
             f"limit {name} = {getattr(self.limits, name):g} does not detect {CHANGES[name]} "
             f"{self._amount(name, by)}{self._why(name)}"
@@ -117,7 +118,7 @@ class Calibration:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all numbers, for JSON; null if a limit detects no change."""
+        """Return all values for JSON; ``sees`` contains None for a limit that detects no change."""
         sees = {name: by if math.isfinite(by) else None for name, by in self.sees.items()}
         return {**asdict(self), "sees": sees, "blind": self.blind}
 
@@ -135,7 +136,7 @@ class Calibration:
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of all pairs of images with the same name in two subfolders.
+    """Return name, reference and image of every pair of equally named images in two subfolders.
 
     Each subfolder of ``folder`` contains the images of one run or driver.
 
@@ -169,12 +170,12 @@ def calibration_of(
 
     Parameters
     ----------
-    pairs : name, reference and image
+    pairs : name, path of the reference and path of the image of each pair
     mask : as in :func:`compare`
 
     Raises
     ------
-    InputError : a pair cannot be compared, or differs with any limits
+    InputError : a pair cannot be compared, or differs even with the widest limits
     """
     by_encoding: dict[Encoding, _Pairs] = {}
     for number, (name, *paths) in enumerate(pairs):
@@ -193,7 +194,7 @@ def calibration_of(
 
 @dataclass
 class _Pairs:
-    """Pairs of one encoding, the smallest limits that they pass, and the pair that needs each."""
+    """Pairs of one encoding, the smallest limits that all pass, and the pairs that need these."""
 
     least: Limits
     needed: dict[str, str] = field(default_factory=dict)
@@ -217,7 +218,7 @@ def _calibration(
 def _needed(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the limits that must be wider for a pair to pass, as narrow as possible."""
+    """Return the limits that a pair needs wider than ``limits``, each as narrow as possible."""
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
@@ -226,8 +227,8 @@ def _needed(
     def passes(name: str, limit: float) -> bool:
         return compare(a, b, mask=mask, **{**others, name: limit}).same
 
-    # First shift, then block: a wider shift limit reduces block changes, and a wider block limit
-    # reduces the trend.
+    # The shift limit comes first and the block limit second: a wider shift limit reduces the block
+    # changes, and a wider block limit reduces the trend.
     for name in ("shift", "block", *(name for name in NAMES if name not in ("shift", "block"))):
         limit = _least(partial(passes, name), getattr(limits, name))
         if limit > getattr(limits, name):
@@ -238,8 +239,8 @@ def _needed(
 
 
 def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) -> float:
-    """Return the smallest value >= ``low`` at which a monotonic condition holds; infinity if none
-    up to ``most`` does."""
+    """Return the smallest value >= ``low`` at which a monotonic condition holds; infinity if it
+    holds at no value up to ``most``."""
     if holds(low):
         return low
     high = low
@@ -254,8 +255,8 @@ def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) ->
 
 
 def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limits:
-    """Multiply the limits that pairs need by the margin, but exceed a default only if it is too
-    narrow for a pair."""
+    """Multiply the limits that pairs need by MARGIN. A product exceeds the default only if the
+    default is too narrow for a pair."""
     limits = {}
     for name in needed:
         limit, default = getattr(least, name), getattr(defaults, name)
@@ -265,7 +266,7 @@ def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limi
 
 
 def _rounded(limit: float) -> float:
-    """Round a limit up to two digits."""
+    """Round a limit up to two significant digits."""
     step = 10.0 ** (math.floor(math.log10(limit)) - 1)
     return float(f"{math.ceil(limit / step - 1e-9) * step:.2g}")
 
@@ -276,7 +277,7 @@ def _rounded(limit: float) -> float:
 def _smallest_changes(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the smallest change of the image B that each limit detects."""
+    """Return the smallest amount of each of the changes of image B that its limit detects."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
     radiance: NDArray[np.floating] = srgb_to_linear(color / 255.0) if encoded else color
@@ -347,9 +348,9 @@ def _flattest(
 
 
 def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]]:
-    """Return the limits of a file, by the images' encoding.
+    """Return the limits of a file, keyed by the images' encoding.
 
-    path : .ini, .cfg or .toml
+    path : .ini, .cfg or .toml file
 
     Raises
     ------
@@ -371,7 +372,7 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
 
 
 def text_of(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted]) -> str:
-    """Return limits as text of a file's sections, in the syntax that the path's suffix requires."""
+    """Return limits as sections of a file, in the syntax that the suffix of the path requires."""
     path = Path(path)
     quote = '"' if path.suffix == ".toml" else ""
     rows = []
@@ -393,7 +394,7 @@ def _number(name: str, value: Any) -> float:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    """Return the sections of a file by name; sections of TOML are nested."""
+    """Return the sections of a file, keyed by name; sections of TOML are nested."""
     content = read_file(path, "an ini file", _MOST)
     if path.suffix == ".toml":
         return tables_of(content, str(path))
@@ -409,7 +410,7 @@ def _parsed(path: Path) -> dict[str, Any]:
 
 
 def _sections(path: Path, data: Mapping[str, Any]) -> dict[Encoding, tuple[str, ...]]:
-    """Return the path of the section with limits, by encoding, in a file with this data."""
+    """Return the path of the section with the limits of each encoding, in a file with ``data``."""
     if path.suffix == ".toml":
         own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # pytest 9 and later
         inner = () if own else ("ini_options",)

@@ -1,12 +1,14 @@
-"""Compare two renders: fail on broken highlights, and pass differences between drivers.
+"""Compare two renders: detect broken highlights, and pass differences between drivers.
 
-Images are arrays, frames or files; nothing here needs OpenGL. Checks and the changes they detect:
+Images are arrays, frames or files. This module does not use OpenGL. The checks detect:
 
-point             a few pixels that differ more than their neighbourhood explains
-block             a changed mean of 16 x 16 pixels
-trend             many blocks that changed slightly and in the same direction
-grain, texture    noise between adjacent pixels, and fine detail
-coverage, shift   another mesh or camera
+point      a few pixels that differ more than their neighbourhood explains
+block      a changed mean of 16 x 16 pixels
+trend      many blocks that changed slightly and in the same direction
+grain      more or less noise between adjacent pixels
+texture    more or less fine detail
+coverage   another mesh or camera
+shift      another camera
 """
 
 from __future__ import annotations
@@ -33,11 +35,11 @@ from facerender.images.image import Encoding, ImageData, PixelRange, image_from_
 from facerender.images.read import SUFFIXES, read_image
 
 MARGIN = 2  # pixels along the edge of the coverage that blocks ignore
-FADED = 0.2  # change of coverage that counts
+FADED = 0.2  # smallest change of a pixel's coverage that counts
 FULL = 0.99  # coverage of a pixel inside the mesh: half floats and filters do not reach 1
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
-_LOOSER = 3.0  # standard error that a wider block limit adds to a block, per unit of the limit
-_HALO = 8  # rows above and below a strip that its pixels are compared with
+_LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
+_HALO = 8  # rows above and below a strip that the strip's pixels are compared with
 
 Comparable = ImageData | Frame | NDArray[Any] | str | os.PathLike[str]
 
@@ -62,8 +64,8 @@ def compare(
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4) of linear float or 8-bit sRGB with
         coverage as fourth channel; or the path of a .exr, .npz, .npy, .png or .jpg file
     point, block, trend, grain, texture, coverage, shift : limits of the checks, see
-        :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Images of one driver with
-        float textures pass a block limit of 1e-3
+        :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Two images of one driver
+        with float textures pass a block limit of 1e-3
     mask : (H, W), nonzero for pixels that count; default: all pixels count
 
     Raises
@@ -104,9 +106,9 @@ class Pair:
     Attributes
     ----------
     name : name of the pair
-    reference, image : None if the image could not be read
+    reference, image : the images; None if an image could not be read
     comparison : metrics; None after an error
-    error : message; "" without an error
+    error : error message; "" without an error
     """
 
     name: str
@@ -124,9 +126,9 @@ class Pair:
         limits: Mapping[Encoding, Mapping[str, float]] = MappingProxyType({}),
         **options: Any,
     ) -> Pair:
-        """Compare two images; catch errors.
+        """Compare two images; store the message of an ``InputError`` in ``error``.
 
-        limits : limits by encoding, for options that are None
+        limits : limits for options that are None, keyed by the images' encoding
         options : options of :func:`compare`
         """
         images: list[ImageData | None] = [None, None]
@@ -157,7 +159,7 @@ class Pair:
 
 
 def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of two files, or of each image in two folders.
+    """Return name, reference and image of two files, or of each image name in two folders.
 
     Raises
     ------
@@ -225,9 +227,9 @@ class _Strip:
     ----------
     sums : sums over blocks
     over : (H, W), class of each pixel, see :func:`verdict.reasons_of`
-    worst, excess, at : the largest unexplained difference less the effect of a sliver, the
-        difference as reported, and its position
-    holes : number of dark pixels with bright neighbours
+    worst : the largest unexplained difference of a pixel, minus the effect of a sliver
+    excess, at : difference of this pixel as reported, and position (x, y) of this pixel
+    holes : number of dark pixels with bright neighbours in the other image
     faded : number of pixels whose coverage changed
     largest, total : maximum and sum of the pixels' absolute differences, in the worst channel
     """
@@ -267,7 +269,7 @@ class _Strip:
     def of(
         cls, a: ImageData, b: ImageData, counts: Mask | None, rows: slice, limits: Limits
     ) -> _Strip:
-        """Return the metrics of these rows; ``counts`` is the mask of the whole images."""
+        """Return the metrics of ``rows``; ``counts`` is the mask of the whole images."""
         around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
         own = slice(rows.start - around.start, rows.stop - around.start)
         (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
@@ -312,7 +314,8 @@ class _Strip:
 
 
 def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
-    """Return the number of pixels whose coverage crossed 0.5 or left its neighbourhood's range."""
+    """Return the number of pixels whose coverage crossed 0.5, or lies more than FADED outside the
+    range of the neighbourhood in the other image."""
     low, high = (filtered(a, choose) for choose in (np.minimum, np.maximum))
     changed = (b - high > FADED) | (low - b > FADED)
     low, high = (filtered(b, choose) for choose in (np.minimum, np.maximum))

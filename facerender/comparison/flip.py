@@ -36,8 +36,8 @@ def heat_map(reference: Image, image: Image, step: int = 1) -> NDArray[np.uint8]
 
     Parameters and errors are as in :func:`errors`.
 
-    step : the images contain every Nth pixel of larger images; the error is computed for the size
-        of the larger ones
+    step : N if the images contain every Nth pixel of larger images; FLIP then treats each pixel as
+        N pixels wide
     """
     colors = _evaluate(reference, image, magma=True, **({"ppd": PPD / step} if step > 1 else {}))
     return np.asarray(np.round(255.0 * colors.clip(0.0, 1.0)), dtype=np.uint8)

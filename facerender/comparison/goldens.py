@@ -3,8 +3,9 @@
 The pytest plugin is facerender/pytest_plugin.py.
 
 A golden may store the range of each pixel's value over 24 shifts of the image by at most 0.1 pixel.
-The range explains detail finer than a pixel, which neighbourhoods do not explain. It contains
-colours of covered pixels only, so that a black pixel cannot pass as uncovered background.
+The range explains differences in detail finer than a pixel, which neighbouring pixels do not
+explain. The range contains colours of covered pixels only, so that a black pixel cannot pass as
+uncovered background.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ class Updates:
     Attributes
     ----------
     missing : goldens that do not exist
-    differing : also goldens that differ, if this renderer recorded them
-    force : also goldens that differ and that another renderer recorded
-    alternative : NAME@RENDERER.exr for this renderer, if another renderer recorded the golden
+    differing : also goldens that differ from the image, if this renderer recorded them
+    force : also goldens that differ from the image and that another renderer recorded
+    alternative : a second golden, NAME@RENDERER.exr, if another renderer recorded the golden
     """
 
     missing: bool = False
@@ -64,9 +65,9 @@ class GoldenResult:
 
     Attributes
     ----------
-    image : the image with the metadata for its golden
-    pair : the image and its golden, before a golden was written
-    golden : path of the golden, which may be missing
+    image : the checked image, with the metadata that its golden would store
+    pair : the image and its golden as it was before a new golden was written
+    golden : path of the golden; the file may be missing
     written : path of the written golden, or None
     failure : reason why the image fails, with the remedy; "" if it passes
     """
@@ -105,9 +106,9 @@ def check(
     golden : FOLDER/NAME.exr. If FOLDER/NAME@RENDERER.exr exists for the renderer in the image's
         metadata, it is used instead
     written : goldens that were already written in this session; they are not written again
-    metadata : added to the image's metadata
+    metadata : entries that are added to the image's metadata
     draw : function that returns the image shifted by x pixels to the right and y pixels down. A
-        written golden stores the range of each pixel over such shifts. None: no range
+        written golden stores the range of each pixel over these shifts. None: no range
     options : limits and mask, see :func:`facerender.compare`
 
     Raises
@@ -118,7 +119,7 @@ def check(
     renderer = image.metadata.get("GL_RENDERER", "")
     own = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
     golden = own if os.path.isfile(own) else golden
-    exists = os.path.isfile(golden)  # checked before reading, since another process may write it
+    exists = os.path.isfile(golden)  # checked before reading: another process may write the file
     pair = Pair.of(name, golden, image, **options)
     if pair.status == 0:
         return GoldenResult(image, pair, golden)
@@ -178,7 +179,7 @@ def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
 
 
 def range_of(images: Sequence[ImageData]) -> PixelRange:
-    """Return the range of each pixel over linear images of one size; colours only where covered."""
+    """Return the range of each pixel over linear images of one size, without uncovered colours."""
     each = []
     for image in images:
         color, alpha = image.rows(slice(None))
@@ -199,7 +200,7 @@ def _shifted(image: ImageData, draw: Draw) -> list[ImageData]:
 
     Raises
     ------
-    InputError : a drawn image cannot be compared with the image, or is shifted too far
+    InputError : a drawn image cannot be compared with ``image``, or its shift is too large
     """
     drawn = [as_image(draw(x, y), f"the result of draw({x:g}, {y:g})") for x, y in SHIFTS]
     shifts = np.array([compare(image, each).shift for each in drawn])

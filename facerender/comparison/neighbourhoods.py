@@ -1,11 +1,11 @@
 """The point check: detect pixels that their neighbourhood in the other image does not explain.
 
 A value is explained if it lies within the range of the 3 x 3 neighbourhood in the other image. This
-range is widened by half the range of the 5 x 5 neighbourhood, since a shift by a fraction of a
-pixel or another sample pattern changes an edge by so much. It is also widened by 1 % of the level.
-On smooth skin these ranges are narrow: there a pixel that differs slightly is detected, also in the
-dark. A darker pixel is only compared with covered neighbours, since a black background would
-explain any dark value.
+range is widened by half the range of the 5 x 5 neighbourhood: a shift by a fraction of a pixel or
+another sample pattern may change an edge by this amount. In linear images the range is also widened
+by 1 % of the neighbourhood's maximum. On smooth skin the ranges are narrow, so small differences
+are detected, also in dark areas. The lower end of a range includes covered neighbours only, since a
+black background would explain any dark value.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from facerender.images.image import PixelRange
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-_HALO = 4  # pixels around a window that its neighbourhoods read
-_CONTRAST = 0.5  # widens a range, as a fraction of the range of 5 x 5 pixels
-_RELATIVE = 0.01  # widens a range, as a fraction of the level
+_HALO = 4  # pixels around a window that the neighbourhoods of the window's pixels read
+_CONTRAST = 0.5  # a range is widened by this fraction of the range of 5 x 5 pixels
+_RELATIVE = 0.01  # a range is widened by this fraction of the level
 COVERED = 0.5  # smallest coverage of a covered pixel
-_ALPHA = 0.01  # by which coverage may leave the range of a golden
-_STEP = 0.2  # 5 x 5 pixels contain an edge from this range on, as a fraction of their maximum
+_ALPHA = 0.01  # amount by which coverage may leave the range that a golden stores
+_STEP = 0.2  # smallest range of 5 x 5 pixels at an edge, as a fraction of their maximum
 
 
 @dataclass(frozen=True)
 class Slack:
-    """Difference that thin slivers of light and shade at edges may add.
+    """Largest difference that thin slivers of light and shade may add to a pixel.
 
     Attributes
     ----------
-    rough : where 5 x 5 pixels have a range of 1/10 of their maximum; proportionally less in
-        smoother areas
-    edge : where they have a range of at least 1/5
+    rough : difference if 5 x 5 pixels have a range of 1/10 to 1/5 of their maximum; proportionally
+        less for a smaller range
+    edge : difference if 5 x 5 pixels have a range of at least 1/5 of their maximum
     """
 
     rough: float
@@ -54,8 +54,8 @@ class Excess(NamedTuple):
 
     Attributes
     ----------
-    value : (H, W), of the worst channel; negative where the image is darker
-    slack : (H, W), part of it that slivers may cause
+    value : (H, W), difference of the worst channel; negative where the image is darker
+    slack : (H, W), part of ``value`` that slivers may cause
     """
 
     value: NDArray[np.float32]
@@ -63,14 +63,14 @@ class Excess(NamedTuple):
 
 
 def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) -> Excess:
-    """Return the unexplained differences of two images, each pixel compared with the other image.
+    """Return the differences that the neighbourhoods of pixels in the other image do not explain.
 
     Parameters
     ----------
     a, b : (H, W, C)
     full : (H, W), pixels that both images cover fully; None: all
-    least : smallest difference of interest; areas with smaller ones get 0
-    relative : whether the images are linear; otherwise they contain 8-bit levels
+    least : smallest difference of interest; areas with smaller differences get 0
+    relative : whether the images are linear; otherwise the images contain 8-bit levels
     """
     value, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
     if (window := _window(a, b, least)) is not None:
@@ -80,8 +80,8 @@ def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) 
 
 
 def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
-    """Return the pixels that have less than a quarter of the light of each covered pixel among the
-    7 x 7 neighbours in the other image; parameters as in :func:`excess`."""
+    """Return a mask of the pixels that are darker than a quarter of the radiance of every covered
+    pixel of their 7 x 7 neighbours in the other image; parameters as in :func:`excess`."""
     fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB encodes 1/4 as about 1/2
     result = np.zeros(a.shape[:2], dtype=bool)
     levels = [
@@ -108,15 +108,15 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
 def explained(
     shift_range: PixelRange, color: Float, alpha: Float, least: float
 ) -> tuple[Mask, Mask]:
-    """Return two masks (H, W): where a golden's range explains the colour, and the coverage.
+    """Return masks (H, W) of the colours and of the coverages that a golden's range explains.
 
     A colour may lie in the range of any of the 3 x 3 neighbours. Where the image is not covered,
-    darker colours are explained too.
+    the range also explains darker colours.
 
     Parameters
     ----------
     color, alpha : (H, W, C) and (H, W)
-    least : by which a colour may leave the range, in addition to 1 % of its level
+    least : amount by which a colour may leave the range, in addition to 1 % of the colour
     """
     low, high = (end.astype(np.float32) for end in shift_range)
     channels = color.shape[2]
@@ -190,8 +190,8 @@ def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:
 def _range(
     x: Float, least: Callable[..., Any], most: Callable[..., Any], relative: bool
 ) -> tuple[Float, Float, Float, Float]:
-    """Return minimum and maximum of 3 x 3 pixels, by how much the range is widened, and the
-    difference that a sliver may add."""
+    """Return the minimum of 3 x 3 pixels, their maximum, the amount by which this range is widened,
+    and the difference that a sliver may add."""
     low, high = filtered(x, least), filtered(x, most)
     top = filtered(high, most)
     span = top - filtered(low, least)

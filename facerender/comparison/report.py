@@ -21,12 +21,12 @@ from facerender.images.image import Encoding, ImageData
 from facerender.page.document import document, image_source, row, table
 from facerender.system.atomic import write_bytes
 
-VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
-# Placeholders in an entry's text; these characters do not occur in names.
+VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the order of the page
+# Placeholders in the HTML of an entry; names do not contain these characters.
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
 IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"
-THUMBNAIL = 160  # pixels per side
-EXACT = 25_000_000  # in a page of more characters, the largest images A and B are compressed
+THUMBNAIL = 160  # largest width and height in pixels
+EXACT = 25_000_000  # characters; in longer pages, the largest images A and B are compressed
 EXACT_SIDE = 64  # pixels per side of the exact area around a place in a compressed image
 CHECKS = ("point", "slivers", "block", "trend", "grain", "texture", "shift", "coverage")
 MODES = ("side by side", "blink", "slider", "difference")
@@ -39,9 +39,10 @@ class Entry:
     Attributes
     ----------
     name, status : name and status of the pair
-    row, section : HTML of its table row and its section. Placeholders: INDEX for the entry's
-        number, IMAGE with a letter for an image, IMAGE alone for "exact" or "compressed"
-    images : A and B as data URLs, by their letters
+    row : HTML of the pair's table row; the placeholder INDEX stands for the entry's number
+    section : HTML of the pair's section, also with INDEX. IMAGE and a letter stand for the image of
+        that letter; IMAGE alone stands for "exact" or "compressed"
+    images : images A and B as data URLs, keyed by "a" and "b"
     places : x and y of the places around which compressed images stay exact
     """
 
@@ -77,7 +78,7 @@ def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None
     ------
     InputError : the file cannot be written
     """
-    # Names of files may not be valid UTF-8.
+    # The names of files may contain invalid UTF-8.
     write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
 
@@ -86,32 +87,36 @@ _NOTES = """
 <h2>How to read this</h2>
 <dl class="note">
 <dt>point</dt>
-<dd>The largest difference of a pixel from the range of its neighbourhood in the other image. It
-detects fireflies and missing pixels, and passes edges that moved by a fraction of a pixel.</dd>
+<dd>The largest difference of a pixel from the range of its neighbourhood in the other image. The
+check detects fireflies and missing pixels. It passes edges that moved by a fraction of a pixel.
+</dd>
 <dt>slivers</dt>
 <dd>The number of pixels over the point limit, including pixels at edges, where thin slivers of
 light and shade may appear or vanish.</dd>
 <dt>block</dt>
-<dd>The largest change of the mean of 16 × 16 pixels inside the coverage, without the effect of a
-shift of the whole image; in linear images relative to that mean. It detects a changed lobe or
-weight; noise averages out.</dd>
+<dd>The largest change of a block's mean (16 × 16 covered pixels), without the effect of a shift of
+the whole image. In linear images, the change is divided by the mean. The check detects a changed
+lobe or specular weight; noise averages out.</dd>
 <dt>trend</dt>
-<dd>How consistently neighbouring blocks changed, even if each is within the block limit; 0 if this
-may be chance.</dd>
-<dt>grain, texture</dt>
-<dd>Noise between adjacent pixels, and fine detail, that B has more or less than A.</dd>
+<dd>How much neighbouring blocks changed in the same direction, even if each block is within the
+block limit; 0 if chance may explain the changes.</dd>
+<dt>grain</dt>
+<dd>How much more or less noise between adjacent pixels B has than A.</dd>
+<dt>texture</dt>
+<dd>How much more or less fine detail B has than A.</dd>
 <dt>shift</dt>
-<dd>Displacement of B against A, in pixels to the right and down.</dd>
+<dd>The displacement of B from A, in pixels to the right and down.</dd>
 <dt>coverage</dt>
 <dd>The fraction of the pixels whose coverage (alpha channel) changed.</dd>
 <dt>heat map</dt>
 <dd>FLIP: the difference that an observer sees when the images alternate, from black (none) to
-pale yellow. In a large image, each cell of pixels shows the pixel that differs most.</dd>
+pale yellow. For a large image, each pixel of the map shows the pixel that differs most in a cell of
+the image.</dd>
 <dt>images</dt>
 <dd>Linear radiance 1 is white; the background is black; pixels that are not finite are magenta.
 Click on an image to enlarge a place, move it with the arrow keys, and click again to show the whole
-image. In a page of very many pairs, A and B may be compressed, as their captions state; then they
-are exact around the marks only. The difference is always exact.</dd>
+image. In a page of very many pairs, A and B may be compressed, as their captions state. Compressed
+images are exact around the marks only. The image of the difference is always exact.</dd>
 </dl>
 </section>"""
 
@@ -138,9 +143,9 @@ def _page(entries: Sequence[Entry]) -> str:
 
 
 def _to_compress(entries: Sequence[Entry]) -> set[int]:
-    """Return the numbers of the entries whose images are compressed, the largest first.
+    """Return the numbers of the entries whose images are compressed.
 
-    The rest of the page then has at most EXACT characters.
+    The entries with the largest images are chosen, until the rest has at most EXACT characters.
     """
     sizes = [sum(map(len, entry.images.values())) for entry in entries]
     left = sum(sizes) + sum(len(entry.section) for entry in entries)
@@ -163,7 +168,7 @@ def _with_images(entry: Entry, compressed: bool) -> str:
 
 
 def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
-    """Return a lossily compressed image, with exact crops around some places on top."""
+    """Return HTML of a lossily compressed image under exact crops of the areas around places."""
     pixels = visualization.decoded(b64decode(source.partition(",")[2]))
     height, width = pixels.shape[:2]
     images = _image(image_source(visualization.lossy(pixels), "webp"), letter)
@@ -325,7 +330,7 @@ def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: boo
 
 
 def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
-    """Return x, y and side of the marked places, by name."""
+    """Return x, y and side in pixels of the marked places, keyed by the place's name."""
     places = {}
     if (result := pair.comparison) is not None:
         if result.point:
@@ -368,7 +373,7 @@ def _figure(
 
 
 def _box(*fractions: float) -> str:
-    """Return a CSS style from left, top and optionally width and height, as fractions."""
+    """Return a CSS style from left, top and optionally width and height, as image fractions."""
     names = ("left", "top", "width", "height")
     return ";".join(
         f"{name}:{100 * each:.4f}%" for name, each in zip(names, fractions, strict=False)
@@ -397,7 +402,7 @@ def _legend(largest: float, encoding: Encoding) -> str:
 
 
 def _choices(name: str, values: Mapping[str, str]) -> str:
-    """Return radio buttons for values by their labels; the first is checked."""
+    """Return radio buttons for values, keyed by their labels; the first button is checked."""
     choices = "".join(
         f'<label><input type="radio" name="{name}-{INDEX}" value="{value}"'
         f"{'' if position else ' checked'}>{label}</label>"

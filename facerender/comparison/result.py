@@ -9,10 +9,10 @@ from facerender.comparison.blocks import MOVED
 from facerender.errors import check_range
 from facerender.images.image import Encoding
 
-HIGHEST = 1e30  # largest valid value: sums and differences of larger ones may overflow
+HIGHEST = 1e30  # largest valid value: sums and differences of larger values may overflow
 FOREIGN = 6.0  # factor on the limits of trend, grain and texture if another driver drew image B
-SURE = 6.0  # a trend counts if it exceeds this many of its standard errors
-BLUR = 1.5  # factor on the limits of grain and texture if the image has less than the reference
+SURE = 6.0  # a trend counts if it exceeds this number of standard errors
+BLUR = 1.5  # factor on the limits of grain and texture if B has less of these than A
 # The number of pixels that may be slivers is _SLIGHT + _SLIGHT_FRACTION times all pixels.
 _SLIGHT = 50
 _SLIGHT_FRACTION = 1e-4
@@ -20,22 +20,21 @@ _SLIGHT_FRACTION = 1e-4
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the differences between two images that count as the same.
+    """Largest differences between two images that still count as the same.
 
-    The unit of point, block and grain depends on the encoding: radiance or a relative value for
-    linear images, 8-bit levels for sRGB images.
+    The units of point, block and grain depend on the encoding of the images, linear or 8-bit sRGB.
 
     Attributes
     ----------
-    point : difference of a pixel beyond the range that its neighbourhood explains; radiance, or
-        levels
-    block : change of a block's mean, after removing the effect of a shift; relative to that mean
-        (at least 0.01), or levels
-    trend : mean product of neighbouring blocks' changes, each divided by its standard error; 0
-        without a change. A wider block limit reduces the trend, so that it passes too
-    grain : RMS of differences between adjacent pixels that the image may have more than the
-        reference. If the image has less, ``BLUR`` widens the limit. Relative to the pixel's level,
-        or levels
+    point : difference of a pixel beyond the range that its neighbourhood explains. Linear:
+        radiance; sRGB: 8-bit levels
+    block : change of a block's mean, after removing the effect of a shift. Linear: fraction of that
+        mean (at least 0.01); sRGB: 8-bit levels
+    trend : mean product of the changes of two neighbouring blocks, in units of the blocks' standard
+        errors; 0 without a change. A wider block limit reduces the measured trend, so that the
+        trend check passes such blocks too
+    grain : increase of the RMS of differences between adjacent pixels. ``BLUR`` widens the limit of
+        a decrease. Linear: fraction of the pixel's level; sRGB: 8-bit levels
     texture : fraction of the variance between adjacent pixels that was added or lost, in [0, 1]
     coverage : fraction of all pixels whose coverage changed, in [0, 1]
     shift : displacement of the whole image, in pixels
@@ -69,24 +68,26 @@ class Comparison:
     Attributes
     ----------
     reasons : reasons of a difference, as text; empty if the images are the same
-    encoding : "linear" or "srgb8"; determines units, see :class:`Limits`
+    encoding : "linear" or "srgb8"; it determines the units, see :class:`Limits`
     limits : the limits of the checks
-    foreign : whether another driver drew the image, by the files' metadata. Drivers may filter
-        8-bit textures differently, so the limits of trend, grain and texture are wider
-    point, point_at : unexplained difference of the worst pixel, negative if the image is darker,
-        and its position; reduced by the effect of a sliver if no pixel exceeds the limit
-    points : number of pixels that exceed the limit by more than a sliver at an edge
-    slight : number of all pixels that exceed the limit, including slivers
+    foreign : whether another driver drew the image, as the files' metadata state. Drivers may
+        filter 8-bit textures differently, so the limits of trend, grain and texture are then wider
+    point : unexplained difference of the worst pixel, negative if the image is darker; reduced by
+        the effect of a sliver if no pixel exceeds the limit
+    point_at : position of the worst pixel
+    points : number of pixels that exceed the point limit by more than a sliver may cause
+    slight : number of all pixels that exceed the point limit, including slivers
     holes : number of pixels with less than a quarter of the light of their neighbours in the other
         image
-    block, block_at : change of the worst block's mean, and its top left pixel
-    blocks, blocks_judged : number of blocks over the limit, and of all blocks with enough pixels
+    block, block_at : change of the worst block's mean, and the top left pixel of this block
+    blocks : number of blocks over the block limit
+    blocks_judged : number of all blocks with enough pixels
     trend, z_score : trend of the blocks' changes, and the trend divided by its standard error
-    grain : RMS of differences between adjacent pixels in flat areas, image less reference
-    texture : variance between adjacent pixels in all areas, image less reference, as a fraction of
-        the sum of both
-    gain : by how much the changed blocks are brighter, weighted towards smooth areas; relative, or
-        in levels
+    grain : RMS of differences between adjacent pixels in flat areas, image minus reference
+    texture : variance between adjacent pixels in all areas, image minus reference, divided by the
+        sum of the two variances
+    gain : brightness that the changed blocks gained, weighted towards smooth areas. Linear:
+        fraction of the reference; sRGB: 8-bit levels
     shift : displacement of the image to the right and down, in pixels
     coverage : fraction of the pixels whose coverage changed; 0 without an alpha channel
     largest, mean : largest and mean absolute difference of any channel, for information only

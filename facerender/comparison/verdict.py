@@ -15,12 +15,12 @@ SHAPE = "another shape, texture or light"
 LOBE = "a lobe or weight change"
 EXPOSURE = "exposure, light or colour space"
 
-# Unexplained difference that a single pixel may have: in smooth areas, in texture, and at an edge.
+# Largest unexplained difference of a tolerable single pixel: in smooth areas, in texture, at edges.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
-_WIDELY = 0.1  # wrong pixels beyond this fraction count as a change of the whole image
+_WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
 _BRIGHTER = 5e-5  # smallest gain that is reported
 _SHIFTED = 0.01  # smallest shift that is reported, in pixels
-_HOLES = 2  # holes that cracks and hairs may cause
+_HOLES = 2  # number of holes that cracks and hairs may cause
 
 
 def reasons_of(
@@ -29,7 +29,7 @@ def reasons_of(
     """Return the reasons of a difference, with likely causes.
 
     over : (H, W), class of each pixel that exceeds the point limit: 1 a possible sliver, 2 in a
-        smooth area, 3 in texture, 4 at an edge; negative if the pixel is too dark; 0 for the others
+        smooth area, 3 in texture, 4 at an edge; negative if the pixel is too dark. Other pixels: 0
     """
     reasons = []
     wrong = _wrong(result, over)
@@ -63,7 +63,7 @@ def reasons_of(
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
-    """Return the pixels that count as wrong; a single tolerable one or few slivers do not count."""
+    """Return a mask of the wrong pixels, without a single tolerable pixel or a few slivers."""
     place = np.abs(over)
     if result.points > 1:
         return place > 1
@@ -87,7 +87,7 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
 
 
 def _blocks(result: Comparison) -> str:
-    """Describe the blocks over their limit."""
+    """Describe the blocks over the block limit."""
     factor, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
     mean = f"{_signed(factor * result.block)}{unit or ' of 255'}"
     return (
@@ -103,8 +103,8 @@ def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> 
 
 
 def _subtle(result: Comparison) -> Iterator[str]:
-    """Describe failures of grain, texture and shift; other changes cause these too, so they are
-    reported only if no other check fails."""
+    """Describe failures of the checks of grain, texture and shift. Other changes cause these
+    failures too, so they are reported only if no other check fails."""
     limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:

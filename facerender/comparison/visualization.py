@@ -1,7 +1,7 @@
-"""Images for the report: images in 8-bit sRGB, their difference in false colours, a heat map.
+"""Images for the report: images in 8-bit sRGB, their difference in false colours, and a heat map.
 
-Each has the shape (H, W, 3). Linear radiance 1 is white, the background is black, and pixels that
-are not finite are magenta.
+Each image has the shape (H, W, 3). Linear radiance 1 is white, the background is black, and pixels
+that are not finite are magenta.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from facerender.images.image import Encoding, ImageData
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import save_png
 
-MAX_PIXELS = 1 << 24  # of an image that is displayed
-HEAT = 1 << 17  # pixels of a page's heat map; for 1024 x 1024 FLIP takes 1.3 s
-LEVELS = 32  # colour levels of the difference, for each sign
+MAX_PIXELS = 1 << 24  # largest number of pixels of an image that is displayed
+HEAT = 1 << 17  # largest number of pixels of a page's heat map; FLIP of 2**20 takes 1.3 s
+LEVELS = 32  # number of colours of a difference, for each sign
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
 NOT_FINITE = (255, 0, 255)
 # Differences up to which the colour scale is linear.
@@ -64,8 +64,8 @@ def thumbnail(image: ImageData, side: int) -> Bytes:
 def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
     """Return the signed difference in the worst channel as colours, and the largest difference.
 
-    The colour scale is linear below the floor and logarithmic above; the largest difference has the
-    full colour.
+    The colour scale is linear below a value of FLOORS and logarithmic above it. The largest
+    difference has the full colour.
     """
     floor = FLOORS[a.encoding]
     signed = np.concatenate([_signed(a, b, rows) for rows in _strips(a)])

@@ -28,14 +28,15 @@ from facerender.system import IMPORTER
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 
 BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "native", "current")
-# Backends that "auto" tries, in this order. Windows and macOS have only the window system's.
+# Backends that "auto" tries, in this order. Windows and macOS have only "native".
 AUTO: tuple[Backend, ...] = (
     ("native",) if sys.platform in ("win32", "darwin") else ("egl", "osmesa")
 )
 _MESA = "libgl1 libgl1-mesa-dri"
 REMEDIES = {
     "egl": f"on Debian or Ubuntu: {{sudo}}apt-get install libegl1 {_MESA}",
-    "osmesa": "on Debian or Ubuntu: {sudo}apt-get install libosmesa6; Mesa 25.1 has none: use egl",
+    "osmesa": "on Debian or Ubuntu: {sudo}apt-get install libosmesa6; Mesa 25.1 and later lack it: "
+    "use egl",
     "native": "install a graphics driver that has OpenGL 3.3"
     if AUTO == ("native",)
     else f"on Debian or Ubuntu: {{sudo}}apt-get install {_MESA} libx11-6 xvfb",
@@ -45,10 +46,10 @@ SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer",
 _GL_VERSION = 330
 
 # Drivers that this process or its ancestors have opened; the value is True for software drivers.
-# A fork does not copy a driver's threads, so drivers opened before the last fork are in _lost.
+# A fork does not copy a driver's threads, so _lost names the drivers opened before the last fork.
 _opened: dict[str, bool] = {}
 _lost: dict[str, bool] = {}
-_FORKED = "it was in use before this process was forked"
+_FORKED = "this driver was in use before this process was forked"
 
 
 def _lose() -> None:
@@ -70,7 +71,7 @@ class _Loader(Protocol):
 
 
 class ForeignContext:
-    """Access to the functions of the host's current context, which the host keeps and frees."""
+    """Access to the OpenGL functions of the host's current context. Only the host frees it."""
 
     def __init__(self, get_proc_address: Any) -> None:
         get_proc_address.restype = ctypes.c_void_p
@@ -140,13 +141,13 @@ class _OSMesaContext(ForeignContext):
 class _SurfacelessContext(ForeignContext):
     """A context of Mesa's surfaceless display, for processes that were forked after EGL was opened.
 
-    Other EGL contexts do not use this display, so it starts a separate software driver with running
-    threads.
+    Other EGL contexts do not use this display, so the display starts a separate software driver
+    with running threads.
     """
 
     driver = "surfaceless"
     _PLATFORM_SURFACELESS, _OPENGL_API = 0x31DD, 0x30A2
-    _CONFIG = (0x3033, 0, 0x3040, 8, 0x3038)  # any surface type; renders OpenGL
+    _CONFIG = (0x3033, 0, 0x3040, 8, 0x3038)  # any type of surface; OpenGL is supported
     _ATTRIBUTES = (0x3098, _GL_VERSION // 100, 0x30FB, _GL_VERSION % 100 // 10, 0x30FD, 1, 0x3038)
 
     def __init__(self) -> None:
@@ -164,7 +165,7 @@ class _SurfacelessContext(ForeignContext):
         self._egl("MakeCurrent", self._display, None, None, self._context)
 
     def _egl(self, name: str, *arguments: Any) -> ctypes.c_void_p:
-        """Call an EGL function. All functions that this class calls return 0 on failure only."""
+        """Call an EGL function. The functions that this class calls return 0 only on failure."""
         function = getattr(self._library, f"egl{name}")
         function.restype = ctypes.c_void_p
         if not (result := function(*arguments)):
@@ -214,7 +215,7 @@ def _egl() -> _Loader:
     _check_not_lost("egl")
     for library in ("libEGL.so.1", "libGL.so.1"):
         _open_library(library)
-    # Given the names, glcontext does not start ldconfig or a compiler to search the libraries.
+    # With these names, glcontext does not start ldconfig or a compiler to find the libraries.
     loader: _Loader = glcontext.get_backend_by_name("egl")(
         mode="standalone", glversion=_GL_VERSION, libegl="libEGL.so.1", libgl="libGL.so.1"
     )
@@ -254,10 +255,10 @@ class Context:
     ----------
     backend : "egl", "osmesa", "native" or "current"
     gl : the moderngl context; it is current only within :meth:`drawing`
-    loader : returns the addresses of OpenGL functions
+    loader : object that returns the addresses of OpenGL functions
     handle : address of a host's context, otherwise 0
-    renderer, version : GL_RENDERER and GL_VERSION, to be recorded with every result and golden
-    process : ID of the process that created the context, the only one that can use it
+    renderer, version : GL_RENDERER and GL_VERSION, which every result and golden must record
+    process : ID of the process that created the context; no other process can use the context
     """
 
     backend: str
@@ -271,12 +272,12 @@ class Context:
 
     @property
     def most_samples(self) -> int:
-        """Largest number of samples per pixel."""
+        """Largest number of samples per pixel that the driver supports."""
         return max(int(self.gl.info["GL_MAX_SAMPLES"]), 1)
 
     @property
     def software(self) -> bool:
-        """Whether a software driver draws, on the CPU."""
+        """Whether the driver is a software driver, which draws on the CPU."""
         return is_software(self.renderer)
 
     def function(self, name: str, *argument_types: type, result: type | None = None) -> Any:
@@ -287,8 +288,8 @@ class Context:
     def drawing(self) -> Iterator[moderngl.Context]:
         """Make the context current, for one thread at a time.
 
-        Afterwards the previous context is current again. If the context is the host's, its state is
-        restored.
+        Afterwards the previous context is current again. If this is the host's context, the state
+        of the context is restored.
 
         Raises
         ------
@@ -321,8 +322,8 @@ class Context:
 
     @property
     def inherited(self) -> bool:
-        """Whether another process created the context, before a fork; only it may free the
-        context."""
+        """Whether another process created the context, before a fork. Only that process may free
+        the context."""
         return self.process != os.getpid()
 
     @property
@@ -350,7 +351,7 @@ def create_context(backend: Backend = "auto") -> Context:
     Parameters
     ----------
     backend : "egl", "osmesa", "native" (WGL, CGL or GLX), "current" (the host's context), or "auto"
-        (default) for the first of AUTO that works
+        (default) for the first backend of AUTO that works
 
     Raises
     ------
@@ -379,8 +380,8 @@ def _open(name: str, host: HostContext | None) -> Context:
     restore = save_state(loader.load) if guest else None
     try:
         gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
-        # Python may collect an object while another context is current. Its OpenGL number would
-        # then delete an object of that context, so context_gc delays deletions until gl.gc().
+        # Python may free an object while another context is current, and would delete the object
+        # with the same number in that context. context_gc delays deletions until gl.gc().
         gl.gc_mode = "context_gc"
         info = gl.info
     finally:

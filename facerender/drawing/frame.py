@@ -1,4 +1,4 @@
-"""Results of a renderer: the frame, which can be shown and saved, and the G-buffer. No OpenGL."""
+"""Results of a renderer: the classes Frame, an image to show or save, and GBuffer. No OpenGL."""
 
 from __future__ import annotations
 
@@ -32,21 +32,22 @@ class Frame:
     Attributes
     ----------
     linear : (H, W, 4) float32, row 0 on top: linear RGB, unclamped, and the mesh's coverage. If the
-        scene has a background, the colour contains it; otherwise colour is premultiplied by
-        coverage. If ``only`` is set, the background is 0 and RGB holds, by term:
+        scene has a background, RGB includes it; otherwise RGB is premultiplied by coverage.
+        If ``only`` is set, the background is 0, and the content of RGB depends on the term:
 
         - specular, diffuse: the radiance of this term
         - albedo: linear colour
         - normal: unit vector in the mesh's space
-        - depth: along the viewing direction, in the mesh's units, in all three channels
-        - cosines: N.L of the first light, N.V, N.H
+        - depth: distance from the camera along the viewing direction, in mesh units, in all three
+          channels
+        - cosines: N.L in red, N.V in green and N.H in blue, for the first light
         - visibility: visible fraction of the first light that casts shadows, in all three channels
-        - mask: 1 on the mesh, in all three channels
-        - parts: number of the part, from 1, in all three channels
+        - mask: 1 where the mesh is visible, in all three channels
+        - parts: number of the part, counted from 1, in all three channels
     only : the term that the image shows; None for the whole image
-    transparent : whether a PNG or WebP gets an alpha channel, as for scenes without a background
-    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format; for shaded
-        images also model, lobe, Fresnel and masking term
+    transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
+    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, format of albedo maps; for
+        shaded images also model, lobe, Fresnel and masking term
     """
 
     linear: NDArray[np.float32]
@@ -64,13 +65,13 @@ class Frame:
 
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
         """Return an 8-bit image for display: (H, W, 3), or (H, W, 4) with straight alpha if
-        transparent.
+        ``transparent`` is true.
 
         Radiance and albedo are encoded as sRGB, normals as 0.5 n + 0.5. Cosines, visibility and
         mask are clamped to [0, 1]. Depth is white at the nearest point and dark at the farthest.
-        Each part gets a colour by its number.
+        The colour of a part depends on the part's number.
 
-        exposure : in stops, for radiance and albedo; default 0
+        exposure : exposure of radiance and albedo, in stops; default 0
         """
         EXPOSURES.check("exposure", exposure)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
@@ -102,14 +103,14 @@ class Frame:
         Parameters
         ----------
         path : path of the file, or an object with a ``write`` method, such as ``io.BytesIO``
-        exposure : in stops, for the 8-bit formats; default 0
-        format : "png", "exr", "jpeg" or "webp"; by default the path's suffix decides, and an object
-            gets PNG
+        exposure : exposure of the 8-bit formats, in stops; default 0
+        format : "png", "exr", "jpeg" or "webp"; default: the format of the path's suffix, or PNG
+            for an object
 
         Raises
         ------
-        InputError : unknown suffix, path that cannot be written, EXR without its Python package, or
-            transparent JPEG
+        InputError : the suffix is unknown, the path cannot be written, the Python package for EXR
+            is missing, or a JPEG would be transparent
         """
         if format is not None and not (isinstance(format, str) and format in FORMATS):
             raise InputError(f"format = {shown(format)}: give {', '.join(FORMATS)}")
@@ -155,8 +156,8 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a colour (..., 3) for each part number, black for 0. Steps by the golden ratio give
-    consecutive numbers very different hues."""
+    """Return a colour (..., 3) for each part number; 0 is black. The hue advances by the golden
+    ratio, so that consecutive numbers have very different hues."""
     thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
     hue = numbers[..., None] * np.float32(0.618034) + thirds
     wave = np.abs(6.0 * (hue % 1.0) - 3.0) - 1.0
@@ -177,7 +178,7 @@ def _depth_as_brightness(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GBuffer:
-    """Geometry and material values of each pixel, sampled at its centre, row 0 on top.
+    """Geometry and material values at the centre of each pixel; row 0 is on top.
 
     Attributes
     ----------
@@ -189,15 +190,15 @@ class GBuffer:
     uv : (H, W, 2) float32
     visibility : (H, W, lights) float32, fraction of each light that is not in shadow
     view : the camera
-    second_m, lobe_weight : (H, W) float32, m of the second lobe and weight of the first; None if no
-        material has two lobes
-    facing : (H, W) float32, cosine between the view and the normal without the normal map; None if
-        no material scatters
+    second_m : (H, W) float32, m of the second lobe; None if no material has two lobes
+    lobe_weight : (H, W) float32, weight of the first lobe; None if no material has two lobes
+    facing : (H, W) float32, cosine between the direction to the camera and the mesh's normal,
+        without the normal map; None if no material scatters
     emission : (H, W, 3) float32, emitted radiance; None if no material emits light
-    opacity : (H, W) float32, opacity of a blended part, 0 elsewhere; None in the G-buffer of the
-        other parts
-    transparent_layers : G-buffers of blended parts in front of the other parts, at each pixel in
-        drawing order
+    opacity : (H, W) float32, opacity of a blended part, 0 elsewhere; None in the G-buffer of parts
+        that are not blended
+    transparent_layers : G-buffers of the layers of blended parts in front of the other parts. The
+        layers are sorted at each pixel in drawing order
     """
 
     part: NDArray[np.int64]
@@ -235,7 +236,8 @@ class GBuffer:
 def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GBuffer]:
     """Return the layers with each pixel's values sorted across layers.
 
-    numbers : (layers, H, W) sort keys, ascending in the result; uncovered layers come last
+    numbers : (layers, H, W) sort keys, ascending in the result. Layers that do not cover the pixel
+        come last
     """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")

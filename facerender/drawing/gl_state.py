@@ -1,5 +1,5 @@
-"""The OpenGL of a host program: its current context, and functions that save and restore its state.
-No drawing here."""
+"""The current OpenGL context of a host program, and functions that save and restore the context's
+state. No drawing here."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ class HostContext:
     ----------
     handle : address of the context, which identifies it
     get_proc_address : C function that returns the address of an OpenGL function
-    rebind : makes the context current again, even if the window system regards it as current
+    rebind : function that makes the context current again, even if the window system regards it as
+        current
     """
 
     handle: int
@@ -57,7 +58,7 @@ _libraries: dict[str, ctypes.CDLL] = {}
 def _loaded(*names: str) -> ctypes.CDLL | None:
     """Return the first of these libraries that the process has already loaded, or None.
 
-    A library that is not loaded has no current context. None of them exists on Windows.
+    A library that is not loaded has no current context. Windows has none of these libraries.
     """
     for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
@@ -107,7 +108,7 @@ def egl_in_use() -> bool:
     query(found[0])(len(devices), devices, ctypes.byref(count))
     displays = [get(found[1])(0x313F, device, None) for device in devices[: count.value]]
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
-    # EGL_VERSION: only an initialised display has one.
+    # 0x3054 is EGL_VERSION: only an initialised display has a version.
     return any(_pointer(library.eglQueryString, each, 0x3054) for each in displays)
 
 
@@ -131,8 +132,8 @@ def _glx() -> HostContext | None:
 def bind_osmesa(
     library: ctypes.CDLL, context: int | None, buffer: Any, width: int, height: int
 ) -> bool:
-    """Make an OSMesa context current with a buffer of RGBA bytes, or no context if it is None.
-    Return whether OSMesa succeeded."""
+    """Make an OSMesa context current with a buffer of RGBA bytes. If `context` is None, unbind the
+    current context. Return whether OSMesa succeeded."""
     make_current = library.OSMesaMakeCurrent
     make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
     unsigned_byte = 0x1401
@@ -154,7 +155,7 @@ def _osmesa() -> HostContext | None:
     return HostContext(context, library.OSMesaGetProcAddress, rebind)
 
 
-# OpenGL capabilities: (number, value that drawing needs).
+# OpenGL capabilities, keyed by name: (OpenGL constant, whether drawing needs it enabled).
 CAPABILITIES = {
     "BLEND": (0x0BE2, False),
     "CULL_FACE": (0x0B44, False),
@@ -174,9 +175,9 @@ CAPABILITIES = {
     "SAMPLE_SHADING": (0x8C36, False),
 }
 
-# Integer state: (setter, its leading arguments, queries of the other arguments as (name, count),
-# values that drawing needs). None: the drawing code sets the values. Setters that the driver lacks
-# are skipped.
+# Integer state: (setter, leading arguments of the setter, queries of its other arguments, values of
+# these arguments that drawing needs). A query is (OpenGL constant, number of values). None: the
+# drawing code sets the values. Setters that the driver lacks are skipped.
 STATE: tuple[tuple[str, tuple[int, ...], tuple[tuple[int, int], ...], tuple[int, ...] | None], ...]
 STATE = (
     ("glBindFramebuffer", (0x8CA9,), ((0x8CA6, 1),), None),  # draw
@@ -203,25 +204,26 @@ STATE = (
     ("glPixelStorei", (0x0D05,), ((0x0D05, 1),), None),  # pack alignment
     ("glPixelStorei", (0x0CF5,), ((0x0CF5, 1),), None),  # unpack alignment
 )
-# Floating-point state: (setter, argument type, query, count, values that drawing needs or None).
+# Floating-point state: (setter, argument type, query, number of values, values that drawing needs).
 _FLOATS: tuple[tuple[str, Any, int, int, tuple[float, ...] | None], ...] = (
     ("glClearColor", ctypes.c_float, 0x0C22, 4, None),
     ("glDepthRange", ctypes.c_double, 0x0B70, 2, (0.0, 1.0)),
 )
 _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
-_TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # (target, binding): 2D and 2D multisample
+# (texture target, query of the bound texture) for 2D textures and 2D multisample textures.
+_TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))
 _SAMPLER_BINDING = 0x8919
-# Texture units that drawing uses: maps, triangle setup, images of passes, shadow maps, environment.
+# Number of texture units for maps, triangle setup, images of passes, shadow maps and environment.
 _UNITS = 12
 
 
 def save_state(load: Callable[[str], int]) -> Callable[[], None]:
-    """Set the current context's state to the values that drawing needs.
+    """Save the state of the current context, and set it to the values that drawing needs.
 
     Parameters
     ----------
-    load : returns the address of an OpenGL function, 0 if the driver lacks it
+    load : function that returns the address of an OpenGL function, 0 if the driver lacks it
 
     Returns
     -------
@@ -266,7 +268,7 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     for name, kind, query, count, needed_floats in _FLOATS:
         change(name, floats(query, count), needed_floats, kind)
     active = integers(_ACTIVE_TEXTURE)
-    # moderngl uploads through the last texture unit.
+    # moderngl binds textures to the last unit when it creates them.
     for unit in (*range(_UNITS), integers(_MOST_UNITS)[0] - 1):
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
         for target, binding in _TEXTURES:

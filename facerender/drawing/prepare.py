@@ -20,7 +20,7 @@ from facerender.shading import Shading
 from facerender.system.memory import MIB, limit
 
 _MOST_SIMPLIFIED = 64  # variants of one mesh in the cache
-# Bytes, measured on llvmpipe: package and context, programs, one triangle, one pixel, one sample.
+# Bytes measured on llvmpipe: package and context, all programs, each triangle, pixel and sample.
 _ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
 _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
@@ -30,8 +30,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     """Return the scene without the maps, shadows, scattering, environment and ambient light that a
     shading leaves out.
 
-    The simplified mesh is cached: the same mesh and changes return the same object, so a renderer
-    reuses its uploaded maps.
+    The simplified mesh is cached: the same changes of one mesh return the same object, so that a
+    renderer reuses the uploaded maps.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
 
 
 def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh]) -> Scene:
-    """Return a scene with a changed mesh, cached by mesh and key."""
+    """Return a scene with a changed mesh, which is cached under the original mesh and `key`."""
     known = _simplified.setdefault(scene.mesh, {})
     if key not in known:
         if len(known) >= _MOST_SIMPLIFIED:
@@ -75,14 +75,15 @@ def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh])
 
 
 def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
-    """Return a scene whose large maps (more than LARGE texels) lack the finest mip levels that an
-    image does not read. The reduced mesh is cached.
+    """Return a scene whose large maps (more than LARGE texels) lack all mip levels that are finer
+    than the image reads. The reduced mesh is cached.
 
     Parameters
     ----------
     scene : a simplified scene
-    view, size : camera of the image, and its width and height in pixels
-    anisotropy : of texture filtering
+    view : camera of the image
+    size : width and height of the image in pixels
+    anisotropy : maximum anisotropy of texture filtering
     """
     spared: dict[Texture, int] = {}
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
@@ -107,7 +108,7 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
 
 
 def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
-    """Yield the large maps of a part, each with its field name in the material."""
+    """Yield the :class:`Material` field and the texture of each large map of a part."""
     for name in MAPS:
         texture = getattr(material, name)
         if texture is None or coordinates(part, material, name) is None:
@@ -119,12 +120,12 @@ def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
 def part_maps(
     part: Part, material: Material, albedo: Kind, slope_filter: bool
 ) -> list[tuple[str, Texture, Kind]]:
-    """Return the maps that a part is drawn with: uniform name, texture, kind of mip chain.
+    """Return uniform name, texture and kind of mip chain of each map that a part is drawn with.
 
     Parameters
     ----------
     albedo : kind of mip chain of colour maps: "color" or "linear-color"
-    slope_filter : whether the mip chain of the normal map stores the deviation of slopes
+    slope_filter : whether the normal map's mip chain stores the standard deviation of the slopes
     """
     if part.uv is None:
         return []
@@ -165,7 +166,7 @@ def check_memory(
     ----------
     scene : simplified scene, with reduced maps
     size : width and height of the image in pixels
-    samples : per pixel, in one pass of the driver
+    samples : samples per pixel in one pass of the driver
     albedo : kind of mip chain of albedo maps: "color" or "linear-color"
     most : limit of the process's memory in MiB; None for the free memory of the system
     """

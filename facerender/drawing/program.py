@@ -1,5 +1,5 @@
 """The shader program of a part: its features, GLSL, attributes and uniforms. The renderer draws
-with it, and ``pricing`` measures its cost. No OpenGL here."""
+with this program, and ``pricing`` measures the program's cost. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class Program:
 
     Attributes
     ----------
-    fragment, vertex : names of the files in ``shaders/host``
+    fragment, vertex : file names of the two shaders in ``shaders/host``
     features : macros that enable features, such as "UV", "NORMAL_MAP", "DIFFUSE"
-    lights : see :class:`Lighting`; None for a program without lights
+    lights : groups of lights, see :class:`Lighting`; None for a program without lights
     prelude : GLSL before the calls: macros and includes of the specular terms
-    calls : GLSL expression of each specular term; () for no specular light
+    calls : GLSL expression of each specular term; () if no light has a specular term
     environment : GLSL expression of the specular reflection of the environment; "" for none
     """
 
@@ -55,7 +55,7 @@ class Program:
     environment: str = ""
 
     def sources(self, version: str) -> dict[str, str]:
-        """Return the GLSL of both stages, "vert" and "frag", for a ``#version``."""
+        """Return the GLSL of the stages "vert" and "frag" with the line ``#version VERSION``."""
         head = "".join(f"#define {name}\n" for name in self.features)
         head += f"#define ENVIRONMENT_RADIANCE {self.environment}\n" * bool(self.environment)
         light = "" if self.lights is None else self._terms() + self._lights()
@@ -198,7 +198,7 @@ def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -
     around: dict[str, Any] = {}
     if lighting is not None and scene.environment is not None:
         around["environment_sh"] = scene.environment.panorama.coefficients
-        around["environment_turn"] = scene.environment.turn.T  # column by column
+        around["environment_turn"] = scene.environment.turn.T  # OpenGL stores matrices by column
         around["environment_scale"] = scene.environment.scale
         around["environment_size"] = len(scene.environment.panorama.map) - 2
     return {
@@ -229,7 +229,8 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
 
 
 def part_columns(part: Part, mesh: Mesh) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the vertex attributes that a part has, (N, width) each, in the renderer's space."""
+    """Return the vertex attributes of a part, (N, width) each, keyed by name. Positions are in the
+    renderer's space."""
     columns = {
         "in_position": mesh.normalised(part.positions),
         "in_normal": part.normals,

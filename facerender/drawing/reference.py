@@ -1,4 +1,4 @@
-"""The reference implementation for whole images: float64 shading of a G-buffer. No OpenGL here."""
+"""The reference implementation for whole images, which shades a G-buffer in float64. No OpenGL."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """Radiance of a G-buffer's pixels, by term; the sum of the terms is the image.
+    """Radiance of a G-buffer's pixels, one array per term; the sum of the terms is the image.
 
     Attributes
     ----------
-    ambient, diffuse : (H, W, 3) float64
-    specular : (lights, H, W, 3) float64
-    environment : (H, W, 3) float64, diffuse and specular
+    ambient, diffuse : (H, W, 3) float64, radiance of each of these terms
+    specular : (lights, H, W, 3) float64, specular radiance from each light
+    environment : (H, W, 3) float64, diffuse and specular radiance from the environment map
     emission : (H, W, 3) float32, emitted radiance; None if no material emits light
     light : (H, W, 3) float64, irradiance of the diffuse and ambient terms; None if no material
         scatters
-    albedo : (H, W, 3) float64, diffuse BRDF, the ratio of radiance to this irradiance; None if no
+    albedo : (H, W, 3) float64, diffuse BRDF: diffuse radiance divided by ``light``; None if no
         material scatters
     """
 
@@ -51,8 +51,8 @@ class Layers:
     emission: NDArray[np.float32] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
-        """Return the image (H, W, 3), with the ambient term and the lights' specular terms that a
-        shading includes."""
+        """Return the image (H, W, 3). The ambient term and the specular term of each light are
+        included only if the shading has them."""
         image = self.diffuse + self.environment
         if shading.ambient:
             image += self.ambient
@@ -66,7 +66,7 @@ class Layers:
 
 def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
     """Shade a G-buffer as ``shaders/host/shade.frag`` does, add subsurface scattering as in
-    ``scatter.frag``, and composite the blended parts.
+    ``scatter.frag``, and composite the blended parts over the image.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
 def scattered(
     gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers
 ) -> NDArray[np.float64]:
-    """Return the change of radiance by subsurface scattering, (H, W, 3) float64.
+    """Return the radiance (H, W, 3) float64 that subsurface scattering adds or removes.
 
     gbuffer : G-buffer of the whole image, not of a section
     terms : the result of :func:`layers` for this G-buffer
@@ -129,12 +129,14 @@ class _Pixels:
 
     Attributes
     ----------
-    position : (N, 3)
-    n, v : (N, 3) unit vectors: normal, and direction to the camera
-    m, second_m : (N,) m of the first and the second lobe, for terms without a constant m; second_m
-        is None for materials with one lobe
+    position : (N, 3) in the renderer's space
+    n : (N, 3) unit normal
+    v : (N, 3) unit vector to the camera
+    m : (N,) m of the first lobe; ignored by a light's term with a constant m
+    second_m : (N,) m of the second lobe, used in the same way; None for materials with one lobe
     lobe_weight : (N,) weight of the first lobe; None for materials with one lobe
-    weight, occlusion : (N,) specular weight and occlusion
+    weight : (N,) specular weight
+    occlusion : (N,) ambient occlusion
     albedo : (N, 3) diffuse BRDF, the ratio of diffuse radiance to irradiance
     """
 
@@ -155,7 +157,7 @@ class _Pixels:
         """Return the pixels of a part.
 
         covered : (H, W), true at the pixels of the part
-        term : the shading's term, whose constant m, if any, replaces the m of the G-buffer
+        term : term of the shading; a constant m of this term replaces the m of the G-buffer
         """
 
         def values(image: NDArray[np.float32]) -> Float:
@@ -182,7 +184,7 @@ class _Pixels:
         )
 
     def coupling(self, material: Material, shading: Shading) -> _Coupling | None:
-        """Return the albedos that couple the diffuse term with the specular one, or None if the
+        """Return the albedos that couple the diffuse term with the specular term, or None if the
         shading or the material does not couple them."""
         if shading.diffuse != "coupled" or material.ks <= 0.0:
             return None
@@ -203,7 +205,7 @@ def layers(
 ) -> Layers:
     """Return the terms of the image, with a specular term for every light. See also :func:`shade`.
 
-    environment : the result of :func:`environment_layer`, if already computed
+    environment : the result of :func:`environment_layer`; None: it is computed here
     """
     if environment is None:
         environment = environment_layer(gbuffer, scene, shading)
@@ -246,8 +248,8 @@ def _lit(
     scene: Scene,
     visible: NDArray[np.float32] | None,
 ) -> tuple[Float, Float, Float]:
-    """Return the direction to a light, the irradiance of the diffuse term and the specular
-    radiance, (N, 3) each.
+    """Return three arrays (N, 3): the direction to a light, the irradiance of the diffuse term, and
+    the specular radiance.
 
     visible : (N, 1) fraction of the light that is not in shadow; None for lights without shadows
     """
@@ -274,7 +276,7 @@ def _lit(
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
     """Return the radiance from the environment, (H, W, 3) float64; see also :func:`shade`.
 
-    It does not depend on the lights, the lobe or ``small_slope``: reflections use the exact lobe.
+    The lights, the lobe and ``small_slope`` have no effect: reflections use the exact lobe.
     """
     scene = simplify(scene, shading)
     image = np.zeros(gbuffer.position.shape)
@@ -313,10 +315,10 @@ class _Coupling:
 
     Attributes
     ----------
-    lobes : m and weight of each lobe, (N,) each
+    lobes : for each lobe a pair (m, weight) of arrays (N,)
     f0 : Fresnel reflectance of the material at normal incidence
-    camera, mean : (N,) specular albedo in the direction of the camera, and its mean over the
-        hemisphere
+    camera : (N,) specular albedo in the direction of the camera
+    mean : (N,) mean specular albedo over the hemisphere
     """
 
     lobes: list[tuple[Float, Float]]
@@ -325,7 +327,7 @@ class _Coupling:
     mean: Float
 
     def towards(self, cosine: Float) -> Float:
-        """Return the specular albedo (N,) in a direction; cosine : between normal and direction."""
+        """Return the specular albedo (N,) in directions with these cosines to the normal."""
         each = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
         return np.asarray(np.sum([*each], axis=0))
 

@@ -1,4 +1,4 @@
-"""The renderer: draws the passes that a scene needs, and reads the float32 image back."""
+"""The renderer, which draws the passes of a scene and reads the image back as float32."""
 
 from __future__ import annotations
 
@@ -81,29 +81,29 @@ class Renderer:
 
     Use it as a context manager, or call :meth:`release`. A renderer that is garbage-collected
     without release frees its objects and warns (ResourceWarning). Threads may share a renderer, but
-    only one draws at a time. After a fork, the child process must create a new renderer.
+    only one thread draws at a time. After a fork, the child process must create a new renderer.
 
     Parameters
     ----------
     size : width and height in pixels, each in [1, 16384]; default 1024 x 1024
-    samples : per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software driver)
-        multisampling is used: each visible surface is shaded once per pixel. More samples are
-        rendered as separate images of one sample and averaged: each sample is shaded
+    samples : samples per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software
+        driver), multisampling shades each visible surface once per pixel. Above this limit, the
+        renderer averages one image per sample, so that each sample is shaded
     backend : "auto" (default), "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the
         host's context
-    anisotropy : of texture filtering, 1 (default) to 16; 8 nearly doubles the time of a frame on a
-        software driver
-    float_albedo : store albedo maps as linear float16 instead of 8-bit sRGB, so that drivers differ
-        only in the last digits
-    full_maps : load maps of more than 4096 x 4096 texels at full size; float_albedo does so too.
-        By default they are decoded without the finest mip levels, which the image does not need
+    anisotropy : maximum anisotropy of texture filtering, 1 (isotropic, default) to 16; 8 nearly
+        doubles the time of a frame on a software driver
+    float_albedo : whether albedo maps are stored as linear float16 instead of 8-bit sRGB, so that
+        images of different drivers differ only in the last digits; default false
+    full_maps : whether maps of more than 4096 x 4096 texels keep their finest mip levels, even if
+        the image does not need these; default false, but float_albedo implies it
     memory : limit of the process's memory in MiB, at least 1; a scene that needs more is refused.
         None (default) is the free memory of the system
 
     Raises
     ------
     InputError : a value outside its domain
-    ContextError : no OpenGL context, or the driver does not support the size
+    ContextError : no OpenGL context is available, or the driver does not support the size
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class Renderer:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Version, driver, samples and albedo format; frames add the shading to this metadata."""
+        """Version, driver, samples and albedo format. Frames add the shading to this metadata."""
         return {
             "facerender": __version__,
             "GL_RENDERER": self.context.renderer,
@@ -204,20 +204,21 @@ class Renderer:
 
         Parameters
         ----------
-        only : draw one term instead of the whole image. All terms except specular and diffuse have
+        only : term to draw instead of the whole image. All terms except specular and diffuse have
             one sample per pixel and ignore blended parts
-        samples : per pixel; default: the renderer's number
-        cull_back_faces : omit back faces, which are visible where a mesh is open or folded; default
-            false
+        samples : samples per pixel; default: the renderer's samples
+        cull_back_faces : whether to omit back faces, which are visible where a mesh is open or
+            folded; default false
         shading_rate : "sample" (default) shades each triangle that covers a sample of the pixel.
-            "pixel" shades each part once per pixel, at the triangle with most of its samples. Where
-            :meth:`can_shade_per_pixel` is false, "sample" is used. Coverage is the same, but edges
-            between two surfaces of one part look as with one sample
+            "pixel" shades each part once per pixel, at the triangle that covers most of the part's
+            samples. If :meth:`can_shade_per_pixel` is false, "sample" is used. Both rates have
+            the same coverage. With "pixel", edges between two surfaces of one part look as in an
+            image with one sample per pixel
 
         Raises
         ------
         InputError : a map is damaged; m lies outside the lobe's domain and ``shading.outside`` is
-            "error"; the term is unknown; a pixel is not finite
+            "error"; the term ``only`` is unknown; a pixel is not finite
 
         Warns
         -----
@@ -264,8 +265,9 @@ class Renderer:
     def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
         """Return whether a frame with N samples can have ``shading_rate="pixel"``.
 
-        N must be the driver's limit and more than 1. The scene may have up to 16 million triangles,
-        only opaque parts, one set of texture coordinates, and a background of at most 1000.
+        N must be the driver's largest number of samples, and more than 1. The scene may have up to
+        16 million triangles. All its parts must be opaque and use one set of texture coordinates.
+        No channel of the background may exceed 1000.
         """
         _check_scene(scene)
         _LIMITS["samples"].check("samples", samples)
@@ -274,7 +276,8 @@ class Renderer:
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
 
-        blended : also draw blended parts, with one G-buffer for each layer; default true
+        blended : whether to draw blended parts too, with one G-buffer for each of their layers;
+            default true
         """
         _check_scene(scene, shading)
         check_switch("blended", blended)
@@ -291,7 +294,7 @@ class Renderer:
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
     ) -> list[GBuffer]:
-        """Return all layers of a blended part by depth peeling, in drawing order at each pixel."""
+        """Find all layers of a blended part by depth peeling; sort each pixel in drawing order."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
@@ -307,7 +310,8 @@ class Renderer:
     ) -> tuple[GBuffer, NDArray[np.float32]]:
         """Return the G-buffer of all parts that are not blended, or of one layer of a blended part.
 
-        The second result holds, for a layer, each pixel's triangle number in drawing order.
+        For a layer, the second result holds the number of each pixel's triangle in drawing order.
+        Otherwise it is empty.
         """
         scene, lighting = resolved.scene, resolved.lighting
         visibility = self._visibility(scene, view, 1)
@@ -348,7 +352,7 @@ class Renderer:
         return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
-        """Simplify and resolve a scene, check its memory, and start the decoding of its maps."""
+        """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
         scene = simplify(scene, shading)
         if not (self.full_maps or self.albedo_kind == "linear-color"):
             scene = reduced(scene, view, self.size, self.anisotropy)
@@ -360,7 +364,7 @@ class Renderer:
         return ResolvedScene(scene, shading, Lighting.of(scene, shading))
 
     def _shaded(self, resolved: ResolvedScene, view: View, image: _Image) -> NDArray[np.float32]:
-        """Draw an image of a view; its samples must not exceed the driver's limit."""
+        """Draw an image of a view; ``image.samples`` must not exceed the driver's limit."""
         scene, samples, only = resolved.scene, image.samples, image.only
         visibility = self._visibility(scene, view, samples, image.shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
@@ -378,7 +382,7 @@ class Renderer:
             if beside:
                 background = scene.background if only is None else None
                 area = visibility.area if visibility else None
-            else:  # samples may see different points, so scattering uses the pixel's centre
+            else:  # samples of a pixel may show different points: scatter at pixel centres
                 one = self._visibility(scene, view, 1)
                 light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
                 passes += _from_visibility(light, one, image.cull_back_faces)
@@ -394,9 +398,10 @@ class Renderer:
     def _visibility(
         self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
     ) -> Visibility | None:
-        """Return the visibility of triangles for deferred shading, or None for forward shading.
+        """Return the visible triangles for deferred shading, or None for forward shading.
 
-        Where it is supported, deferred shading is used for per-pixel shading or if it is cheaper.
+        If deferred shading is supported, it is used for per-pixel shading, or if it is cheaper than
+        forward shading.
         """
         if self._can_defer(scene, samples) and (
             shading_rate == "pixel"
@@ -408,8 +413,8 @@ class Renderer:
     def _can_defer(self, scene: Scene, samples: int) -> bool:
         """Return whether driver and scene support deferred shading.
 
-        Only 1 sample and the driver's limit are supported. For a number between them, a driver may
-        use more samples without reporting how many.
+        The number of samples per pixel must be 1 or the driver's maximum. For any other number, a
+        driver may use more samples than requested without reporting how many.
         """
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
         return samples in (1, self.context.most_samples) and can_defer(scene, rows)
@@ -419,9 +424,9 @@ class Renderer:
     def _draw(
         self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
     ) -> list[NDArray[np.float32]]:
-        """Draw passes in order, and return the images of the last one.
+        """Draw passes in order, and return the images of the last pass.
 
-        known : further textures that the passes may read, by uniform name
+        known : further textures that the passes may read, keyed by uniform name
         """
         drawn = dict(known)
         with self.context.drawing() as gl:
@@ -449,7 +454,7 @@ def _free(context: Context, resources: Resources) -> None:
 def _free_dropped(context: Context, resources: Resources) -> None:
     """Free the GPU objects of a renderer that was garbage-collected without release.
 
-    If its context belongs to the host and is not current, the objects remain until the host frees
+    If the context belongs to the host and is not current, the objects remain until the host frees
     the context.
     """
     if context.released or context.inherited:
@@ -466,7 +471,7 @@ def _free_dropped(context: Context, resources: Resources) -> None:
 def _shading_metadata(
     resolved: ResolvedScene, only: Only | None, own: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the metadata of an image: the shading's values and `own`, which takes precedence."""
+    """Return the metadata of an image: values of the shading, which entries of `own` override."""
     shading, terms = resolved.shading, resolved.lighting.terms
     metadata = {key: str(value) for key, value in shading.as_dict().items()} | dict(own)
     for name in ("model", "lobe", "fresnel", "masking"):
@@ -490,7 +495,7 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
 def _from_visibility(
     shaded: Pass, visibility: Visibility | None, cull_back_faces: bool
 ) -> list[Pass]:
-    """Return a shading pass, after the visibility pass that it reads, if any."""
+    """Return the visibility pass, if any, followed by the shading pass that reads it."""
     first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
     return [replace(first, cull_back_faces=cull_back_faces), *others]
 
@@ -498,13 +503,14 @@ def _from_visibility(
 def _check(linear: NDArray[np.float32], scene: Scene) -> None:
     """Raise InputError if a pixel is not finite, and warn if no pixel shows the mesh."""
     with np.errstate(over="ignore", invalid="ignore"):
-        total = linear.sum()  # three times as fast as isfinite on every value
+        total = linear.sum()  # a sum is three times as fast as isfinite on every value
     if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
         row, column = np.unravel_index(int(finite.argmin()), finite.shape)
         raise InputError(
             f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
             f" {row}): a light stands on the surface, a triangle has no width, or lights and "
-            "weights are too strong for float32; move the light, repair the mesh, or lower them"
+            "weights are too strong for float32; move the light, repair the mesh, or lower the "
+            "lights or weights"
         )
     coverage = linear[..., 3]
     if not coverage[len(coverage) // 2].any() and not coverage.any():
@@ -534,14 +540,15 @@ def render(
 ) -> Frame:
     """Render one image of a mesh.
 
-    For several images, or further settings, use a :class:`Renderer`, which caches uploaded meshes
-    and maps.
+    For several images or other settings, use a :class:`Renderer`, which caches uploaded meshes and
+    maps.
 
     Parameters
     ----------
     mesh : a mesh, a source that :func:`facerender.load_mesh` accepts, or None for the built-in head
     model, lobe, fresnel, masking, outside : see :class:`Shading`
-    m : RMS slope for the whole mesh, which replaces its roughness map; default None
+    m : RMS slope of the microfacets of the whole mesh, which replaces the roughness map; default:
+        the values of the mesh
     size, samples, backend : see :class:`Renderer`
     camera, lights : see :class:`Scene`
     only : see :meth:`Renderer.render`
@@ -549,7 +556,7 @@ def render(
     Raises
     ------
     InputError : a file or a value cannot be used
-    ContextError : no OpenGL context
+    ContextError : no OpenGL context is available
     """
     shading = Shading(model, lobe, fresnel, outside, masking)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)

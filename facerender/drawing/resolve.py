@@ -1,8 +1,9 @@
-"""Resolution of a scene with a shading: lights in the order of programs, and specular terms of each
-part for its range of m. The renderer, the reference and ``pricing`` use the same result.
+"""Resolution of a scene with a shading: lights in the order in which programs loop over them, and
+specular terms of each part for its range of m. The renderer, the reference and ``pricing`` use the
+same result.
 
-m is the first of these values that exists: the constant of a light's term (``Term.m``), then
-(roughness factor times map)^2 of the part, then ``Material.m``. ``prepare.simplify`` replaces the
+m is the first of these values that exists: the constant m of a light's term (``Term.m``), then
+(roughness factor times roughness map)^2, then ``Material.m``. ``prepare.simplify`` replaces the
 material's m if the shading's term has a constant m. ``Term.slope`` resolves m for a term, and
 ``scenes.mesh.base_slope`` for a part. No OpenGL here."""
 
@@ -35,9 +36,9 @@ class LightGroup:
     Attributes
     ----------
     kind : see ``scenes.light.LIGHT_KINDS``
-    term : index of the specular term, -1 for none
+    term : index of the specular term in ``Lighting.terms``, -1 for none
     count : number of lights, at least one
-    shadows : index of the first light's shadow map; None if the lights cast no shadows
+    shadows : index of the shadow map of the group's first light; None if no light casts shadows
     """
 
     kind: str
@@ -48,15 +49,17 @@ class LightGroup:
 
 @dataclass(frozen=True)
 class Lighting:
-    """The lights of a scene in the order of programs.
+    """The lights of a scene in the order in which programs loop over them.
 
-    They are sorted by kind, then by term (no term comes last), then by shadow (no shadow first).
+    They are sorted by kind. Lights of one kind are sorted by term (lights without a term last), and
+    lights of one term by shadow (lights without shadows first).
 
     Attributes
     ----------
-    order : indices of the scene's lights
-    lights, groups : the lights and their groups, in this order
-    terms : specular terms, by the index in the groups
+    order : index of each light in the scene
+    lights : the sorted lights
+    groups : groups of the sorted lights
+    terms : specular terms; ``LightGroup.term`` is an index into them
     """
 
     order: tuple[int, ...]
@@ -66,7 +69,7 @@ class Lighting:
 
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
-        """Sort the lights of a scene. If any light has the shading's own term, its index is 0."""
+        """Sort the lights of a scene. The shading's own term, if a light has it, gets index 0."""
         own = [shading.of(light) for light in range(len(scene.lights))]
         first = [shading.term] if shading.term in own else []
         terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
@@ -89,17 +92,17 @@ class Lighting:
 
     @property
     def shadowed(self) -> tuple[int, ...]:
-        """Indices of the scene's lights that cast shadows, in the order of their maps."""
+        """Indices of the scene's lights that cast shadows, in the order of their shadow maps."""
         lights = zip(self.order, self.lights, strict=True)
         return tuple(index for index, light in lights if light.shadow)
 
     def spaces(self, mesh: Mesh) -> list[LightSpace]:
-        """Return the spaces of the lights that cast shadows, in the order of their maps. For errors
-        see :func:`light_space`."""
+        """Return the spaces of the lights that cast shadows, in the order of their shadow maps. For
+        errors see :func:`light_space`."""
         return [light_space(light, mesh) for light in self.lights if light.shadow]
 
     def uniforms(self, mesh: Mesh) -> dict[str, Any]:
-        """Return the uniforms of all lights: arrays by name."""
+        """Return the uniforms of all lights: arrays keyed by name."""
         arrays: dict[str, Any] = {}
         for name in dict.fromkeys(group.kind for group in self.groups):
             kind = LIGHT_KINDS[name]
@@ -118,9 +121,9 @@ class ResolvedPart:
     Attributes
     ----------
     part, material : part of the mesh and its material
-    smallest_m : lowest m of its lobes, for terms without a constant m
-    terms : specular terms of the lights. Where m lies outside a lobe's domain, the term has the
-        exact lobe. () if specular terms are left out
+    smallest_m : lowest m of the part's lobes, for terms without a constant m
+    terms : specular terms of the lights. If m lies outside the domain of a lobe, the term has the
+        exact lobe instead. () if specular terms are left out
     """
 
     part: Part
@@ -141,11 +144,11 @@ class ResolvedScene:
     def slopes(self) -> list[tuple[float, float]]:
         """The smallest and the largest m of each part, for terms without a constant m.
 
-        The largest m includes the most that the slope filter, curvature and area lights may add.
+        The largest m includes the largest increase by slope filter, curvature and area lights.
 
         Raises
         ------
-        InputError : a light is too near for its radius
+        InputError : a light is too near to the mesh for its radius
         """
         scene, shading = self.scene, self.shading
         discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
@@ -164,7 +167,7 @@ class ResolvedScene:
         return ranges
 
     def allowed(self, term: Term) -> list[Term]:
-        """Return a term for each part, with the exact lobe where m lies outside the lobe's domain.
+        """Return a term for each part, with the exact lobe if m lies outside the lobe's domain.
 
         Raises
         ------
@@ -175,7 +178,7 @@ class ResolvedScene:
     def parts(self, specular: bool = True) -> list[ResolvedPart]:
         """Return the parts with their terms. For errors see :meth:`allowed`.
 
-        specular : false to leave specular terms out, and with them the check of m
+        specular : false to leave out the specular terms and the check of m
         """
         mesh = self.scene.mesh
         smallest = [low for low, _ in self.slopes] if specular else [0.0] * len(mesh.parts)
@@ -189,7 +192,7 @@ class ResolvedScene:
 
 
 def resolve(scene: Scene, shading: Shading) -> ResolvedScene:
-    """Simplify and resolve a scene: features that the shading leaves out are removed. For errors
+    """Remove the features of a scene that the shading leaves out, and sort its lights. For errors
     see :func:`facerender.drawing.prepare.simplify`."""
     simple = simplify(scene, shading)
     return ResolvedScene(simple, shading, Lighting.of(simple, shading))

@@ -1,5 +1,5 @@
-"""GPU objects (programs, framebuffers, geometry, textures), cached between frames, and the drawing
-of a pass with them."""
+"""The cache of GPU objects (programs, framebuffers, geometry, textures), which also draws a pass
+with these objects."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from facerender.system.memory import give_back
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
 
-# Size of the program cache, which always holds the last frame's programs. llvmpipe uses 2 MB each.
+# Largest number of cached programs, unless one frame needs more. llvmpipe uses 2 MB per program.
 MOST_PROGRAMS = 64
 
 _TEXTURE_2D = 0x0DE1
@@ -41,7 +41,7 @@ _UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
 _WRAP_AXES = (0x2802, 0x2803)
 _WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
 _TO_COVERAGE = (0x809E, 0x809F)  # SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE
-# Kind of mip chain: (internal format, components, format, type, moderngl's name of the type).
+# By kind of mip chain: internal format, components, format, type, moderngl's name of the type.
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
     "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
     "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
@@ -57,9 +57,10 @@ class Geometry:
     Attributes
     ----------
     space : centre and radius of the mesh, which place the vertices in the renderer's space
-    vertices, widths : interleaved vertex attributes, and the number of components of each attribute
+    vertices : interleaved vertex attributes
+    widths : number of components of each attribute, keyed by attribute name
     indices : vertex indices of the triangles
-    arrays : cache of vertex arrays, by program
+    arrays : cache of vertex arrays, keyed by program
     """
 
     space: tuple[float, ...]
@@ -72,7 +73,7 @@ class Geometry:
         self, gl: moderngl.Context, program: moderngl.Program, order: moderngl.Buffer | None = None
     ) -> moderngl.VertexArray:
         """Return the vertex array that a program reads. It is cached, unless `order` replaces the
-        part's indices."""
+        vertex indices of the part."""
         if order is None and program in self.arrays:
             return self.arrays[program]
         layout = " ".join(
@@ -111,9 +112,9 @@ class Resources:
         self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
         self._drawn: set[Program] = set()  # programs of the last frame
         self.targets: dict[Target, moderngl.Framebuffer] = {}
-        # One scope for each target is reused: moderngl 5.13 frees a scope only in part.
+        # moderngl 5.13 does not free a scope completely, so each target reuses one scope.
         self.scopes: dict[Target, moderngl.Scope] = {}
-        self.held: dict[Target, Hashable] = {}  # key of the image in each target
+        self.held: dict[Target, Hashable] = {}  # Pass.key of the image in each target
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
         self._settled = True
 
@@ -127,8 +128,8 @@ class Resources:
     def settle(self) -> None:
         """Drop unused programs beyond MOST_PROGRAMS, and release freed memory to the system.
 
-        Decoders, uploads and compilers freed that memory, 110 MiB for the built-in head, but malloc
-        keeps it. It is released once after frames that created GPU objects. The context must be
+        malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
+        head). It is released once after frames that created GPU objects. The context must be
         current.
         """
         unused = [source for source in self.programs if source not in self._drawn]
@@ -148,7 +149,7 @@ class Resources:
 
         Parameters
         ----------
-        drawn : textures of the scene by uniform name, such as the images of earlier passes
+        drawn : textures of the scene, keyed by uniform name, such as the images of earlier passes
 
         Raises
         ------
@@ -161,7 +162,7 @@ class Resources:
             self.held[step.target] = held
             return target
         with self.scopes[step.target]:
-            self._prepare(target)  # an earlier error may have left another state
+            self._prepare(target)  # an error in an earlier draw may have left another state
             target.clear(*step.clear)
             for draw in step.draws:
                 self._prepare(target, draw)
@@ -188,11 +189,11 @@ class Resources:
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or over)
         gl.enable_only(enabled | moderngl.CULL_FACE * step.cull_back_faces)
         gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
-        gl.cull_face = "front"  # the image is drawn upside down
+        gl.cull_face = "front"  # the image is drawn upside down, so front and back swap
 
     @contextmanager
     def _to_coverage(self, on: bool) -> Iterator[None]:
-        """Within the context, convert alpha to sample coverage if `on`; alpha becomes 1."""
+        """Within the context, if `on`, convert alpha to sample coverage and replace alpha by 1."""
         gl = self.context.gl
         for each in _TO_COVERAGE * on:
             gl.enable_direct(each)
@@ -230,7 +231,7 @@ class Resources:
             maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
             for name, source, kind in maps:
                 if name in program:
-                    own = self.texture(name, source, kind)  # upload before binding: it uses unit 0
+                    own = self.texture(name, source, kind)  # before use(): uploads bind unit 0
                     textures[name] = own
         if draw.setup is not None and draw.depth == "marked":
             textures["triangle_setup"] = self.table(draw.setup)
@@ -242,8 +243,8 @@ class Resources:
     def take_coarse(self, mesh: Mesh, slope_filter: bool) -> None:
         """Decode and upload the reduced maps of a mesh (``Texture.coarse``), one after another.
 
-        To limit peak memory, this runs before targets and programs are allocated, and starts with
-        the maps whose decoding needs most memory.
+        To limit peak memory, the renderer calls this method before it allocates targets and
+        programs, and the maps whose decoding needs most memory come first.
         """
         maps = {
             each: None
@@ -282,7 +283,8 @@ class Resources:
         return self.targets[kind]
 
     def program(self, source: Program) -> moderngl.Program:
-        """Return a compiled program from the cache, or compile it; see :meth:`settle`."""
+        """Return the compiled program from the cache, or compile it. The cache is limited by
+        :meth:`settle`."""
         self._drawn.add(source)
         if source in self.programs:
             self.programs[source] = self.programs.pop(source)
@@ -301,8 +303,8 @@ class Resources:
         return self.programs[source]
 
     def geometry(self, source: Part | TriangleSetup, mesh: Mesh) -> Geometry:
-        """Upload a part, or only the positions of its triangles. The cached geometry is replaced if
-        the mesh's centre or radius changes."""
+        """Upload a part, or only the positions of a triangle setup, on first use, and again if the
+        mesh's centre or radius has changed."""
         space = *mesh.center, mesh.radius
         made = self.geometries.get(source)
         if made is None or made.space != space:
@@ -319,8 +321,7 @@ class Resources:
         return made
 
     def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
-        """Upload the triangle data for deferred shading, or the map of a panorama, on first
-        use."""
+        """Return the texture of a triangle setup or a panorama, which is uploaded on first use."""
         if source not in self.tables:
             self._settled = False
             self.context.gl.gc()
@@ -332,9 +333,9 @@ class Resources:
         return self.tables[source]
 
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
-        """Upload a mip chain on first use.
+        """Return the texture of a map, whose mip chain is uploaded on first use.
 
-        Every level comes from texture.py: moderngl's build_mipmaps takes 65 ms for 2048 x 2048
+        All mip levels come from texture.py: moderngl's build_mipmaps takes 65 ms for 2048 x 2048
         texels on a software driver.
         """
         known = self.textures.setdefault(source, {})
@@ -360,8 +361,8 @@ class Resources:
             texels = np.ascontiguousarray(level)
             place = 0, 0, level.shape[1], level.shape[0]
             upload(_TEXTURE_2D, number, *place, layout, data_type, texels.ctypes.data)
-        # Properties vary slowly, so a step between two mip levels is invisible. Blending of two
-        # levels would take 5 % of a frame on a software driver.
+        # Properties vary slowly, so a step between two mip levels is invisible. Blending two mip
+        # levels would take 5 % of the frame time on a software driver.
         step = name == "property_map"
         smaller = moderngl.LINEAR_MIPMAP_NEAREST if step else moderngl.LINEAR_MIPMAP_LINEAR
         if len(levels) == 1:
@@ -384,8 +385,8 @@ class Resources:
     def _reserve(
         self, internal: int, shapes: Sequence[tuple[int, ...]], layout: int, data_type: int
     ) -> None:
-        """Allocate all levels of the bound texture, with glTexStorage2D where the driver has it:
-        with glTexImage2D, Mesa holds the finest level twice until the texture is drawn."""
+        """Allocate all mip levels of the bound texture, with glTexStorage2D if the driver has it.
+        After glTexImage2D, Mesa holds the finest level twice until the texture is drawn."""
         (height, width, *_), count = shapes[0], len(shapes)
         if self.context.loader.load("glTexStorage2D"):  # OpenGL 4.2, or ARB_texture_storage
             store = self.context.function("glTexStorage2D", *[ctypes.c_int] * 5)
@@ -397,7 +398,7 @@ class Resources:
 
 
 def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float32]:
-    """Return the pixels of a target without multisampling, (H, W, 4)."""
+    """Return the pixels (H, W, 4) of a target that has no multisampling."""
     pixels = np.empty((target.height, target.width, 4), dtype=np.float32)
     target.read_into(pixels, components=4, attachment=attachment, dtype="f4")
     return pixels
@@ -410,7 +411,7 @@ def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
             continue
         uniform: Any = program[name]
         if isinstance(value, np.ndarray):
-            # The compiler shortens an array whose end the program does not read.
+            # The compiler shortens an array if the program does not read the last elements.
             size = uniform.array_length * uniform.element_size
             uniform.write(value.astype(np.float32).tobytes()[:size])
         else:

@@ -16,7 +16,7 @@ from facerender.scenes.mesh import Mesh, Part
 
 IN_ROW = 256  # triangles in a row of the texture
 _AT_ONCE = 1 << 12  # triangles per block, to limit temporary memory
-_ROUNDING = 2.0**-22  # rounding error of a triangle's width, for float32 positions of size 1
+_ROUNDING = 2.0**-22  # rounding error of a triangle's width, for float32 positions of magnitude 1
 
 Floats = NDArray[np.floating[Any]]
 
@@ -29,7 +29,7 @@ class TriangleSetup:
     ----------
     positions : (N, 3) float32, vertex positions in the renderer's space
     faces : (F, 3) uint32, indices of vertices
-    columns : (N, K) float32, attributes of the vertices, the normal first
+    columns : (N, K) float32, vertex attributes; the first three columns are the normal
     """
 
     positions: NDArray[np.float32]
@@ -60,10 +60,11 @@ class TriangleSetup:
         """Return the texture of all triangles, (rows, IN_ROW * texels, 4) float32.
 
         The first texel of a triangle holds the unit normal of its plane and the plane's distance
-        from the origin. Each further texel holds an attribute's gradient and offset.
+        from the origin. Each further texel holds an attribute's gradient and its value
+        at the origin.
 
-        Some triangles are narrower than the rounding error, for example in a filled T-junction.
-        Their attributes vary only along their length, and their first vertex determines the normal.
+        A triangle may be narrower than the rounding error, for example in a filled T-junction. Then
+        its attributes vary only along its length, and its first vertex determines the normal.
         """
         rows = -(-len(self.faces) // IN_ROW)
         packed = np.zeros((rows * IN_ROW, self.texels, 4), dtype=np.float32)
@@ -93,7 +94,7 @@ class TriangleSetup:
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Return the dot products of the rows, (N, 1)."""
+    """Return the dot product of each row of `a` with the same row of `b`, (N, 1)."""
     return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
 
 
@@ -102,7 +103,7 @@ _made: WeakKeyDictionary[Part, tuple[tuple[float, ...], TriangleSetup]] = WeakKe
 
 def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
     """Return the triangle setup of a part of a mesh, from a cache. Meshes with the same centre and
-    radius share it."""
+    radius share one setup."""
     place = (*mesh.center, mesh.radius)
     known = _made.get(part)
     if known is None or known[0] != place:

@@ -1,4 +1,4 @@
-"""Encodes a mesh and its maps as data of the explorer's page: quantised and compressed."""
+"""Encodes a mesh and its maps as quantised and compressed data of the explorer's page."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ from facerender.scenes.mips import Kind
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading
 
-POSITION_STEPS = 2**16 - 1  # Across the bounding sphere: 2.6 micrometres on a head.
-NORMAL_STEPS = 2**15 - 1  # Per octahedral coordinate: 0.003 degrees.
+POSITION_STEPS = 2**16 - 1  # Steps across the bounding sphere: 2.6 micrometres each on a head.
+NORMAL_STEPS = 2**15 - 1  # Steps per unit of an octahedral coordinate: 0.003 degrees each.
 UV_STEPS = 2**16 - 1
-VERTEX_STEPS = 10_000  # For colours and occlusion at vertices.
+VERTEX_STEPS = 10_000  # Steps per unit of the colours and the occlusion at vertices.
 LARGEST_MAP = 2048  # Texels per side; every WebGL 2 implementation supports it.
 QUALITIES: dict[Kind, tuple[int, ...]] = {
     "color": (93, 97),
     "normal": (95, 98),
     "data": (93, 97),
 }
-LEAST_LOSS = 1.0  # A JPEG map needs a smaller mean error, in 8-bit levels.
+LEAST_LOSS = 1.0  # Limit of a JPEG map's mean error, in 8-bit levels; above it, the map is a PNG.
 
 
 def drawable(mesh: Mesh) -> Mesh:
     """Return a mesh without the features that the page does not draw.
 
-    All parts are opaque, and blended parts are removed unless all parts are blended. There is no
-    emission. Maps have strength 1, use the first texture coordinates, repeat, and are filtered.
+    All parts of the result are opaque. Blended parts are removed, unless all parts are blended.
+    Materials have no emission. Maps have strength 1, use the first texture coordinates, repeat, and
+    are filtered.
 
     Warns
     -----
@@ -140,8 +141,8 @@ def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 def _planes(values: NDArray[np.int64]) -> bytes:
     """Encode integers (N, K) so that deflate compresses them well.
 
-    The result contains the differences of successive rows, with the sign in the lowest bit. Four
-    planes separate their bytes.
+    The result contains the differences of successive rows, with the sign in the lowest bit. Each of
+    the four bytes of a difference is in a plane of its own.
     """
     steps = np.diff(values, axis=0, prepend=0)
     folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
@@ -151,7 +152,7 @@ def _planes(values: NDArray[np.int64]) -> bytes:
 def encoded(texture: Texture, kind: Kind) -> bytes:
     """Return a map as an image file with row 0 at the bottom.
 
-    It is a JPEG if the mean error is below one 8-bit level, otherwise a PNG.
+    The file is a JPEG if the mean error is below one 8-bit level, otherwise a PNG.
 
     Raises
     ------

@@ -38,7 +38,7 @@ _SCRIPTS = (
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 _CAMERA = ("azimuth", "elevation", "zoom", "fov")
-_G_POWER = GPower(8, 0.25, 0.5)  # the page replaces its numbers
+_G_POWER = GPower(8, 0.25, 0.5)  # a placeholder: the page replaces these numbers
 
 
 def explorer_page(job: Job, mesh: Mesh) -> str:
@@ -49,7 +49,7 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
 
     Parameters
     ----------
-    job : its mesh file, lights, ambient light, background and camera are the initial state
+    job : job whose mesh file, lights, ambient light, background and camera the page shows first
     mesh : mesh of the job
 
     Raises
@@ -129,9 +129,10 @@ def _ranges() -> dict[str, Any]:
 
 
 def _sources() -> dict[str, Any]:
-    """Return the GLSL sources of the page's programs, by role.
+    """Return the GLSL sources of the page's programs, keyed by role.
 
-    A term is stored as indices into ``lines``, without the #version line, and its function call.
+    A term is stored as its function call and the indices of its lines in ``lines``; the #version
+    line is left out.
     """
     host = shader_dir() / "host"
     lines: dict[str, int] = {}
@@ -151,7 +152,7 @@ def _sources() -> dict[str, Any]:
 
 
 def _terms() -> dict[str, tuple[Term, float]]:
-    """Return, by key, every term and the smallest m that its GLSL supports."""
+    """Return every term and the smallest m that its GLSL supports, keyed by the term's words."""
     lobes: dict[str, AnyLobe] = {name: name for name in LOBES} | {"g-power": _G_POWER}
     terms = {}
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):
@@ -169,7 +170,7 @@ def _terms() -> dict[str, tuple[Term, float]]:
 def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
     """Return a light as data, with its direction from the mesh's centre.
 
-    A point light also has its distance from the centre, in the renderer's space.
+    The data of a point light include the light's distance from the centre, in the renderer's space.
     """
     azimuth, elevation, distance = light.azimuth, light.elevation, None
     if light.position is not None:

@@ -31,7 +31,7 @@ from facerender.system.standard_error import redirected_stderr
 
 MOVING = (".gif", ".webp", ".mp4")
 _HIGHEST = 16383  # largest side of a WebP, in pixels
-_CRF = "16"  # constant rate factor of H.264: the quality of an MP4
+_CRF = "16"  # constant rate factor of H.264, which sets the quality of an MP4
 
 
 def save_animation(
@@ -45,7 +45,7 @@ def save_animation(
     ----------
     images : 8-bit sRGB arrays of one size, (H, W, 3), as :meth:`facerender.Frame.srgb8` returns
         them; a generator is read one image at a time. A .webp also accepts (H, W, 4). An .mp4 with
-        an odd side gets one more row or column, which is black
+        an odd height or width gets one more row or column, which is black
     fps : images per second, in [0.1, 100]; a GIF rounds delays to hundredths of a second
 
     Raises
@@ -71,7 +71,8 @@ def save_animation(
 
 
 def check_animation(path: str | os.PathLike[str], fps: float) -> str:
-    """Return the suffix; raise InputError if suffix or fps is invalid or an .mp4 lacks ffmpeg."""
+    """Return the path's suffix. Raise InputError if suffix or fps is invalid, or if an .mp4 cannot
+    be written because ffmpeg is missing."""
     check_path("image file", path)
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in MOVING:
@@ -150,13 +151,14 @@ def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], 
 
 
 def _has_index(name: str) -> bool:
-    """Return whether an MP4 has its last box, "moov": write_frames ignores ffmpeg's exit status."""
+    """Return whether a file is a complete MP4, with the last box "moov". Needed because the
+    function write_frames ignores the exit status of ffmpeg."""
     with suppress(OSError), open(name, "rb") as file:
         while len(head := file.read(16)) >= 8:
             size, kind = struct.unpack_from(">I4s", head)
             if kind == b"moov":
                 return True
-            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 1: 64-bit
+            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 64-bit size size
             if size < 8:
                 return False
             file.seek(size - len(head), os.SEEK_CUR)
@@ -166,7 +168,7 @@ def _has_index(name: str) -> bool:
 @contextmanager
 def _sigpipe_ignored() -> Iterator[None]:
     """Make a write to a closed pipe raise BrokenPipeError if ffmpeg ends early. Otherwise SIGPIPE
-    would end the process: the command line enables that for standard output."""
+    would end the process: the command line enables SIGPIPE for standard output."""
     if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
         yield
         return

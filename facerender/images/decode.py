@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 MAX_SIDE = 16384  # pixels
 MAX_PIXELS = 178_956_970  # above this, Pillow raises DecompressionBombError
-MAX_BYTES = 1 << 31  # of a decoded image
+MAX_BYTES = 1 << 31  # largest size of a decoded image, in bytes
 _UNSUSPECTED = 64 << 20  # decoded bytes; up to this size the compression ratio is not checked
 _MOST_PACKED = 2000  # largest compression ratio; deflate reaches 1032
-_STRIP = 256  # rows
+_STRIP = 256  # rows that are converted at once
 
 
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
@@ -33,8 +33,8 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float)
 
     Raises
     ------
-    InputError : no pixels; more than MAX_SIDE pixels on a side, MAX_PIXELS or MAX_BYTES; or more
-        pixels than a file of this size can contain
+    InputError : no pixels; more than MAX_SIDE pixels on a side; more than MAX_PIXELS pixels; more
+        than MAX_BYTES when decoded; or more pixels than a file of this size can contain
     """
     size, content = f"{name} is {width} x {height} pixels", width * height * bytes_each
     if width < 1 or height < 1:
@@ -54,12 +54,12 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
     Parameters
     ----------
     content : bytes of the file, or the file, which must stay open until the pixels are decoded
-    formats : accepted formats, by Pillow's names
-    known : the formats that the error message recommends
+    formats : accepted formats, as Pillow names them
+    known : text for the error message that lists the recommended formats
 
     Raises
     ------
-    InputError : another format, a damaged file, or an image that is too large
+    InputError : a format that is not accepted, a damaged file, or an image that is too large
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -84,7 +84,8 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:
     """Return the pixels of a Pillow image, converted to a mode, as an array (H, W, channels).
-    Converts in strips to avoid a second full copy. Pillow's exceptions pass through."""
+    The image is converted in strips to avoid a second full copy. Pillow's exceptions pass through.
+    """
     image.load()
     pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)
     for top in range(0, image.height, _STRIP):

@@ -22,11 +22,12 @@ from facerender.system.standard_error import redirected_stderr
 # EXR's default chromaticities: x and y of red, green, blue and white.
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _MAGIC = b"v/1\x01"
-_MULTIPART = 0x10  # bit in byte 5 of the file
+_MULTIPART = 0x10  # bit in byte 5 of an EXR file, set if the file has several parts
 _HALF = 1  # EXR's number for the pixel type HALF
 _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers of the lossy compressions
-_B44_LOSS, _DWA_LOSS = 0.012, 0.015  # largest errors for the built-in head at 256 to 1024 pixels
-_MOVED = ("moved_least", "moved_most")  # layers of a golden: its shift_range
+# Largest values of ImageData.noise for images of the built-in head with 256 to 1024 pixels a side.
+_B44_LOSS, _DWA_LOSS = 0.012, 0.015
+_MOVED = ("moved_least", "moved_most")  # layers of a golden image that store its shift_range
 _DWA_LEVEL = 45.0  # default of the EXR attribute dwaCompressionLevel
 _HIGHEST_DWA_LEVEL = 1000.0  # with a higher level, any difference would count as compression loss
 
@@ -55,10 +56,10 @@ def exr_bytes(
     """Return the bytes of an OpenEXR file. Needs the extra ``exr``.
 
     name : file name for messages
-    channels : arrays (H, W), or (H, W, C) for several channels, by channel name; float16 stays
-        half float, other types become float32
+    channels : arrays keyed by the channel name: (H, W), or (H, W, C) for several channels. float16
+        is written as half floats, any other type as float32
 
-    The same channels and metadata give the same bytes. The file is built in memory because
+    Equal channels and metadata give equal bytes. The file is built in memory because
     OpenEXR ignores a failed write of its last buffer, for example on a full disk.
     """
     OpenEXR = openexr(name)
@@ -118,7 +119,7 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
 
 
 def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
-    """Return :attr:`ImageData.noise` for the compression and pixel type of an EXR.
+    """Return :attr:`ImageData.noise` for the compression and pixel type of an EXR file.
 
     half : whether a channel contains half floats
 
@@ -126,7 +127,7 @@ def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
     ------
     ValueError, struct.error : an invalid DWA level
 
-    References: OpenEXR, "Technical Introduction"; source of its DWA compressor, for the level.
+    References: OpenEXR, "Technical Introduction"; for the DWA level, source code of OpenEXR.
     """
     compression = header[b"compression"][0]
     if compression in (_DWAA, _DWAB):
@@ -170,7 +171,7 @@ def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
 
 
 def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
-    """Return EXR's pixel type number of each channel, by channel name."""
+    """Return EXR's pixel type number of each channel, keyed by the channel name."""
     channels, at, kinds = header[b"channels"], 0, {}
     while channels[at]:
         end = channels.index(0, at)
@@ -182,8 +183,8 @@ def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
 def _checked_exr(
     path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int
 ) -> Mapping[bytes, bytes]:
-    """Return the header of a flat single-part image. Raises InputError for deep, multi-part and too
-    large images, before OpenEXR reads the pixels."""
+    """Return the header of a flat image with one part. Raise InputError for an image that is deep,
+    has several parts or is too large, before OpenEXR reads the pixels."""
     if len(headers) > 1:
         raise InputError(f"{path} has {len(headers)} parts: save one part as a file")
     (header,) = headers
@@ -197,7 +198,7 @@ def _checked_exr(
 
 
 def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
-    """Copy the pixels of an EXR's data window into its display window; pixels outside are 0."""
+    """Copy an EXR's data window into its display window; pixels without data are 0."""
     (left, top), (right, bottom) = np.asarray(header["displayWindow"]).tolist()
     size = (bottom - top + 1, right - left + 1)
     corner = np.asarray(header["dataWindow"]).tolist()[0]

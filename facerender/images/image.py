@@ -17,7 +17,8 @@ HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 
 
 class PixelRange(NamedTuple):
-    """Lower and upper bound of each pixel, (H, W, C): colours, and coverage if present."""
+    """Smallest and largest values of each pixel's colours, and of its coverage if present. Both
+    arrays are (H, W, C)."""
 
     low: NDArray[np.float16]
     high: NDArray[np.float16]
@@ -30,17 +31,18 @@ class ImageData:
     Attributes
     ----------
     pixels : (H, W, 1 to 4), row 0 on top; linear float32 (float16 if read from a half-float EXR) or
-        uint8. With 2 or 4 channels, the last one is alpha
+        sRGB uint8. If there are 2 or 4 channels, the last channel is alpha
     encoding : "linear" or "srgb8"
     name : name for messages
     metadata : texts stored in the file
-    color_space : colour space according to the file; "" for sRGB or if the file specifies none
+    color_space : colour space that the file specifies; "" for sRGB or if the file specifies none
     profile : name of the ICC profile from which the colours were converted to sRGB, "" for none
-    jpeg : whether the file is a JPEG, whose compression changed the pixels
-    noise : RMS error of a pixel. Linear images: from half floats or lossy EXR compression, relative
-        to max(radiance, 0.01). 8-bit images: from colour conversion, in 8-bit levels
-    shift_range : range of each pixel over 24 shifts of the image by at most 0.1 pixel; None if the
-        file contains none
+    jpeg : whether the file is a JPEG, so that compression has changed the pixels
+    noise : RMS error of the pixels. For a linear image, the error of half floats or of lossy EXR
+        compression, divided by max(radiance, 0.01). For an 8-bit image, the rounding error of the
+        colour conversion, in 8-bit levels
+    shift_range : range of each pixel's values over 24 shifts of the image by at most 0.1 pixel;
+        None if the file stores no such range
     """
 
     pixels: NDArray[Any]
@@ -55,7 +57,8 @@ class ImageData:
 
     @property
     def coverage(self) -> NDArray[np.float32]:
-        """Alpha (H, W) in [0, 1]; 1 if there is none, or if a linear image's is 0 everywhere."""
+        """Alpha (H, W) in [0, 1]. It is 1 if the image has no alpha, or if the image is linear and
+        its alpha is 0 everywhere."""
         return self.rows(slice(None))[1]
 
     @property

@@ -21,16 +21,16 @@ from facerender.system.files import check_downloaded, open_file
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 SRGB_GAMMA = 0.45455  # gAMA chunk of an sRGB PNG
-_CONVERTED = 0.5  # RMS error of a colour conversion's rounding before and after, in 8-bit levels
+_CONVERTED = 0.5  # RMS error of a colour conversion that reads and returns 8-bit levels, in levels
 _NPY = b"\x93NUMPY"
-_LONGEST_HEADER = 1 << 16  # of a NumPy array, in bytes
-_LONGEST_EXR = 1 << 24  # of an EXR header, in bytes
+_LONGEST_HEADER = 1 << 16  # largest header of a NumPy array, in bytes
+_LONGEST_EXR = 1 << 24  # largest header of an EXR file, in bytes
 
 
 def read_image(path: str | os.PathLike[str]) -> ImageData:
     """Read an image file.
 
-    path : .exr (needs the extra ``exr``), .npz or .npy (linear floats, or 8-bit), .png or .jpg
+    path : .exr (needs the extra ``exr``), .npz or .npy (linear floats, or 8-bit sRGB), .png or .jpg
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
 
     Raises
     ------
-    InputError : the array contains Python objects, has no image's shape, or is too large
+    InputError : the array contains Python objects, does not have an image's shape, or is too large
     """
     start = file.read(_LONGEST_HEADER)
     head = BytesIO(start)
@@ -102,7 +102,7 @@ def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
 
 
 def _read_8_bit(path: Path, content: bytes) -> ImageData:
-    # Pillow would silently drop the lower byte.
+    # Pillow would silently drop the lower byte of 16-bit values.
     if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":
         raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
     image = open_image(content, str(path), ("PNG", "JPEG"), "PNG or JPEG")
@@ -132,7 +132,7 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
 
 
 def _to_srgb(pixels: NDArray[np.uint8], content: bytes) -> tuple[NDArray[np.uint8], str]:
-    """Convert 8-bit pixels (H, W, 1 to 4) from an ICC profile to sRGB, and clip to its gamut.
+    """Convert 8-bit pixels (H, W, 1 to 4) from an ICC profile to sRGB; clip to the sRGB gamut.
 
     Return the pixels, with their alpha unchanged, and the name of the profile. The name is "" if
     the conversion changes no pixel.

@@ -23,7 +23,7 @@ def linear_to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def _srgb_bytes() -> NDArray[np.uint8]:
-    """Return the 8-bit sRGB value of every float16, indexed by its bit pattern. NaN is black."""
+    """Return the 8-bit sRGB value of every float16, indexed by the float16's bits. NaN is black."""
     halves = np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float64)
     return np.round(255.0 * linear_to_srgb(np.nan_to_num(halves))).astype(np.uint8)
 
@@ -37,14 +37,16 @@ def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[
     Parameters
     ----------
     linear : any shape
-    exposure : stops in [-100, 100]; the radiance is multiplied by 2**exposure
+    exposure : exposure in stops, in [-100, 100]; the radiance is multiplied by 2**exposure
 
     Raises
     ------
     InputError : exposure outside its range
     """
     if not -100.0 <= exposure <= 100.0:
-        raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
+        raise InputError(
+            f"exposure = {exposure:g} is outside [-100, 100]: give a value in this range"
+        )
     with np.errstate(over="ignore"):  # values above 65504 become infinite, which is white
         scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
         halves = scaled.astype(np.float16)

@@ -1,5 +1,5 @@
-"""Load meshes with their materials and maps: read, check and repair files, and place instances by
-the scene graph. No OpenGL here."""
+"""Load meshes with their materials and maps: read, check and repair files, and place mesh instances
+by the scene graph. This package does not use OpenGL."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ def load_mesh(
         Pillow images that replace the file's own maps; see :class:`facerender.Material` and
         :meth:`facerender.Texture.from_array`
     flip_v : reverse the v axis of the texture coordinates
-    millimetres : length of a unit of the file in mm, which scattering requires. None: 1000 for .glb
-        and .gltf, the units of a trimesh object, undefined for other formats
+    millimetres : length of one unit of the file in mm, required for subsurface scattering. None:
+        1000 for .glb and .gltf, the unit of a trimesh object, undefined for other formats
     cache : load the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
-        since it was stored. Otherwise decode all of its maps, and store it in the background. Only
-        for files and bytes
+        since the mesh was stored. Otherwise decode all maps, and store the mesh in the background.
+        Trimesh objects, and meshes with maps that are not files, are not cached
     allow_outside : open referenced files at any path. By default, only files below the mesh file's
-        folder are opened. A mesh in bytes has no folder: none of its referenced files is opened
+        folder are opened. A mesh given as bytes has no folder: no file that it references is opened
     kind : "glb", "gltf", "obj", "ply" or "stl"; required if neither the file name nor the bytes
         identify the format
     normal_map_y : direction of green in normal maps: "up" (OpenGL, glTF) or "down" (DirectX)
@@ -96,7 +96,7 @@ def cached_mesh(
     normal_map_y: str = "up",
     **maps: Path_ | None,
 ) -> Mesh | None:
-    """Return the mesh that :func:`load_mesh` would load from the cache; None if it is missing."""
+    """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
     paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
     files = MeshFiles(source_of(source), paths, Orientation(flip_v, normal_map_y), allow_outside)
     mesh = files.find()
@@ -112,7 +112,7 @@ def _loaded(
     allow_outside: bool,
     cache: bool,
 ) -> Mesh:
-    """Return the mesh of a source; ``paths`` and ``textures`` replace its own maps."""
+    """Return the mesh of a source; ``paths`` and ``textures`` replace maps of the source."""
     check_switch("cache", cache)
     check_switch("allow_outside", allow_outside)
     if is_object(source):
@@ -139,7 +139,7 @@ def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
 
 
 def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
-    """Split maps into image files and textures, both by field of :class:`Material`."""
+    """Split maps into image files and textures, keyed by the field of :class:`Material`."""
     paths: dict[str, Path] = {}
     textures: dict[str, Texture] = {}
     for name, value in sources.items():
@@ -159,10 +159,10 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
 
 
 def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
-    """Return the mesh of a file, and the files that it refers to."""
+    """Return the mesh of a file, and the files that this file refers to."""
     source = files.source
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
-    with np.errstate(all="ignore"):  # clean() drops vertices that overflow
+    with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
         found, references = read(source, "albedo_map" in overrides, files.allow_outside)
         millimetres = 1000.0 if source.suffix in GLTF else None
         mesh = _assembled(found, source.name, overrides, files.orientation, millimetres)
@@ -190,8 +190,8 @@ def _assembled(
 
 
 def _override(pieces: Sequence[Piece], maps: Mapping[str, Texture], name: str) -> None:
-    """Replace maps of every piece that has texture coordinates. A new map takes the sampling of the
-    map that it replaces, or else of the albedo map."""
+    """Replace maps of every piece that has texture coordinates. A new map takes the wrapping
+    and filtering of the map that it replaces or, without one, of the albedo map."""
     if all(piece.uv is None for piece in pieces):
         raise InputError(
             f"{name} has no texture coordinates, which {next(iter(maps.values())).name} "

@@ -23,27 +23,30 @@ from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file
 
-_IGNORED = ("name", "transform_matrix")  # keys of a camera's table; transform_matrix repeats Rt
+_IGNORED = ("name", "transform_matrix")  # keys that Camera lacks; transform_matrix repeats Rt
 
 
 def load_cameras(
     path: str | os.PathLike[str], size: tuple[int, int] | None = None
 ) -> dict[str, Camera]:
-    """Return the cameras of a file by name; cameras without a name are numbered.
+    """Return the cameras of a file, keyed by their names. The key of a camera without a name is the
+    name of the file (for glTF "camera") and a number.
 
     Parameters
     ----------
-    path : .toml with [[cameras]] or [camera], see :func:`facerender.load_scene`; .json with one
-        table, a list of tables, or the key "cameras" with such a list; .npz; .glb or .gltf.
-        A .json table has the fields of :class:`Camera`, or "K" (3 x 3), "Rt" (3 x 4 or 4 x 4) or
-        "R" and "t", "width" and "height"; "name" is optional. The arrays of a .npz have these
-        names; an additional first axis holds several cameras. Cameras of glTF files must be
-        perspective; they keep their pose in the scene and their vertical angle of view
-    size : width and height of the images in pixels, for intrinsics without a size
+    path : camera file in one of these formats
+
+        - .toml: [[cameras]] or [camera], see :func:`facerender.load_scene`
+        - .json: one table, a list of tables, or the key "cameras" with a list of tables. A table
+          has the fields of :class:`Camera`, or intrinsics "K" (3 x 3), a pose ("Rt", 3 x 4 or
+          4 x 4, or "R" and "t"), "width" and "height". The key "name" is optional
+        - .npz: arrays with the names of these keys; several cameras need an additional first axis
+        - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
+    size : width and height of the images in pixels; used if the file has intrinsics without a size
 
     Raises
     ------
-    InputError : the file cannot be read, or has no camera or an invalid one
+    InputError : the file cannot be read, has no camera, or has an invalid camera
     """
     check_path("camera file", path)
     size = None if size is None else SIZES.check("size", size)
@@ -71,12 +74,12 @@ def load_cameras(
 
 
 def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
-    """Return the perspective cameras of a glTF scene, by the name of the node or else of the
-    camera.
+    """Return the perspective cameras of a glTF scene, keyed by the name of the node or,
+    if the node has no name, by the name of the camera.
 
     Raises
     ------
-    InputError : the file is damaged, or has no camera or an orthographic one
+    InputError : the file is damaged, has no camera, or has an orthographic camera
     """
     document = document_of(chunks(content, name)[0], name)
     found = []
@@ -100,7 +103,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
 
 
 def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
-    """Return the camera of a node, which looks along -z with y up."""
+    """Return the camera of a node. It looks along -z of the node, and y of the node is up."""
     axes = world[:3, :3] * (1.0, -1.0, -1.0)
     with np.errstate(all="ignore"):
         turn = (axes / np.linalg.norm(axes, axis=0)).T
@@ -109,7 +112,7 @@ def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
 
 
 def _named(found: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
-    """Return cameras by unique names."""
+    """Return cameras keyed by unique names; a missing or repeated name gets a number."""
     cameras: dict[str, Camera] = {}
     for number, (name, camera) in enumerate(found):
         own = name if name and name not in cameras else f"{name or stem}_{number:03d}"
@@ -163,7 +166,7 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
 
 
 def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
-    """Return the name and the camera of a table with matrices or with fields of Camera."""
+    """Convert a table with matrices, or with fields of Camera, to a name and a camera."""
     if not isinstance(table, Mapping):
         raise InputError(f"camera = {shown(table)}: give a table")
     fields = {key: value for key, value in table.items() if key not in _IGNORED}

@@ -17,8 +17,8 @@ from facerender.system.files import read_file
 
 
 def load_environment(file: EnvironmentFile) -> Environment:
-    """Load an environment map. The panoramas of the last two files are cached, with the data
-    derived from them, and shared by all environments of the same file.
+    """Load an environment map. The panoramas of the last two files are cached, with all data
+    derived from these panoramas. All environments of one file share its panorama.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Convert trimesh meshes and scenes to pieces, whether trimesh read them or a program made them."""
+"""Convert meshes and scenes of trimesh, from files or from programs, to pieces."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
 
 
 def name_of(source: trimesh.Trimesh | trimesh.Scene) -> str:
-    """Return the name of a mesh or scene for messages: the name in its metadata, or its type."""
+    """Return a name for messages: the name in the metadata of the source, or else its type."""
     facts = source.metadata
     found = facts.get("name") or facts.get("file_name")
     return clipped(found, 80) if isinstance(found, str) else f"a trimesh.{type(source).__name__}"
 
 
 def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
-    """Return the length of a unit in mm; None if the object does not define it."""
+    """Return the length of the object's unit in mm; None if the object does not define a unit."""
     import trimesh
 
     try:
@@ -48,7 +48,7 @@ def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
 
 
 def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]:
-    """Return a copy of every mesh instance with faces.
+    """Return a copy of every mesh instance that has faces.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _instances(source: trimesh.Trimesh | trimesh.Scene) -> Iterator[Instance]:
 
 def has_normals(geometry: trimesh.Trimesh) -> bool:
     """Return whether a geometry has stored normals."""
-    # Reading vertex_normals computes missing normals, and trimesh has no public check for them.
+    # Reading vertex_normals computes missing normals. trimesh has no public check for normals.
     return "vertex_normals" in geometry._cache.cache
 
 
@@ -102,8 +102,9 @@ def piece_of(
 
     Parameters
     ----------
-    name : the file's, for messages
-    textures : by ``id`` of the image: Pillow decodes an image in one thread only
+    name : name of the file, for messages
+    textures : textures of earlier pieces, keyed by the ``id`` of the image. Pieces share a texture
+        because Pillow decodes an image in one thread only
     lost_images : whether an image of the file is missing
     library : the materials of an OBJ file, or None
     """
@@ -112,7 +113,7 @@ def piece_of(
         raise ValueError("its vertices do not have three coordinates")
     faces = np.asarray(geometry.faces, dtype=np.int64)
     known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-    if not known.all():  # trimesh converts colours of its faces to vertex colours: drop them there
+    if not known.all():  # drop the faces in trimesh, which later converts face colours
         geometry.update_faces(known)
         faces = np.asarray(geometry.faces, dtype=np.int64)
     normals = None
@@ -138,7 +139,7 @@ def piece_of(
             uv2 = None if look.second is None else look.second.applied(uv)
             uv = look.first.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
-        material = replace(material, albedo=SKIN_ALBEDO)  # white is only the factor of the map
+        material = replace(material, albedo=SKIN_ALBEDO)  # this white only multiplies the lost map
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
     return Piece(
@@ -154,7 +155,7 @@ def piece_of(
 
 
 def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Texture]) -> Material:
-    """Convert a trimesh material, or None, of a trimesh object or a PLY or STL file."""
+    """Convert the trimesh material, if any, of a trimesh object or of a PLY or STL file."""
     if hasattr(source, "baseColorFactor"):
         return _of_gltf(source, file, textures)
     image = None if source is None else source.image
@@ -172,7 +173,7 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
 
 
 def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
-    """Convert a PBR material of trimesh, with the factors of glTF and colours in bytes."""
+    """Convert a PBR material of trimesh. It has the factors of glTF; its colours are bytes."""
 
     def texture(name: str, what: str) -> Texture | None:
         if (image := getattr(source, name)) is None:
@@ -201,7 +202,7 @@ def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
         normal_map=texture("normalTexture", "normal"),
         roughness_map=properties and properties.channel(1, properties.name),
         occlusion_map=occlusion and occlusion.channel(0, occlusion.name),
-        alpha=alpha,  # type: ignore[arg-type]  # Material refuses others
+        alpha=alpha,  # type: ignore[arg-type]  # Material refuses other modes
         opacity=float(factors[3]),
         alpha_cutoff=0.5 if cutoff is None else float(cutoff),
         opacity_map=opacity_map,

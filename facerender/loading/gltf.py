@@ -1,4 +1,4 @@
-"""Read glTF files, text or binary: every instance of a triangle mesh, in its stored pose."""
+"""Read every instance of a triangle mesh in a .gltf or .glb file, in the stored pose."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from facerender.scenes.repair import Piece, check_count, placed
 
 _TRIANGLES, _FAN = 4, 6  # primitive modes; 5 is a strip
 _DRACO = "KHR_draco_mesh_compression"
-_AT_ONCE = 1 << 16  # vertices per block: each needs a matrix
+_AT_ONCE = 1 << 16  # vertices per block: each vertex needs a 4 x 4 matrix
 
 Float = NDArray[np.float64]
 
@@ -35,10 +35,10 @@ class Primitive:
     properties : the primitive's JSON object
     where : the primitive's path in the document, for messages
     positions : (N, 3), all vertices
-    vertices : indices of the vertices that the faces use, or a slice
-    faces : (F, 3), indices into these vertices
-    corner_count : number of indices
-    out_of_range : number of dropped faces, whose vertices do not exist
+    vertices : indices of the vertices that the faces use, or the slice of all vertices
+    faces : (F, 3), indices into ``positions[vertices]``
+    corner_count : number of vertex indices in the file
+    out_of_range : number of faces that were dropped because they use a missing vertex
     """
 
     def __init__(self, buffers: Buffers, properties: Doc, where: str) -> None:
@@ -76,7 +76,7 @@ class Primitive:
         return indices.reshape(-1)
 
     def column(self, key: str, *widths: int) -> NDArray[Any] | None:
-        """Return an attribute of the vertices in use, (N, K) with K in ``widths``, or None."""
+        """Return an attribute of ``vertices``, (N, K) with K in ``widths``; None if missing."""
         values = self._attribute(key, widths)
         if values is not None and len(values) != len(self.positions):
             raise ValueError(
@@ -85,14 +85,14 @@ class Primitive:
         return None if values is None else values[self.vertices]
 
     def uv(self, transform: TextureTransform | None) -> NDArray[np.float64] | None:
-        """Return texture coordinates with v upwards, or None if they are missing."""
+        """Return texture coordinates with v upwards; None if they are missing."""
         if transform is None:
             return None
         uv = self.column(f"TEXCOORD_{transform.texcoord}", 2)
         return None if uv is None else transform.applied(uv)
 
     def influences(self) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        """Return joints and their weights, both (N, 4) or (N, 8), or None."""
+        """Return joints and weights of ``vertices``, (N, 4) or (N, 8) each; None without joints."""
         accessors = self.properties["attributes"]
         sets = [i for i in (0, 1) if f"JOINTS_{i}" in accessors and f"WEIGHTS_{i}" in accessors]
         if not sets:
@@ -106,7 +106,7 @@ class Primitive:
         return joints, weights
 
     def _draco(self, draco: Doc) -> dict[str, NDArray[Any]]:
-        """Decompress the primitive: return attributes by name, and "faces" if there are any."""
+        """Decompress the primitive. Return its attributes, and its faces if any, keyed by name."""
         try:
             import DracoPy
         except ImportError:
@@ -141,9 +141,10 @@ def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
 def _compact(
     faces: NDArray[np.int64], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64] | slice, int]:
-    """Return the faces with valid indices, the vertices to keep, and the number of other faces.
+    """Return the valid faces as indices into the vertices to keep, these vertices, and the number
+    of dropped faces.
 
-    Primitives may share a vertex array, so most of its vertices may belong to others.
+    Primitives may share a vertex array, so most of its vertices may belong to other primitives.
     """
     known = (faces < count).all(axis=1)
     out_of_range = len(faces) - int(known.sum())
@@ -156,8 +157,8 @@ def _compact(
 
 
 def unit_colors(colors: NDArray[Any]) -> NDArray[np.float64]:
-    """Return linear RGB in [0, 1]."""
-    if colors.dtype.kind != "f":  # integer colours count as normalised even without the flag
+    """Return vertex colours as linear RGB in [0, 1]."""
+    if colors.dtype.kind != "f":  # normalise integers even without the flag "normalized"
         colors = colors / np.iinfo(colors.dtype).max
     return np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
 
@@ -169,13 +170,13 @@ def skinned(
     weights: NDArray[Any],
     matrices: Float,
 ) -> tuple[Float, Float | None, bool]:
-    """Return skinned positions and normals, and whether skinning mirrors the mesh.
+    """Return skinned positions and normals, and whether skinning mirrors most vertices.
 
     Parameters
     ----------
     joints, weights : (N, K), indices and weights of K joints per vertex
-    matrices : (J, 4, 4), for column vectors: joint matrix times inverse bind matrix, from mesh
-        space to scene space
+    matrices : (J, 4, 4), joint matrix times inverse bind matrix; they transform column vectors from
+        mesh space to scene space
 
     Raises
     ------
@@ -186,7 +187,7 @@ def skinned(
     fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
     total = fractions.sum(axis=1, keepdims=True)
     fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
-    fractions[:, 0] += total[:, 0] <= 0.0  # vertices without weights follow joint 0
+    fractions[:, 0] += total[:, 0] <= 0.0  # vertices without weights follow their first joint
     moved = np.empty((len(positions), 3))
     turned = None if normals is None else np.empty((len(positions), 3))
     mirrored = 0
@@ -204,15 +205,15 @@ def skinned(
     return moved, turned, 2 * mirrored > len(positions)
 
 
-# Limit of drawn vertices and faces: 8 times the stored ones plus 2^20.
+# The limit of drawn vertices plus faces is 8 times the number of stored elements, plus 2^20.
 _TIMES, _MOST_REPEATED = 8, 1 << 20
 
 
 def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[Piece]:
-    """Return every instance of a primitive with triangles.
+    """Return a piece for every instance of a primitive that has triangles.
 
-    referred : reader of buffers and images
-    without_albedo : skip the albedo maps of the file
+    referred : reader of the buffers and images that are separate files
+    without_albedo : whether to skip the albedo maps of the file
 
     Raises
     ------
@@ -238,8 +239,8 @@ def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[P
 class _Instance:
     """An instance of a mesh, placed by a node.
 
-    weights : of the morph targets
-    skin : index of the skin that places the mesh instead of the node, or None
+    weights : weights of the morph targets
+    skin : index of the skin, whose joints place the mesh; None: the node places the mesh
     """
 
     mesh: int
@@ -250,8 +251,8 @@ class _Instance:
 
 
 class _File:
-    """A glTF file whose JSON is checked, but not its buffers. Methods raise ValueError if the data
-    are damaged."""
+    """A glTF file with checked JSON and unchecked buffers. Methods raise ValueError if the data are
+    damaged."""
 
     def __init__(
         self,
@@ -266,10 +267,10 @@ class _File:
         self.buffers = Buffers(name, document, binary, referred)
         self.materials = Materials(self.buffers, without_albedo)
         self.warn = self.materials.warn
-        self.worlds: dict[int, NDArray[np.float64]] = {}  # by index of the node
+        self.worlds: dict[int, NDArray[np.float64]] = {}  # keyed by the node's index
         self.skins: dict[int, NDArray[np.float64] | None] = {}
-        self.own: dict[int, int] = {}  # number of elements by index of the accessor
-        self.drawn = 0  # number of vertices and faces
+        self.own: dict[int, int] = {}  # number of elements, keyed by the accessor's index
+        self.drawn = 0  # number of drawn vertices and faces
 
     def pieces(self) -> list[Piece]:
         for each in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
@@ -297,7 +298,7 @@ class _File:
             if piece := self._piece(primitive, where, instance.weights, matrices):
                 found.append(piece)
         if len(found) == 1:
-            found[0].name = ""  # material names only distinguish several pieces
+            found[0].name = ""  # the material's name is only needed to distinguish several pieces
         return found
 
     def _count_drawn(self, count: int) -> None:
@@ -310,7 +311,8 @@ class _File:
     # --- nodes -----------------------------------------------------------------------------------
 
     def _instances(self) -> list[_Instance]:
-        """Return every visible instance of a mesh, named after its node or else the mesh."""
+        """Return every visible instance of a mesh. An instance has the name of its node or, if the
+        node has no name, of its mesh."""
         found: list[_Instance] = []
         count = 0
         for index, node, world, visible in scene_nodes(self.document):
@@ -329,7 +331,7 @@ class _File:
             skin = node.get("skin")
             found += [_Instance(node["mesh"], name, each, weights, skin) for each in places]
         return [
-            replace(each, world=np.eye(4))  # a skin ignores its node's transform
+            replace(each, world=np.eye(4))  # a skinned mesh ignores its node's transform
             if each.skin is not None and self._joints(each.skin) is not None
             else each
             for each in found
@@ -387,13 +389,13 @@ class _File:
         weights: Sequence[float],
         matrices: NDArray[np.float64] | None,
     ) -> Piece | None:
-        """Return a primitive in mesh space, or in scene space if it is skinned; None if it has no
-        triangles.
+        """Return a primitive in mesh space, or in scene space if it is skinned. Return None for a
+        primitive without triangles.
 
         Parameters
         ----------
-        weights : of the morph targets
-        matrices : of the joints (J, 4, 4), or None
+        weights : weights of the morph targets
+        matrices : joint matrices of the skin (J, 4, 4); None without a skin
         """
         attributes = properties["attributes"]
         if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:

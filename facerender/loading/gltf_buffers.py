@@ -13,9 +13,10 @@ from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc
 from facerender.loading.references import References, inline
 from facerender.system.meshoptimizer import library
 
-# A decompressed view has at most _SMALL bytes, or _TIMES its compressed bytes, up to _MOST bytes.
+# A decompressed view has at most _MOST bytes. If it has more than _SMALL bytes, it has at most
+# _TIMES times the bytes of the compressed view.
 _MOST, _SMALL, _TIMES = 1 << 30, 1 << 26, 256
-# Mode: decoder, allowed bytes per element, divisor of the count.
+# Keyed by mode: decoder, allowed bytes per element, divisor of the number of elements.
 _MODES = {
     "ATTRIBUTES": ("decodeVertexBuffer", range(4, 257, 4), 1),
     "TRIANGLES": ("decodeIndexBuffer", (2, 4), 3),
@@ -30,10 +31,10 @@ _FILTERS = {
 
 
 def decoded(content: bytes, view: Doc, name: str) -> memoryview:
-    """Decompress a view of EXT_meshopt_compression.
+    """Decompress a view that uses EXT_meshopt_compression.
 
     view : the extension's JSON object
-    name : the file's, for messages
+    name : name of the file, for messages
 
     Raises
     ------
@@ -72,7 +73,7 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
 
 def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
     """Decode the filter COLOR, which meshoptimizer for Python lacks: convert Y, Co, Cg and alpha
-    (N, 4) to RGBA. The highest set bit of alpha gives the number of bits."""
+    (N, 4) to RGBA. The highest set bit of alpha gives the number of bits per channel."""
     signed = encoded.view(encoded.dtype.str.replace("u", "i")).astype(np.int32)
     y, alpha = encoded[:, 0].astype(np.int32), encoded[:, 3].astype(np.int32)
     orange, green = signed[:, 1], signed[:, 2]
@@ -81,18 +82,18 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
         most |= most >> bits
     alpha = ((alpha << 1) & most) | (alpha & 1)
     whole = np.stack([y + orange - green, y + green, y - orange - green, alpha], axis=1)
-    with np.errstate(all="ignore"):  # a damaged file may have an alpha of 0 bits
+    with np.errstate(all="ignore"):  # alpha may be 0 in a damaged file
         scale = np.float32(np.iinfo(encoded.dtype).max) / most.astype(np.float32)
         scaled = whole.astype(np.float32) * scale[:, None] + np.float32(0.5)
         return scaled.astype(np.int64).astype(encoded.dtype)
 
 
-_MOST_ZEROS = 1 << 26  # bytes of a sparse accessor without a view
+_MOST_ZEROS = 1 << 26  # largest sparse accessor without a view, in bytes
 
 
 class Buffers:
-    """The views and accessors of a checked document, by index. Methods raise ValueError if the data
-    are damaged or missing."""
+    """The buffers, views and accessors of a checked glTF document. Methods raise ValueError if
+    the data are damaged or missing."""
 
     def __init__(
         self, name: str, document: Doc, binary: memoryview | None, referred: References
@@ -102,7 +103,7 @@ class Buffers:
         self.binary = binary
         self.referred = referred
         self.buffers: dict[int, memoryview] = {}
-        self.unpacked: dict[int, memoryview] = {}  # by index of the compressed view
+        self.unpacked: dict[int, memoryview] = {}  # decompressed bytes, keyed by the view's index
 
     def _buffer(self, index: int) -> memoryview:
         if index not in self.buffers:

@@ -1,4 +1,4 @@
-"""Read the chunks of a glTF file, and check its JSON against a table of the properties in use. The
+"""Read the chunks of a glTF file, and check its JSON against a table of supported properties. The
 table follows the schema of glTF 2.0 (Khronos, 2021, section 5); other properties are ignored."""
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from facerender.errors import InputError, reason
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
 Doc = dict[str, Any]
 
-MOST_VALUES = 2_000_000  # per document; each takes up to 100 bytes of memory
-MOST_ENTRIES = 1 << 17  # per list of the document, such as nodes or accessors
+MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
+MOST_ENTRIES = 1 << 17  # entries per list of the document, such as nodes or accessors
 
-# The properties of each object; ! marks required ones. "#nodes" is an index into nodes, "[x]" a
-# list of x, "{x}" an object with any keys, "3 x" a list of three; x may be an object of this table.
+# The properties of each JSON object and their types; ! marks required properties. Type "#nodes" is
+# an index into the list "nodes", "[x]" a list of values of type x, "{x}" an object with any keys
+# and values of type x, "3 x" a list of three values of type x. A type is an object of this table or
+# a key of _VALUES.
 # "presence" accepts any value and is replaced by bool(value).
 _OBJECTS: dict[str, dict[str, Any]] = {
     "document": {
@@ -177,10 +179,10 @@ def _is_number(value: Any) -> bool:
     return number and -1e300 < value < 1e300
 
 
-# Check and description of each type of value. An integer may be written as 3.0.
+# Keyed by type: check of a value, description for messages. An integer may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (lambda value: isinstance(value, str), "text"),
-    "name": (lambda value: True, "text"),  # only for display: other types become ""
+    "name": (lambda value: True, "text"),  # only for display: values of other types become ""
     "switch": (lambda value: isinstance(value, bool), "true or false"),
     "number": (_is_number, "a number"),
     "size": (
@@ -197,7 +199,7 @@ _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
-    """Return the JSON and the binary chunk or None. A text file is all JSON."""
+    """Return the JSON of a glTF file, and its binary chunk or None. A .gltf file is all JSON."""
     if data[:4] != b"glTF":
         return data, None
     declared = struct.unpack_from("<I", data, 8)[0] if len(data) >= 20 else 20
@@ -222,7 +224,7 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
 
 
 def document_of(text: bytes, name: str) -> Doc:
-    """Parse and check the JSON of a glTF file. Return only the properties of the table; missing
+    """Parse and check the JSON of a glTF file. Return only the properties of the table. Missing
     lists of the document become empty.
 
     Raises
@@ -261,7 +263,7 @@ def damaged(name: str, what: str) -> InputError:
 
 
 def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[str, int]) -> Any:
-    """Return a value converted to its shape; raise ValueError if it does not match."""
+    """Convert a value to the type ``shape`` of _OBJECTS; raise ValueError for another type."""
     if isinstance(shape, dict) or shape in _OBJECTS:
         _expect(isinstance(value, dict), value, where, "an object")
         result = {}

@@ -13,11 +13,11 @@ class Feature:
 
     Attributes
     ----------
-    name : as in files
-    fate : "drawn"; "warned": ignored with a warning; "refused": an error if the file requires it,
-        otherwise ignored with a warning; "ignored": has no effect on the image
+    name : name in glTF files
+    fate : "drawn": supported; "warned": ignored with a warning; "refused": an error if the file
+        requires the feature, otherwise ignored with a warning; "ignored": ignored silently
     how : details for users
-    factor : property of a material's extension that disables it if 0
+    factor : property of a material's extension; 0 disables the extension
     """
 
     name: str
@@ -46,13 +46,13 @@ FEATURES = (
     ),
     Feature("skins", "drawn", "in the stored pose, up to eight joints per vertex"),
     Feature("animations", "warned", "drawn in the stored pose"),
-    Feature("cameras", "ignored", "except with `--camera gltf`; perspective cameras only"),
+    Feature("cameras", "ignored", "used only with `--camera gltf`; must be perspective"),
     Feature(
         "COLOR_0",
         "drawn",
         "multiplies the base colour; its alpha is ignored, with a warning if alphaMode uses alpha",
     ),
-    Feature("TEXCOORD_n", "drawn", "up to two sets, or transforms of sets, per material"),
+    Feature("TEXCOORD_n", "drawn", "a material may use two sets, or one set with two transforms"),
     Feature("TANGENT", "ignored", "tangents are computed from the texture coordinates"),
     Feature("baseColor", "drawn", "albedo: factor and texture"),
     Feature("alphaMode", "drawn", "mask and blend, with the base colour's alpha and alphaCutoff"),
@@ -60,9 +60,9 @@ FEATURES = (
         "metallic",
         "warned",
         "drawn as a dielectric, like skin, with its base colour. A missing factor is 1 with a "
-        "texture and 0 without",
+        "texture and 0 without a texture",
     ),
-    Feature("roughness", "drawn", "m = (factor x green)^2; without a texture, it is ignored"),
+    Feature("roughness", "drawn", "m = (factor x green)^2; ignored without a texture"),
     Feature("normalTexture.scale", "drawn", "in [0, 100]"),
     Feature("occlusionTexture.strength", "drawn", "red channel; dims ambient light"),
     Feature("emissive", "drawn", "factor and texture"),
@@ -78,18 +78,18 @@ FEATURES = (
     Feature("EXT_meshopt_compression", "drawn", "requires `facerender[lod]`"),
     Feature("KHR_meshopt_compression", "drawn", "requires `facerender[lod]`"),
     Feature("EXT_mesh_gpu_instancing", "drawn", "one part per instance"),
-    Feature("KHR_node_visibility", "drawn", "the stored visibility"),
+    Feature("KHR_node_visibility", "drawn", "a node is drawn if it is stored as visible"),
     Feature("EXT_texture_webp", "drawn", "used instead of the texture's source"),
     Feature("EXT_texture_avif", "drawn", "used if the texture has no source"),
     Feature("MSFT_texture_dds", "drawn", "used if the texture has no source"),
-    Feature("KHR_texture_basisu", "refused", "the texture's source is used, if it has one"),
+    Feature("KHR_texture_basisu", "refused", "the texture's source is used if the texture has one"),
     Feature("KHR_materials_emissive_strength", "drawn", "multiplies the emission"),
     Feature("KHR_materials_ior", "drawn", "f0 = ((n - 1) / (n + 1))^2 instead of 0.028"),
     Feature(
         "KHR_materials_specular",
         "drawn",
-        "factor: ks; alpha of the texture: specular map; mean of the colour: multiplies f0. A tint "
-        "or a colour texture is ignored with a warning",
+        "the factor is ks, the texture's alpha the specular map; the mean of the colour multiplies "
+        "f0. A tint or a colour texture is ignored with a warning",
     ),
     Feature("KHR_materials_pbrSpecularGlossiness", "warned", "only the diffuse colour is drawn"),
     Feature("KHR_materials_unlit", "warned", "drawn with lighting"),
@@ -108,9 +108,9 @@ FEATURES = (
     Feature("KHR_materials_iridescence", "warned", "drawn without the film", "iridescenceFactor"),
     Feature("KHR_materials_variants", "ignored", "each primitive keeps its own material"),
     Feature("KHR_lights_punctual", "warned", "use `--light` instead"),
-    Feature("KHR_animation_pointer", "ignored", "see animations"),
+    Feature("KHR_animation_pointer", "ignored", "animations are not drawn"),
     Feature("KHR_xmp_json_ld", "ignored", "metadata"),
-    Feature("MSFT_lod", "ignored", "the node itself is the finest level"),
+    Feature("MSFT_lod", "ignored", "the node itself, the finest level, is drawn"),
     Feature(
         "any other extension",
         "refused",

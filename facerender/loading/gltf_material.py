@@ -35,13 +35,13 @@ _NEAREST = 9728
 _ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
 _INSTEAD = ("EXT_texture_avif", "MSFT_texture_dds")  # used if a texture has no other image
 _F0 = 0.028  # default for materials without KHR_materials_ior
-_MOST_LOOKED_AT = 1 << 22  # texels; larger metallic maps are not decoded
-_METAL = 0.1  # lower values may be JPEG noise in a map without metal
+_MOST_LOOKED_AT = 1 << 22  # texels; larger metallic maps are not tested
+_METAL = 0.1  # lower metallic values may be JPEG noise in a map without metal
 
 
 @dataclass(frozen=True)
 class TextureTransform:
-    """A set of texture coordinates and its transform."""
+    """The number of a set of texture coordinates, and the transform of these coordinates."""
 
     texcoord: int = 0
     offset: tuple[float, ...] = (0.0, 0.0)
@@ -60,8 +60,8 @@ class TextureTransform:
         )
 
     def applied(self, uv: NDArray[Any]) -> NDArray[np.float64]:
-        """Return transformed texture coordinates (N, 2). The v axis of ``uv`` points down, that of
-        the result points up."""
+        """Return transformed texture coordinates (N, 2). The v axis points down in ``uv`` and up
+        in the result."""
         u, v = (uv[:, i].astype(np.float64) * self.scale[i] for i in (0, 1))
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         if self.rotation:
@@ -84,7 +84,7 @@ class Materials:
         self.warn = WarnOnce()
 
     def look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
-        """Return the look of a primitive; ``has_colors``: whether it has vertex colours."""
+        """Return the look of a primitive; ``has_colors``: the primitive has vertex colours."""
         if (index, has_colors) not in self.looks:
             self.looks[index, has_colors] = self._look(index, has_colors)
         return self.looks[index, has_colors]
@@ -124,10 +124,10 @@ class Materials:
         albedo = (red, green, blue)
         lost = self.lost_images and maps.get("albedo_map") is None
         if lost and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white is only the factor of the lost map
+            albedo = SKIN_ALBEDO  # this white only multiplies the lost map
         material = Material(
             albedo=albedo,
-            # Used only with a map: exporters write 1 or 0.5 by default.
+            # The factor is used only with a map, because exporters write 1 or 0.5 by default.
             roughness_factor=self._factor("roughness", metallic.get("roughnessFactor", 1.0)),
             f0=self._f0(extensions),
             ks=self._factor("specular", specular.get("specularFactor", 1.0)),
@@ -148,7 +148,7 @@ class Materials:
         places: Mapping[str, TextureTransform],
         drawn: tuple[TextureTransform | None, ...],
     ) -> dict[str, Any]:
-        """Return the maps with one of the ``drawn`` transforms, by field of the material."""
+        """Return the maps whose transform is in ``drawn``, keyed by the field of the material."""
         maps: dict[str, Any] = {}
         for key, place in places.items():
             kind = _kind(key)
@@ -157,7 +157,7 @@ class Materials:
             else:
                 self.warn(
                     f"the {kind} map of {self.name} needs a third set or transform of texture "
-                    "coordinates: ignored, a material can have two"
+                    "coordinates: ignored, because a material can have only two"
                 )
         return maps
 
@@ -204,7 +204,7 @@ class Materials:
         return min(f0 * grey, 0.999)
 
     def _look_for_metal(self, metallic: Doc) -> None:
-        """Warn of a metallic material; its map is decoded for this unless it is large."""
+        """Warn of a metallic material. Its map is decoded for this check unless it is large."""
         use = metallic.get("metallicRoughnessTexture")
         factor = metallic.get("metallicFactor", 0.0 if use is None else 1.0)
         if factor <= 0.0:
@@ -229,7 +229,7 @@ class Materials:
 
     @staticmethod
     def _source(texture: Doc) -> Any:
-        """Return the index of the image that is read for a texture, or None."""
+        """Return the index of the image that is read for a texture; None without such an image."""
         others = texture.get("extensions", {})
         found = others.get("EXT_texture_webp", {}).get("source", texture.get("source"))
         for key in _INSTEAD:
@@ -240,7 +240,7 @@ class Materials:
         self, use: Doc | None, kind: str, channel: int | Literal["alpha"] | None
     ) -> Texture | None:
         """Return a material's map, or None if its image is missing. An unreadable image raises
-        InputError, or warns if the caller replaces the albedo map."""
+        InputError, or causes a warning if the caller replaces the albedo map."""
         if use is None:
             return None
         texture = self.document["textures"][use["index"]]
@@ -273,7 +273,8 @@ class Materials:
         return self.sampled[key]
 
     def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
-        """Return an image, its texture, and the texture of its alpha channel or None."""
+        """Return an image, its texture, and the texture of its alpha channel or None. Return None
+        for a missing or unreadable image."""
         entry = self.document["images"][index]
         shown = f"the {kind} map of {self.name}"
         try:
@@ -301,7 +302,7 @@ class Materials:
         return image, Texture.of(content, name), alpha
 
 
-# The image channel that a map uses; other maps use the colours.
+# The image channel that each of these maps uses. All other maps use the colours.
 _CHANNELS: dict[str, int | Literal["alpha"]] = {
     "opacity_map": "alpha",
     "specular_map": "alpha",

@@ -19,7 +19,7 @@ class Node(NamedTuple):
     Attributes
     ----------
     number, properties : index and JSON object of the node
-    world : (4, 4), for column vectors, from node space to scene space
+    world : (4, 4), transforms column vectors from node space to scene space
     visible : whether the node and all of its ancestors are visible (KHR_node_visibility)
     """
 
@@ -30,7 +30,7 @@ class Node(NamedTuple):
 
 
 def scene_nodes(document: Doc) -> Iterator[Node]:
-    """Yield the nodes of a checked document's scene, parents first; all nodes if it has no scene.
+    """Yield the nodes of the scene of a checked document, parents first; all nodes without a scene.
 
     Raises
     ------

@@ -1,4 +1,5 @@
-"""Code shared by glTF and MTL materials: looks, and images that are missing or unreadable."""
+"""Code shared by the readers of glTF and MTL materials: looks, and reports of missing or unreadable
+images."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ Transform = TypeVar("Transform")
 @dataclass(frozen=True)
 class Look(Generic[Transform]):
     """A material and the transforms of its texture coordinates: ``second`` for the maps named in
-    ``material.second_uv``, ``first`` for the others."""
+    ``material.second_uv``, ``first`` for the other maps."""
 
     material: Material
     first: Transform
@@ -30,7 +31,7 @@ class Look(Generic[Transform]):
 
 
 def second_of(transforms: Iterable[Transform], first: Transform) -> Transform | None:
-    """Return the first of the transforms that differs from ``first``, or None."""
+    """Return the first element of ``transforms`` that is not equal to ``first``, or None."""
     return next((each for each in transforms if each != first), None)
 
 
@@ -74,7 +75,7 @@ def unreadable(shown: str, kind: str, fatal: bool) -> None:
 
 
 def missing_image(referred: References, name: str) -> None:
-    """Warn of a missing image, and suggest the only image in the mesh file's folder, if any."""
+    """Warn of a missing image. If the mesh file's folder contains exactly one image, suggest it."""
     near = referred.folder.iterdir() if referred.folder else ()
     beside = [each.name for each in near if each.suffix.lower() in SUFFIXES]
     hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"

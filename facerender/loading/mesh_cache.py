@@ -1,5 +1,6 @@
-"""The cache of loaded meshes with the mip chains of their maps. An entry is named by a digest of
-the files and of the code that read them. Reading an entry imports neither trimesh nor Pillow."""
+"""The cache of loaded meshes with the mip chains of their maps. The name of a cache
+entry is a digest of the files and of the code that reads files. Reading an entry imports neither
+trimesh nor Pillow."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ _ALIGNMENT = 64
 _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
 _LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
-# The kind of mip chain that each map of a material is drawn from.
+# Keyed by map: the kind of mip chain with which the map is drawn.
 _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("albedo_map", "emissive_map"), "color"),
     "normal_map": "normal",
@@ -52,7 +53,7 @@ class MeshFiles:
     Attributes
     ----------
     source : the mesh file
-    maps : image files that replace the mesh file's maps, by field of :class:`Material`
+    maps : image files that replace the mesh file's maps, keyed by the field of :class:`Material`
     orientation, allow_outside : see :func:`facerender.load_mesh`
     """
 
@@ -74,21 +75,22 @@ class MeshFiles:
 
     def find(self) -> Mesh | None:
         """Return the mesh from the cache, and repeat the warnings of its original load. Return None
-        if the entry is missing or damaged, or a referenced file has changed."""
+        if the cache entry is missing or damaged, or a referenced file has changed."""
         name = self.digest()
         content = None if name is None else cache.read(_KIND, name)
         if content is None:
             return None
         try:
             found, warnings = self._unpacked(content)
-        except Exception:  # another program may have written anything
+        except Exception:  # another program may have damaged the entry
             return None
         for message in warnings:
             warn(message)
         return found
 
     def _unpacked(self, content: memoryview) -> tuple[Mesh | None, list[str]]:
-        """Return the mesh and warnings of an entry; no mesh if a referenced file has changed."""
+        """Return mesh and warnings of a cache entry. The mesh is None if a referenced file has
+        changed."""
         (length,) = _LENGTH.unpack_from(content)
         facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
         if any(self._digest_of(each) != known for each, known in facts["files"].items()):
@@ -105,20 +107,21 @@ class MeshFiles:
     def store(
         self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
     ) -> None:
-        """Decode the maps and write the mesh to the cache in a thread. The process waits for the
-        thread when it ends.
+        """Decode the maps and write the mesh to the cache in a thread. The process does not end
+        before this thread.
 
         Parameters
         ----------
-        name : the digest, computed before the files were read
-        referred : contents of the files that the mesh file refers to; None if one is missing
+        name : result of :meth:`digest` before the files were read
+        referred : contents of the files that the mesh file refers to, keyed by the name in the
+            mesh file; None for a missing file
         """
         if not cache.limit():
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of a missing image depends on the other files in the folder
         if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
-            return  # large maps would be decoded at full resolution
+            return  # storing the mesh would decode large maps at full resolution
         files = {each: None if data is None else digest_of(data) for each, data in referred.items()}
         chains = _start(mesh)
 
@@ -150,7 +153,7 @@ def _maps(mesh: Mesh) -> Iterator[Texture]:
 
 
 def _start(mesh: Mesh) -> Chains:
-    """Start to decode every map."""
+    """Start to decode every map, and return the futures of the mip chains."""
     chains: Chains = {}
     for material in mesh.materials:
         for name in (*MAPS, "property_map"):
@@ -163,8 +166,8 @@ def _start(mesh: Mesh) -> Chains:
 
 
 def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
-    """Return an entry: length of the facts, facts as JSON, arrays. The facts refer to arrays by
-    index."""
+    """Return the pieces of a cache entry: length of the facts, facts as JSON, arrays. The facts
+    refer to an array by its index."""
     arrays: list[NDArray[Any]] = []
 
     def number(values: NDArray[Any] | None) -> int | None:

@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-# Height of white above black, as a fraction of the map's width: 2.5 mm for a map that wraps once
-# around a head with a circumference of 500 mm. MTL defines no unit.
+# Height of white above black in a bump map, as a fraction of the map's width. The height is 2.5 mm
+# for a map that wraps once around a head of 500 mm circumference. MTL defines no unit of height.
 DEPTH = 0.005
-_LOOKED_AT = 64  # side in texels of the thumbnail that is tested
-_GREY = 8.0  # limit of the channels' mean difference in a grey image; JPEG noise is below
+_LOOKED_AT = 64  # side in texels of the thumbnail whose colours are tested
+_GREY = 8.0  # 8-bit levels; the channels of a grey image differ less, on average
 _STRIP = 256  # rows per block
 
 
 class Bump(Texture):
-    """A bump map as a normal map. Its colours are tested when it is decoded: grey texels are
-    heights; bluish texels of length 1 are already normals."""
+    """A bump map, converted to a normal map. Decoding tests the colours of the image: a grey image
+    contains heights; a bluish image of vectors of length 1 already contains normals."""
 
     _image: Image | None = None  # None in unpickled copies, which have only texels
 
@@ -52,7 +52,7 @@ class Bump(Texture):
         self._image = image
 
     def turned_green(self) -> Texture:
-        """Return this texture with the green channel flipped if it holds normals, not heights."""
+        """Return this texture, with green inverted if the image contains normals, not heights."""
         if self._image is None:
             return super().turned_green()
         return Bump(self._image, self.name, green_down=True)
@@ -71,7 +71,7 @@ def _is_normal_map(image: Image) -> bool:
 
 
 def _normals(image: Image) -> Image:
-    """Convert heights in any image mode to a normal map, green up."""
+    """Convert heights in any image mode to a normal map with green up."""
     from PIL import Image as images
 
     deep = image.mode.startswith(("I", "F"))
@@ -83,7 +83,7 @@ def _normals(image: Image) -> Image:
         start, end = max(top - 1, 0), min(top + _STRIP + 1, height)
         own = slice(top - start, min(top + _STRIP, height) - start)
         rows = heights[start:end].astype(np.float32) * np.float32(DEPTH / scale)
-        # Rows run down and green points up: the sign of the second component flips twice.
+        # Rows run down, but green points up, and normals lean against the slope: two minus signs.
         slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[own]
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
@@ -92,7 +92,7 @@ def _normals(image: Image) -> Image:
 
 
 def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Return the difference per texel along an axis; 0 if there is only one texel."""
+    """Return the height difference per texel along an axis; 0 if the axis has only one texel."""
     if rows.shape[axis] < 2:
         return np.zeros_like(rows)
     return np.asarray(np.gradient(rows, axis=axis))
@@ -100,8 +100,8 @@ def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _MOST_TILES = 100
-# Statement: field of the material, name in messages. Of several statements for a field, the first
-# listed here is used.
+# Keyed by statement: field of the material, name in messages. If a material has several statements
+# for a field, the first of them in this table is used.
 _MAPS = {
     "map_kd": ("albedo_map", "albedo"),
     "map_d": ("opacity_map", "opacity"),
@@ -112,24 +112,24 @@ _MAPS = {
     "map_ke": ("emissive_map", "emission"),
     "map_pr": ("roughness_map", "roughness"),
 }
-# Number of words that follow an option of a map. A list of numbers may be shorter.
+# Keyed by option of a map: number of words that follow it. The last numbers may be missing.
 _OPTIONS = {
     **dict.fromkeys(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"), 1),
     **dict.fromkeys(("-bm", "-boost", "-texres"), 1),
     "-mm": 2,
     **dict.fromkeys(("-o", "-s", "-t"), 3),
 }
-# Options that are ignored, and their values that have no effect: any other value warns.
+# Ignored options, each with the value that has no effect; other values cause a warning.
 _UNREAD = {"-cc": "off", "-boost": "0", "-blendu": "on", "-blendv": "on"}
 _CHANNELS = {"r": 0, "g": 1, "b": 2}
-# Statements that are ignored: they have no effect here, or only change the colour of ambient light.
+# Statements ignored without a warning: they have no effect or only colour the ambient light.
 _IGNORED = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
 _READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
-_LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # 0 disables them
+_LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; 0 disables them
 
 
 class UvSpread(NamedTuple):
-    """Scale and offset of texture coordinates (options -s and -o of a map), v upwards."""
+    """Scale and offset of texture coordinates (options -s and -o of a map); v points up."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
@@ -161,7 +161,7 @@ class Library:
 
     Attributes
     ----------
-    text : an MTL file with only the names of the materials
+    text : content of an MTL file that only names the materials
     """
 
     def __init__(self, data: bytes, referred: References, name: str, without_albedo: bool) -> None:
@@ -169,7 +169,7 @@ class Library:
 
         Raises
         ------
-        InputError : one of them is not a regular file, or all files together are too large
+        InputError : an MTL file is not a regular file, or all files together are too large
         """
         self.referred = referred
         self.name = name
@@ -184,7 +184,8 @@ class Library:
         self.text = "".join(f"newmtl {each}\n" for each in self.materials).encode()
 
     def _contents(self, line: str) -> Iterator[str]:
-        """Yield the MTL file named by the whole line, or else the files named by its words."""
+        """Yield the MTL file that the whole line names. If this file is missing, yield the files
+        that the words of the line name."""
         try:
             yield _decoded(self.referred.read(line, "an MTL file"))
             return
@@ -224,8 +225,8 @@ class Library:
         return self.looks[key]
 
     def tiles(self, name: str, piece: Piece) -> Mapping[int, NDArray[np.bool_]]:
-        """Return the mask of a piece's faces on each UDIM tile, by tile number; empty without UDIM
-        maps."""
+        """Return the mask of a piece's faces on each UDIM tile, keyed by the tile number. Without
+        UDIM maps, the result is empty."""
         statements = self.materials.get(name, {})
         named = [statements[key] for key in _MAPS if key in statements]
         if piece.uv is None or not len(piece.faces):
@@ -287,14 +288,14 @@ class Library:
             else:
                 self.warn(
                     f"{clipped(use.name, 80)} needs a third transform of texture coordinates: "
-                    "ignored, a material can have two"
+                    "ignored, because a material can have only two"
                 )
         changes: dict[str, Any] = dict(maps)
         white = (1.0, 1.0, 1.0)
         has_map = "map_kd" in statements
         albedo = self._color(statements, "kd") or white
         if has_map and maps.get("albedo_map") is None and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white is only the factor of the lost map
+            albedo = SKIN_ALBEDO  # this white only multiplies the lost map
         # With a map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
         changes["albedo"] = white if maps.get("albedo_map") or has_colors else albedo
         emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)
@@ -309,7 +310,7 @@ class Library:
         return Look(Material(**changes), first, second)
 
     def _numbers(self, statements: Mapping[str, str], key: str) -> list[float]:
-        """Return the numbers of a statement; none if a word is not a finite number."""
+        """Return the numbers of a statement; an empty list if a word is not a finite number."""
         try:
             found = [float(each) for each in statements.get(key, "").split()]
         except ValueError:
@@ -339,13 +340,14 @@ class Library:
         return float(linear[0]), float(linear[1]), float(linear[2])
 
     def _opacity(self, statements: Mapping[str, str], has_map: bool) -> dict[str, Any]:
-        """Return the fields of opacity: "blend" for a factor below 1, or else "mask" for a map."""
+        """Return the fields alpha and opacity. Alpha is "blend" for an opacity below 1, else "mask"
+        with an opacity map, else "opaque"."""
         found = self._numbers({"d": statements.get("d", "1").replace("-halo", "")}, "d")
         opacity = self._within("d", (found or [1.0])[0], 0.0, 1.0)
         if "d" not in statements and (tr := self._numbers(statements, "tr")):
             opacity = 1.0 - self._within("Tr", tr[0], 0.0, 1.0)
             if not opacity:  # exporters that write Tr 1 for all materials mean d 1
-                self.warn(f"{self.name} has Tr 1 in its MTL, fully transparent: drawn as d 1")
+                self.warn(f"{self.name} has Tr 1 in its MTL, fully transparent: drawn opaque")
                 opacity = 1.0
         tf = self._numbers(statements, "tf")
         if len({*tf, 1.0}) > 1 and any(tf):
@@ -354,7 +356,8 @@ class Library:
         return {"alpha": kind, "opacity": opacity}
 
     def _highlight(self, statements: Mapping[str, str]) -> dict[str, Any]:
-        """Return the fields ks and m. Ns is a Blinn-Phong exponent: m = sqrt(2 / (Ns + 2)).
+        """Return the fields ks and m. m is Pr^2 or, without Pr, sqrt(2 / (Ns + 2)) with the
+        Blinn-Phong exponent Ns.
 
         References: Walter et al. (2007), Microfacet models for refraction, section 5.2.
         """
@@ -378,7 +381,7 @@ class Library:
     # --- maps ------------------------------------------------------------------------------------
 
     def _uses(self, statements: Mapping[str, str]) -> dict[str, _Map]:
-        """Return the statements of maps by field of the material."""
+        """Return the statements of maps, keyed by the field of the material."""
         found: dict[str, _Map] = {}
         for key, (name, _) in _MAPS.items():
             if key not in statements or name in found:

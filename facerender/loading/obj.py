@@ -1,4 +1,4 @@
-"""Prepare OBJ files for trimesh, which neither resolves relative references of faces nor keeps
+"""Prepare OBJ files for trimesh, which neither resolves negative references of faces nor keeps
 groups of the same material apart."""
 
 from __future__ import annotations
@@ -9,14 +9,15 @@ from collections.abc import Mapping, Sequence
 
 from facerender.errors import warn
 
-# A reference of a face that is negative, thus relative to its line, or 0, which is invalid.
+# A face with a reference below 1. A negative reference counts back from the line of the face; the
+# reference 0 is invalid.
 _RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 # A statement that sets the object, group or material of the following faces.
 _OWNER = re.compile(rb"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\r\n]*?))?[ \t]*\r?$", re.MULTILINE)
-_MOST_GROUPS = 256  # parts: each needs a draw call
-_KINDS = (b"v", b"vt", b"vn")  # in the order of a corner's references
+_MOST_GROUPS = 256  # maximum number of parts: each part needs a draw call
+_KINDS = (b"v", b"vt", b"vn")  # vertex, texture coordinate, normal: the references of a corner
 
 
 def has_relative(data: bytes) -> bool:
@@ -25,8 +26,8 @@ def has_relative(data: bytes) -> bool:
 
 
 def with_absolute(data: bytes) -> tuple[bytes, int]:
-    """Return an OBJ file with absolute references, and the number of dropped faces, whose
-    references were invalid."""
+    """Return an OBJ file with absolute references, and the number of faces dropped because of
+    invalid references."""
     totals = {
         key: len(re.findall(rb"^[ \t]*" + key + rb"[ \t]", data, re.MULTILINE)) for key in _KINDS
     }
@@ -49,7 +50,7 @@ def with_absolute(data: bytes) -> tuple[bytes, int]:
 
 
 def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes, int]) -> bytes:
-    """Return a corner with absolute references; empty if a reference is invalid."""
+    """Return a corner with absolute references; empty bytes if a reference is invalid."""
     references: list[bytes] = []
     for reference, key in zip(corner.split(b"/"), _KINDS, strict=False):
         if not reference and key != b"v":
@@ -71,10 +72,10 @@ Owners = tuple[bytes, ...]  # names of object, group and material
 
 def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
     """Return an OBJ file with one numbered object for each combination of object, group and
-    material that has faces, and the name of the part of each number.
+    material that has faces, and the part names in the order of the numbers.
 
-    A part is named after its group, or else its object, or else its material. If parts share a
-    name, it becomes group.material, and if they still do, object.group.material.
+    A part is named after its group, or else its object, or else its material. Parts that share a
+    name are renamed to group.material, or to object.group.material if they share that name, too.
 
     file : name of the file, for the warning about too many groups
     """

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from facerender.loading.mtl import Library
 
 
-_MOST_HEADER = 1 << 16  # bytes
+_MOST_HEADER = 1 << 16  # longest header of a PLY file in bytes
 _BYTES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16", "float16"), 2),
@@ -47,8 +47,8 @@ _SLACK = 16  # blank lines allowed at the end
 
 
 def checked_ply(data: bytes) -> tuple[bytes, str | None]:
-    """Check a PLY file. Return it with its edges renamed, because trimesh would load them as a 2D
-    drawing, and the name of its texture or None.
+    """Check a PLY file. Return the content and the name of the texture or None. Edges are renamed
+    in the content, because trimesh would load a file with edges as a 2D drawing.
 
     Raises
     ------
@@ -83,7 +83,8 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
 
 
 def _least_bytes(words: list[str], is_text: bool) -> int:
-    """Return the minimum bytes of a property; the vertex list of a face has at least 3 entries."""
+    """Return the fewest bytes of a property's value; the vertex list of a face has at least 3
+    entries."""
     if words[1] != "list":
         return 2 if is_text else _BYTES[words[1]]
     entries = 3 if words[4] in _INDICES else 0
@@ -91,14 +92,14 @@ def _least_bytes(words: list[str], is_text: bool) -> int:
 
 
 def check_faces(metadata: Mapping[str, Any]) -> None:
-    """Check the faces of a file as trimesh read them, before it split polygons into triangles.
+    """Check the faces that trimesh read from a file, before trimesh split them into triangles.
 
     Raises
     ------
     ValueError : faces have different numbers of corners, or a face has texture coordinates and a
         negative vertex index
     """
-    # "_ply_raw" is private to trimesh, but only there are the faces stored before the split.
+    # "_ply_raw" is private to trimesh, but it alone stores the faces before the split.
     elements = metadata.get("_ply_raw", {})
     faces = elements.get("face", {}).get("data")
     if isinstance(faces, np.ndarray) and faces.dtype.names:
@@ -122,20 +123,20 @@ def _check_indices(name: str, column: Any, elements: Mapping[str, Any]) -> None:
 
 
 _SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
-_OPTIONS = {".ply": {"skip_materials": True}, ".obj": {"split_objects": True}}  # of trimesh
+_OPTIONS = {".ply": {"skip_materials": True}, ".obj": {"split_objects": True}}  # trimesh options
 _TRIANGLE = 50  # bytes per triangle of a binary STL file, after a header of 84 bytes
 
 
 def read(
     source: Source, without_albedo: bool, allow_outside: bool
 ) -> tuple[list[Piece], References]:
-    """Return every geometry instance with faces, and the files that the source refers to.
+    """Return a piece for every geometry instance with faces, and the files that the source names.
 
-    without_albedo : skip the albedo maps of the file
+    without_albedo : whether to skip the albedo maps of the file
 
     Raises
     ------
-    InputError : the file, or a required file that it refers to, cannot be used
+    InputError : the file, or a required referenced file, cannot be used
     """
     data = source.read()
     suffix, name = source.suffix, source.name
@@ -242,7 +243,7 @@ def _clear(*loaded: object) -> None:
 
 
 def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece]:
-    """Return a piece, or its part on each UDIM tile if it has UDIM maps."""
+    """Return the parts of a piece on each UDIM tile; the piece itself if it has no UDIM maps."""
     tiles = library.tiles(material, piece)
     return [*library.split(piece, material, tiles)] if tiles else [piece]
 
@@ -250,7 +251,7 @@ def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece
 def _geometries(
     data: bytes, suffix: str, name: str, library: Library | None = None
 ) -> dict[str, trimesh.Trimesh]:
-    """Return the geometries that have faces by trimesh's names; InputError if there are none."""
+    """Return the geometries with faces, keyed by trimesh's names; InputError if there are none."""
     import trimesh
 
     scene = trimesh.load_scene(
@@ -289,7 +290,7 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
 
 
 class _MaterialNames:
-    """A resolver that gives trimesh only the names of materials; this package reads the rest."""
+    """A resolver that gives trimesh only names of materials; this package reads the MTL files."""
 
     def __init__(self, library: Library, name: str) -> None:
         self.library, self.file_name = library, name
@@ -305,7 +306,7 @@ def _give_texture(
 ) -> None:
     """Assign the texture of a PLY file to its geometries.
 
-    fatal : raise InputError if the texture is not an image; otherwise warn
+    fatal : whether a texture that is not an image raises InputError instead of a warning
     """
     try:
         image = image_of(references.read(texture, "an image file"))

@@ -23,16 +23,16 @@ _TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.*\S)", re.MULTILINE)
 
 
 class References:
-    """The files that a mesh file refers to; each is read once.
+    """The files that a mesh file refers to. Each referenced file is read once.
 
     Only paths below the mesh file's folder are opened. For other paths, a file of the same name in
     that folder is tried. Symbolic links are followed, because the user created the folder.
 
     Attributes
     ----------
-    name : of the mesh file, for messages
-    folder : of the mesh file; None for a mesh in memory, whose references are not opened
-    files : content by the name in the mesh file; None if the file was not read
+    name : name of the mesh file, for messages
+    folder : folder of the mesh file; None for a mesh in memory: its referenced files are not opened
+    files : contents, keyed by the name in the mesh file; None for a file that was not read
     """
 
     def __init__(self, name: str, folder: Path | None, allow_outside: bool) -> None:
@@ -44,13 +44,13 @@ class References:
     def read(self, name: str, what: str) -> bytes:
         """Return the content of a file.
 
-        name : as in the mesh file
+        name : name of the file, as in the mesh file
         what : description of the expected file for messages, such as "an image file"
 
         Raises
         ------
         FileNotFoundError : the file is missing, or its path is not allowed
-        InputError : it is not a regular file, or all files together are too large
+        InputError : the file is not a regular file, or all files together are too large
         """
         if (known := self.files.get(name)) is not None:
             return known
@@ -102,8 +102,8 @@ def inline(uri: str) -> bytes | None:
 
 
 def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
-    """Return the path of a referenced file, relative to ``folder`` or else directly in it; None if
-    it does not exist or is not allowed."""
+    """Return the path of a referenced file, relative to ``folder`` or else directly in ``folder``.
+    Return None if the file does not exist or is not allowed."""
     for each in _spellings(name):
         if allow_outside or _is_inside(folder, each):
             try:
@@ -126,7 +126,7 @@ def _is_inside(folder: Path, name: str) -> bool:
     try:
         place = os.path.abspath(os.path.join(base, name))
         return place != base and os.path.commonpath([base, place]) == base
-    except ValueError:  # on another drive
+    except ValueError:  # the paths are on different drives
         return False
 
 
@@ -143,13 +143,13 @@ def named_files(path: Path) -> list[Path]:
             return libraries + [each for library in libraries for each in _maps(library)]
         if suffix == ".ply":
             return [path.parent / name for name in _names(_TEXTURE, path)]
-    except (ValueError, TypeError, RecursionError):  # loading it reports what is wrong
+    except (ValueError, TypeError, RecursionError):  # loading the file reports the error
         pass
     return []
 
 
 def _uris(path: Path) -> list[str]:
-    """Return the external URIs of a glTF file, which may be invalid."""
+    """Return the external URIs of a glTF file. The file may be invalid."""
     document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
     tables = document if isinstance(document, dict) else {}
     entries = [each for key in ("buffers", "images") for each in tables.get(key) or ()]
@@ -158,8 +158,8 @@ def _uris(path: Path) -> list[str]:
 
 
 def _maps(library: Path) -> list[Path]:
-    """Return possible paths of the maps of an MTL file. Options precede the name: for each
-    statement, return all of its text and its last word."""
+    """Return possible paths of the maps of an MTL file. Options may precede the name of a
+    map: both the whole text and the last word of each statement are used as names."""
     try:
         lines = _names(_MAP, library)
     except InputError:

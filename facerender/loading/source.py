@@ -67,10 +67,10 @@ class Source:
 
     Attributes
     ----------
-    path : of the file; for content in memory, a name for messages
-    suffix : .glb, .gltf, .obj, .ply or .stl, which may differ from the file's own suffix
-    content : the bytes, or None to read the file
-    folder : of the files that the mesh refers to; None if unknown
+    path : path of the file; for content in memory, a name for messages
+    suffix : .glb, .gltf, .obj, .ply or .stl for the format; may differ from the suffix of ``path``
+    content : bytes of the file; None to read the file at ``path``
+    folder : folder of the files that the mesh refers to; None if unknown
     """
 
     path: Path
@@ -102,7 +102,7 @@ class Source:
 
 
 def source_of(source: Any, kind: str | None = None) -> Source:
-    """Return the source of :func:`facerender.load_mesh`; parameters and errors as there."""
+    """Return the Source of a mesh; parameters and errors as in :func:`facerender.load_mesh`."""
     suffix = None
     if kind is not None:
         suffix = f".{str(kind).lower().removeprefix('.')}"
@@ -148,7 +148,7 @@ def _content(file: Any, name: str) -> bytes:
 
 
 def _suffix_of(data: bytes, name: str) -> str:
-    """Return the suffix of the format that the bytes have.
+    """Detect the format of bytes, and return the file suffix of this format.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Errors of an approximation against float64: of the lobe, of the BRDF, and of an image."""
+"""Errors of approximated lobes against the exact lobe in float64: of lobe, BRDF and image."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ Array = NDArray[np.float64]
 
 
 def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) -> Array:
-    """Return the lobe minus the exact lobe, in units of its peak, at angles γ of the half vector.
+    """Return the lobe minus the exact lobe at angles γ of the half vector; the exact peak is 1.
 
     Parameters
     ----------
     m : roughness, in the domain of the lobe
-    k : 4 for Cook-Torrance, 0 for Ward
+    k : power of the cosine in the lobe's formula: 4 for Cook-Torrance, 0 for Ward
     degrees : angles in degrees, (N,); None: 0 to 90 in steps of 0.01
 
     Raises
     ------
-    InputError : m outside the domain of the lobe
+    InputError : m is outside the domain of the lobe
     """
     angles = np.linspace(0.0, 90.0, 9001) if degrees is None else degrees
     c = np.cos(np.radians(angles)).clip(0.0, 1.0)
@@ -47,7 +47,7 @@ def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) ->
 def printed_lobe(c: ArrayLike, m: float, k: int, g: int) -> Array:
     """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020).
 
-    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, in units of the peak, without a clamp.
+    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1.
     """
     n = 2.0 / m**2 - k
     return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
@@ -62,12 +62,12 @@ def printed_error(m: float, k: int, g: int) -> Array:
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
     """Return the largest error of f N.L over all directions, relative to the largest exact f N.L.
 
-    Light and camera take `count` polar angles from 0 to 89 degrees; the light takes 2 `count`
-    azimuths.
+    f is the BRDF. Light and camera take `count` polar angles from 0 to 89 degrees; the light takes
+    2 `count` azimuths from 0 to 180 degrees.
 
     Raises
     ------
-    InputError : m outside the domain of the lobe
+    InputError : m is outside the domain of the lobe
     """
     theta = np.radians(np.linspace(0.0, 89.0, count))
     phi = np.linspace(0.0, np.pi, 2 * count)
@@ -97,14 +97,14 @@ class Renderings:
 def image_errors(
     scene: Scene, shadings: Sequence[Shading], size: tuple[int, int], backend: Backend = "auto"
 ) -> Renderings:
-    """Draw a scene with each shading, one sample per pixel, and compare with float64.
+    """Draw a scene with each shading, one sample per pixel, and compare the images with float64.
 
     The reference uses the first shading with the exact lobe.
 
     Raises
     ------
     ContextError : no OpenGL context
-    InputError : the scene cannot be drawn with a shading
+    InputError : the scene cannot be drawn with one of the shadings
     """
     scene = replace(scene, background=None)
     exact = shadings[0].replace(lobe="exact")
@@ -137,9 +137,9 @@ def image_error(
 
 
 def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Return the largest difference of a pixel from the range of 3 x 3 pixels in the other image.
+    """Return how far a pixel is at most outside the range of 3 x 3 pixels of the other image.
 
-    Each image is compared with the other; a and b are (H, W, 3).
+    Image a is compared with b, and b with a; both are (H, W, 3).
     """
     worst = 0.0
     for one, other in ((a, b), (b, a)):
@@ -153,11 +153,13 @@ def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
 def block_error(
     a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
 ) -> float:
-    """Return the largest change of the mean of 16 x 16 pixels, relative to max(mean, 0.01).
+    """Return the largest change of a block's mean, relative to max(mean of the reference, 0.01).
+
+    A block has 16 x 16 pixels.
 
     Parameters
     ----------
-    a, reference : (H, W, 3) linear
+    a, reference : linear images, (H, W, 3)
     coverage : (H, W) in [0, 1]. Pixels count if all pixels within a distance of 3 are fully
         covered; blocks count if they contain at least 64 such pixels
     """

@@ -17,7 +17,7 @@ SCHEMA = "facerender.measure/1"
 MODELS = PRINTED
 MAGNIFIED = 8
 
-BySlope = Mapping[str, float | None]  # by m as text, "%g" % m
+BySlope = Mapping[str, float | None]  # keyed by m as text, "%g" % m
 Curves = Mapping[str, Mapping[str, Sequence[float]]]
 
 
@@ -25,7 +25,7 @@ Curves = Mapping[str, Mapping[str, Sequence[float]]]
 class Environment:
     """The conditions of a measurement: date, versions, OpenGL driver, processor.
 
-    ``software`` is true if the CPU draws. ``cores`` is the number that the process may use.
+    ``software`` is true if the CPU draws. ``cores`` counts the cores that the process may use.
     """
 
     date: str
@@ -60,7 +60,7 @@ class Settings:
 
     @property
     def slope(self) -> str:
-        """The key of m in the errors of lobe and BRDF."""
+        """m as text, which is the key of m in the errors of lobe and BRDF."""
         return f"{self.m:g}"
 
 
@@ -70,9 +70,13 @@ class ImageError:
 
     Attributes
     ----------
-    point, block : errors of the linear image, see ``facerender.compare``
-    largest, percentile : relative to max(reference, 0.01); 1 pixel in 1000 exceeds the percentile
-    steps, steps_percentile : the same for the displayed image, in 8-bit levels
+    point : radiance by which a pixel of the image or the reference is at most outside the range of
+        3 x 3 pixels of the other one, see ``error.point_error``
+    block : largest error of the mean over 16 x 16 pixels, relative to max(mean, 0.01)
+    largest : largest error of linear radiance, relative to max(reference, 0.01)
+    percentile : 99.9th percentile of the same error over the covered pixels
+    steps : largest error of the displayed image, in 8-bit levels
+    steps_percentile : 99.9th percentile of the displayed image's error, in 8-bit levels
     flip : mean FLIP error of the image (Andersson et al. 2020); None without flip-evaluator
     """
 
@@ -91,7 +95,8 @@ class Costs:
 
     Attributes
     ----------
-    lobe_ns, term_ns : time per evaluation of the lobe alone and of the whole term, in ns
+    lobe_ns : time per evaluation of the lobe alone, in ns
+    term_ns : time per evaluation of the whole term, in ns
     frame_ms : time per frame, in ms
     """
 
@@ -106,7 +111,8 @@ class Errors:
 
     Attributes
     ----------
-    lobe, brdf : largest error in percent by m; None outside the domain
+    lobe : largest error of the lobe in percent, keyed by m; None if m is outside the domain
+    brdf : largest error of the BRDF in percent, keyed by m; None if m is outside the domain
     image : error of the image at the m of the settings; None if no image was drawn
     """
 
@@ -126,11 +132,12 @@ class MeasuredVariant:
 
 @dataclass(frozen=True)
 class DisplayError:
-    """Errors of the displayed image in the worst channel, as fractions of its range.
+    """Errors of the displayed image in the worst channel, as fractions of the image's range.
 
     Attributes
     ----------
-    mean, percentile : over the pixels; 1 pixel in 100 exceeds the percentile
+    mean : mean error over the pixels
+    percentile : 99th percentile of the error over the pixels
     over : fraction of the pixels with an error above 1/255
     """
 
@@ -145,8 +152,8 @@ class SampleSetting:
 
     Attributes
     ----------
-    samples : per pixel
-    time : frame time with readback, relative to one sample
+    samples : number of samples per pixel
+    time : frame time with readback, relative to a frame with one sample per pixel
     silhouette : error at pixels that the mesh covers partly with 64 samples
     inside : error at pixels that the mesh covers fully
     shading_rate : see :meth:`facerender.Renderer.render`
@@ -161,11 +168,12 @@ class SampleSetting:
 
 @dataclass(frozen=True)
 class PartSetting:
-    """Cost and error of a setting of a part of skin.
+    """Cost and error of one setting of a part of skin shading.
 
     Attributes
     ----------
-    part, setting : names, such as "samples of scattering" and "16"
+    part : name of the part, such as "samples of scattering"
+    setting : name of the setting, such as "16"
     time : frame time with readback, relative to the part's first setting
     error : error against the part's last setting, at pixels that the mesh covers
     """
@@ -178,10 +186,10 @@ class PartSetting:
 
 @dataclass(frozen=True, eq=False)
 class Triptych:
-    """Three images, 8-bit sRGB (H, W, 3): exact lobe, this lobe, and their difference.
+    """Three images, 8-bit sRGB (H, W, 3): with the exact lobe, with ``lobe``, and their difference.
 
-    The exact image is computed in float64, the other is drawn by OpenGL. The difference is
-    multiplied by ``MAGNIFIED``.
+    The exact image is computed in float64; OpenGL draws the image with ``lobe``. The difference of
+    the linear images is multiplied by ``MAGNIFIED``.
     """
 
     model: str
@@ -197,12 +205,12 @@ class Measurement:
 
     Attributes
     ----------
-    samples : cost and error of numbers of samples per pixel
-    degrees : angles γ of the half vector
-    curves : by model, lobe and m: the lobe minus the exact lobe in percent of the peak, one value
-        per angle. Values of m outside the domain are absent
+    samples : cost and error for each number of samples per pixel
+    degrees : angles γ of the half vector, in degrees
+    curves : lobe minus exact lobe in percent of the peak, one value per angle; keyed by model, lobe
+        and m. Values of m outside the domain are absent
     not_measured : missing results, with the reasons
-    skin : cost and error of the parts of skin
+    skin : cost and error of the settings of parts of skin shading
     """
 
     environment: Environment

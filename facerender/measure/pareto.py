@@ -10,7 +10,8 @@ from facerender.measure.measurement import ImageError, MeasuredVariant, Measurem
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant
 
-# Error of the exact lobe's image that float32 may cause, in percent. Smaller errors count as 0.
+# Largest error that float32 causes in the image of the exact lobe, in percent. Errors up to this
+# value count as 0.
 EXACT = 0.01
 
 
@@ -20,10 +21,11 @@ class CostKind:
 
     Attributes
     ----------
-    title, unit : texts for tables and plots
-    of : returns the cost of a variant, None if it was not measured
-    columns : further columns of the table: title, and the function that returns a variant's value.
-        Of an interval, the table shows both ends
+    title : name of the kind of cost in tables and plots
+    unit : unit of the cost in tables and plots
+    of : function that returns a variant's cost, or None if the cost was not measured
+    columns : functions that return a variant's values in further columns of the table, keyed by
+        column title; the table shows both ends of an interval
     """
 
     title: str
@@ -56,12 +58,12 @@ class Row:
 
     Attributes
     ----------
-    cost : in the unit of its kind; None if it was not measured
-    error : in percent, of the measure that :func:`measure_of` selects; None outside the lobe's
-        domain
-    dominated : another variant is at least as cheap and as exact, and better in one of the two.
-        Costs with overlapping intervals count as equal. Published forms are only for comparison:
-        they dominate no other variant
+    cost : cost in the unit of its kind; None if the cost was not measured
+    error : error of image or lobe, as :func:`measure_of` selects, in percent; None if m is outside
+        the lobe's domain, or if the variant has no image
+    dominated : whether another variant is at least as cheap and as exact, and better in cost or
+        error. Costs with overlapping intervals count as equal. Published forms are only for
+        comparison: they dominate no other variant
     """
 
     measured: MeasuredVariant
@@ -76,7 +78,7 @@ class Row:
 
 
 def measure_of(measurement: Measurement, model: str) -> Literal["image", "lobe"]:
-    """Return the error that ranks a model's variants: "image", or "lobe" if an image is missing."""
+    """Return the kind of error that ranks variants: "image", or "lobe" if an image is missing."""
     variants, m = measurement.of_model(model), measurement.settings.slope
     inside = {row.variant.lobe for row in variants if row.error.lobe[m] is not None}
     return "image" if inside <= _images(variants).keys() else "lobe"
@@ -112,7 +114,7 @@ def _dominates(a: Row, b: Row) -> bool:
 
 
 def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:
-    """Return image errors by lobe; variants without their own image share the lobe's error."""
+    """Return image errors, keyed by lobe: a variant without an image has the error of its lobe."""
     return {
         measured.variant.lobe: measured.error.image
         for measured in variants

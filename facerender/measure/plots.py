@@ -27,13 +27,13 @@ MARKERS: dict[str, dict[str, Any]] = {
     "dominated": {"marker": "o", "color": "#444444", "mfc": "white"},
     "as published": {"marker": "s", "color": "#444444", "mfc": "white"},
 }
-# Candidate positions of a label: distances from its data point, in points; and directions.
+# Candidate positions of a label: distances from its data point, in 1/72 inch; and directions.
 _DISTANCES = (7, 12, 18, 26, 36, 48, 64, 80)
 _DIRECTIONS = ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def check() -> None:
-    """Raise InputError if matplotlib is missing; call this before a measurement of minutes."""
+    """Raise InputError if matplotlib is missing; call before a measurement, which takes minutes."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -46,7 +46,7 @@ def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
 
     Parameters
     ----------
-    panels : by title: the rows, and the label of the error axis
+    panels : rows, and label of the error axis, of each panel; keyed by the panel's title
     cost : label of the cost axis
     """
     from matplotlib.lines import Line2D
@@ -66,12 +66,12 @@ def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
 
 
 def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:
-    """Plot the errors of lobes over the angle, one panel per m.
+    """Plot the errors of lobes over the angle of the half vector, one panel per m.
 
     Parameters
     ----------
-    degrees : angles γ of the half vector
-    curves : by lobe and m: errors in percent of the peak, one for each angle
+    degrees : angles γ of the half vector, in degrees
+    curves : errors in percent of the lobe's peak, one per angle; keyed by lobe, then by m
     """
     slopes = sorted({m for errors in curves.values() for m in errors}, key=float)
     with _figure(1.9 * len(slopes) + 1.0) as figure:
@@ -130,12 +130,15 @@ def _lay_out(figure: Any) -> None:
 
 def _png(figure: Any) -> bytes:
     file = io.BytesIO()
-    figure.canvas.print_png(file)  # savefig draws twice
+    figure.canvas.print_png(file)  # savefig would draw twice
     return file.getvalue()
 
 
 def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
-    """Draw each row's point and interval, and the frontier; return cost, plotted error and row."""
+    """Draw each row's point and cost interval, and the line of the rows that are not dominated.
+
+    Return cost, plotted error and row of each point.
+    """
     points = [
         (row.cost.value, max(row.error, EXACT), row)
         for row in rows
@@ -162,7 +165,7 @@ def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
 
 
 def _label(axes: Any, points: Sequence[tuple[float, float, Row]]) -> None:
-    """Write each name at the nearest position without overlap with names, points and lines."""
+    """Write each point's name at the nearest position that overlaps no name, point or line."""
     from matplotlib.text import Text
 
     frame, renderer = axes.get_window_extent(), axes.figure.canvas.get_renderer()
@@ -183,7 +186,7 @@ def _label(axes: Any, points: Sequence[tuple[float, float, Row]]) -> None:
             )
             note.set_in_layout(False)
             note.update_positions(renderer)
-            box = Text.get_window_extent(note)  # without the line to its point
+            box = Text.get_window_extent(note)  # without the line from the name to its point
             inside = frame.contains(*box.min) and frame.contains(*box.max)
             if (inside and not box.count_overlaps(taken)) or (distance, (right, up)) == places[-1]:
                 taken.append(box.padded(3))

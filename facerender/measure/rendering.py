@@ -1,6 +1,6 @@
-"""Cost and error of renderer settings: samples per pixel, and the parts of skin.
+"""Measures cost and error of renderer settings: samples per pixel, and parts of skin shading.
 
-Samples are compared with 64 samples per pixel, each part of skin with its finest setting.
+The reference is an image with 64 samples per pixel, or with the finest setting of the part.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SOFT = 5.0  # angular radius of the area light, degrees
 def display_error(
     image: NDArray[np.float32], reference: NDArray[np.float32], where: NDArray[np.bool_]
 ) -> DisplayError:
-    """Return the error of the displayed image at the pixels `where`, (H, W).
+    """Return the error of the displayed image at the pixels where the mask (H, W) is true.
 
     Both images are linear, (H, W, 4).
     """
@@ -49,13 +49,14 @@ def antialiasing(
     shading: Shading = Shading(),
     repeats: int = 9,
 ) -> list[SampleSetting]:
-    """Measure cost and error of numbers of samples per pixel; their frames are drawn in turns.
+    """Measure cost and error of each number of samples per pixel; the frames are drawn in turns.
 
     Per-pixel shading is measured as well if the renderer supports it.
 
     Raises
     ------
-    InputError : the scene cannot be drawn, the mesh is not in view, or a number is not in [1, 64]
+    InputError : the scene cannot be drawn, the mesh is not in view, or a number of samples is not
+        in [1, 64]
     """
     reference = renderer.render(scene, shading, samples=MAX_SAMPLES).linear
     coverage = reference[..., 3]
@@ -89,10 +90,10 @@ class _Setting:
 
 
 def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartSetting]:
-    """Measure shadows, lobes, diffuse light, scattering and environment light.
+    """Measure cost and error of shadows, lobes, diffuse light, scattering and environment light.
 
-    Frames have one sample per pixel; the frames of a part are drawn in turns. Scattering is
-    skipped for a mesh of unknown size.
+    Frames have one sample per pixel; frames with the settings of a part are drawn in turns.
+    Scattering is skipped for a mesh of unknown size.
 
     Raises
     ------
@@ -112,7 +113,7 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, list[_Setting]]]:
-    """Yield each part with its settings, from the simplest to the finest."""
+    """Yield each part of skin shading with its settings, from the simplest to the finest."""
     mesh, (key, *others) = scene.mesh, scene.lights
 
     def lit(**changes: object) -> Scene:

@@ -29,30 +29,31 @@ from facerender.system.atomic import make_folder, write_bytes
 
 METHODS = {
     "specular term": "The time of one evaluation of the whole term from N, L and V, on all cores or"
-    " GPU units together. It is the slope of the time over the number of evaluations, minus the"
-    " slope of an empty loop. If the CPU draws, it is processor time divided by the number of"
-    " cores. The terms are timed in turns. Shown are the lower quartile of the repeats and its 95 %"
+    " GPU units together: the slope of the time over the number of evaluations, minus the slope of"
+    " an empty loop. If the CPU draws, processor time divided by the number of cores is measured."
+    " The terms are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
     " bootstrap interval. The lobe alone is measured in the same way.",
     "whole frame": "The time to draw the mesh with one sample per pixel and to read the image back."
-    " The variants are timed in turns. Shown are the lower quartile of the repeats and its 95 %"
+    " The variants are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
     " interval.",
-    "samples": "The frame time relative to a frame with one sample: the median of frames in turns."
-    " The error of the displayed image against 64 samples, at pixels that the mesh covers partly"
-    " (silhouette) and fully (inside). Per-pixel shading evaluates one triangle per pixel and part"
-    " for all samples.",
-    "parts of skin": "The frame time with one sample, relative to the part's first setting: the"
-    " median of frames in turns. The error of the displayed image against the part's last setting.",
+    "samples": "The frame time is the median ratio to the time of a frame with one sample per"
+    " pixel; frames are drawn in turns. The displayed image is compared with an image of 64"
+    " samples, at pixels that the mesh covers partly (silhouette) and fully (inside). Per-pixel"
+    " shading shades one triangle per pixel and part for all samples.",
+    "parts of skin shading": "Frames have one sample per pixel. The frame time is the median ratio"
+    " to the time of the part's first setting; frames are drawn in turns. The displayed image is"
+    " compared with the image of the part's last setting.",
     "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's peak,"
     " for angles γ of the half vector from 0 to 90 degrees. Both lobes are computed in float64.",
     "error of the BRDF": "The largest difference from the exact f N.L over directions of light and"
     " camera, in percent of the largest exact f N.L. Both are computed in float64.",
-    "error of the image": "The OpenGL image compared with float64 shading of the same G-buffer with"
-    " the exact lobe. Errors of linear radiance are in percent of max(reference, 0.01), over"
-    " covered pixels. Levels are 1/255 of the range of the displayed 8-bit image.",
+    "error of the image": "The OpenGL image is compared with float64 shading of the same G-buffer"
+    " with the exact lobe, at covered pixels. Errors of linear radiance are in percent of"
+    " max(reference, 0.01). Levels are 1/255 of the range of the displayed 8-bit image.",
 }
 DOMINATED = (
-    "Dominated: another variant of the model is at least as cheap and as exact, and better in one"
-    " of the two. Costs with overlapping intervals count as equal. Errors up to"
+    "Dominated: another variant of the model is at least as cheap and as exact, and better in cost"
+    " or error. Costs with overlapping intervals count as equal. Errors up to"
     f" {EXACT:g} % count as zero, because float32 causes errors of this size. Forms as published"
     " return NaN in some directions, and dominate no other variant; D16 as published has no clamp."
 )
@@ -93,7 +94,9 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files by name atomically, create their directory, and return their paths.
+    """Write files, keyed by file name, atomically to a directory, and return their paths.
+
+    A missing directory is created.
 
     Raises
     ------
@@ -108,8 +111,8 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 def table(measurement: Measurement) -> str:
     """Return tables of cost and error as text for a terminal.
 
-    There is a table for each kind of cost and each model, one for samples, and one for the parts
-    of skin.
+    There is one table for each combination of model and kind of cost, one table for samples per
+    pixel, and one table for the parts of skin shading.
     """
     tables = [*cost_tables(measurement), sample_table(measurement), skin_table(measurement)]
     return "\n\n".join(table.text() for table in tables)
@@ -138,7 +141,7 @@ def _curves(measurement: Measurement) -> list[Figure]:
         png = plots.angles(measurement.degrees, curves, MODELS[model])
         caption = (
             f"{MODELS[model]}: each lobe minus the exact lobe, over the angle of the half vector."
-            " The scale is linear around 0, and logarithmic from about 0.1 %."
+            " The error axis is linear around 0, and logarithmic from about 0.1 %."
         )
         figures.append(Figure(f"angles-{model}.png", png, caption))
     return figures

@@ -56,13 +56,13 @@ def measure(
     backend: Backend = "auto",
     progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
-    """Measure cost and error of all variants, of numbers of samples, and of the parts of skin.
+    """Measure cost and error of all variants, numbers of samples, and parts of skin shading.
 
     Parameters
     ----------
     mesh : mesh for the cost of a frame and the error of an image
     m : roughness of the whole mesh, in [1e-4, 2]
-    quick : use smaller images and fewer repeats, and skip the cost of lobes alone
+    quick : whether to use smaller images and fewer repeats, and skip the cost of lobes alone
     progress : called with the current step and its completed fraction
 
     Raises
@@ -116,7 +116,7 @@ def _model(
     if not settings.quick:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     rendered = [variant for variant in _standard(model) if _inside(variant, m)]
-    # Without the slope filter, which may widen m beyond a lobe's domain.
+    # No slope filter: it may raise m above the lobe's domain.
     shadings = [replace(variant.shading, slope_filter=False) for variant in rendered]
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
@@ -171,7 +171,7 @@ def _standard(model: str) -> list[Variant]:
 
 
 def _inside(variant: Variant, m: float) -> bool:
-    """Return whether m is in the domain of the lobe."""
+    """Return whether m is in the domain of the variant's lobe."""
     return bool(LOBES[variant.lobe].belongs(m, variant.k).all())
 
 
@@ -182,7 +182,10 @@ def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None)
 
 
 def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
-    """Return the largest errors of lobe and BRDF in percent; None outside the domain."""
+    """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain.
+
+    The BRDF of unclamped forms has no error: some of its values are NaN.
+    """
     if variant.unclamped:
         return _percent(error.printed_error(m, variant.k, 16)), None
     if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m):

@@ -57,7 +57,7 @@ SKIN_HEAD = (
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text cells. The first cell of a row is its name.
+    """A table of text cells. The first cell of a row is the row's name.
 
     A table without rows stands for values that were not measured. ``dominated`` contains the names
     of the dominated rows.
@@ -81,7 +81,7 @@ class Table:
 
 
 def cost_tables(measurement: Measurement) -> list[Table]:
-    """Return a table for each kind of cost and each model, cheapest variant first.
+    """Return a table for each combination of cost kind and model, with the cheapest variant first.
 
     A kind of cost that was not measured has one table without rows.
     """
@@ -89,7 +89,7 @@ def cost_tables(measurement: Measurement) -> list[Table]:
 
 
 def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
-    """Return each model's table for a kind of cost, or a table without rows if not measured."""
+    """Return one table per model for a kind of cost, or a single empty table if not measured."""
     tables = []
     for model, title in MODELS.items():
         rows = pareto(measurement, model, kind)
@@ -117,7 +117,7 @@ def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
-    """Return for each model the errors of the image at one m, and of lobe and BRDF over m."""
+    """Return three tables per model: errors of the image at one m, of the lobe and BRDF over m."""
     tables = []
     for model, title in MODELS.items():
         errors = {
@@ -149,7 +149,7 @@ def error_tables(measurement: Measurement) -> list[Table]:
 
 
 def sample_table(measurement: Measurement) -> Table:
-    """Return cost and error of numbers of samples per pixel; without rows if not measured."""
+    """Return the table of cost and error by samples per pixel; without rows if not measured."""
     rows = []
     for each in measurement.samples:
         name = f"{each.samples}{', per-pixel shading' * (each.shading_rate == 'pixel')}"
@@ -158,28 +158,28 @@ def sample_table(measurement: Measurement) -> Table:
         rows.append([name, *map(_number, values)])
     return Table(
         "Samples per pixel: {} x {}".format(*measurement.settings.size),
-        "Errors of the displayed image against 64 samples, each shaded separately.",
+        "Errors of the displayed image against an image with 64 samples, each shaded separately.",
         SAMPLES_HEAD,
         rows,
     )
 
 
 def skin_table(measurement: Measurement) -> Table:
-    """Return cost and error of each part of skin and setting; without rows if not measured."""
+    """Return the table of cost and error of skin shading; without rows if not measured."""
     rows = []
     for each in measurement.skin:
         values = (each.time.value, *_levels(each.error), 100.0 * each.error.over)
         rows.append([each.part, each.setting, *map(_number, values)])
     return Table(
-        "Parts of skin: {} x {}".format(*measurement.settings.size),
-        "Errors of the displayed image against the part's last setting.",
+        "Parts of skin shading: {} x {}".format(*measurement.settings.size),
+        "Errors of the displayed image against the image with the part's last setting.",
         SKIN_HEAD,
         rows,
     )
 
 
 def _levels(error: DisplayError) -> tuple[float, float]:
-    """Return mean and percentile in 8-bit levels."""
+    """Return the mean error and the error's percentile in 8-bit levels."""
     return 255.0 * error.mean, 255.0 * error.percentile
 
 
@@ -207,7 +207,7 @@ def _cell(value: float | Interval | None) -> str:
 
 
 def _number(value: float | None, missing: str = NOT_MEASURED) -> str:
-    """Format a value with three digits, or a count with all digits."""
+    """Format a value with three digits; counts, and values of 100 or more, as integers."""
     if value is None:
         return missing
     if isinstance(value, int) or value == 0.0 or abs(value) >= 100.0:

@@ -45,7 +45,7 @@ def document(title: str, body: str, *files: str | Path) -> str:
 
 
 def image_source(content: bytes, kind: str = "png") -> str:
-    """Return an image file as a data URL; kind is its format, such as "webp"."""
+    """Return an image file as a data URL; kind is the file format, such as "webp"."""
     return f"data:image/{kind};base64," + b64encode(content).decode()
 
 
@@ -59,7 +59,7 @@ def figure(png: bytes, caption: str) -> str:
 
 
 def table(kind: str, head: Iterable[str], rows: Iterable[str], caption: str = "") -> str:
-    """Return a table as HTML; it scrolls if it is wider than the page.
+    """Return a table as HTML; a table that is wider than the page scrolls.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def table(kind: str, head: Iterable[str], rows: Iterable[str], caption: str = ""
 
 
 def row(name: str, cells: Iterable[str], kind: str = "") -> str:
-    """Return a row of a table from HTML cells; kind is its class."""
+    """Return a row of a table from HTML cells; kind is the HTML class of the row."""
     marked = f' class="{kind}"' if kind else ""
     values = "".join(f"<td>{cell}</td>" for cell in cells)
     return f'<tr{marked}><th scope="row">{name}</th>{values}</tr>'

@@ -1,4 +1,4 @@
-// Viewer for two images: side by side, blinking, with a slider, their difference; with a zoom.
+// Viewer that shows two images side by side, in turns, with a slider, or as a difference, and zooms.
 const PIXEL = 8;  // least size of an enlarged pixel, in CSS pixels
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 for (const viewer of document.querySelectorAll(".viewer")) {
@@ -6,7 +6,7 @@ for (const viewer of document.querySelectorAll(".viewer")) {
   const figures = [...viewer.querySelectorAll("figure")];
   const choices = viewer.querySelectorAll("[name^=zoom]");
   const number = (figure, name) => +figure.style.getPropertyValue(name);
-  let centre = null;  // pixel in the centre of the zoom; null without a zoom
+  let centre = null;  // pixel [x, y] in the centre of the enlarged view; null without a zoom
 
   function draw() {
     viewer.classList.toggle("enlarged", centre !== null);
@@ -56,7 +56,7 @@ for (const viewer of document.querySelectorAll(".viewer")) {
       if (shows("slider")) cut(100 * across(event, view)[0]);
     });
     view.addEventListener("click", event => {
-      if (Math.abs(event.clientX - pressed) > 4) return;  // this was a drag
+      if (Math.abs(event.clientX - pressed) > 4) return;  // the pointer was dragged, not clicked
       if (centre) return look(null);
       const [x, y] = across(event, figure.querySelector(".layer"));
       look([Math.floor(x * number(figure, "--w")), Math.floor(y * number(figure, "--h"))]);

@@ -33,11 +33,11 @@ class Budget:
 
     Attributes
     ----------
-    limit : >= 0, in the unit
+    limit : largest error, >= 0, expressed in ``unit``
     unit : "display": fraction of the range from black to white in sRGB encoding, before rounding
-        to 8-bit levels. "relative": fraction of the linear radiance, or of 0.01 if that is larger.
+        to 8-bit levels. "relative": fraction of the linear radiance, or of 0.01 if 0.01 is larger.
         "flip": FLIP (Andersson et al. 2020) of the displayed image
-    exposure : of the displayed image, in stops
+    exposure : exposure of the displayed image, in stops
     within : fraction of each image's covered pixels that must meet the limit, in (0, 1]
     """
 
@@ -53,7 +53,7 @@ class Budget:
         Parameters
         ----------
         given : "1/255", "0.5%" or "0.02 flip"; a number is a fraction of the display's range
-        within : "99.9%" or 0.999
+        within : fraction of the pixels, such as "99.9%" or 0.999
 
         Raises
         ------
@@ -87,7 +87,7 @@ class Budget:
         return cls(limit, "flip" if match[4] else "display", exposure, fraction)
 
     def errors(self, image: Float, reference: Float) -> Float:
-        """Return the error of the worst channel of each pixel (H, W) of a linear image (H, W, 3).
+        """Return the error of each pixel, (H, W), in its worst channel; the images are linear.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class Budget:
 
 
 def highest_but(errors: Float, spared: int) -> float:
-    """Return the largest error after leaving out the ``spared`` largest ones; 0 if none is left.
+    """Return the largest error except the ``spared`` largest errors; 0 if no error is left.
 
     NaN counts as the largest error.
     """

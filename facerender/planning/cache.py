@@ -1,4 +1,4 @@
-"""Cache of plans on disk. The key is a digest of mesh, maps, lights, camera, budget and prices."""
+"""Cache of plans on disk. A plan's key is a digest of scene, budget, renderer and prices."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def cached_plan(
 ) -> dict[str, Any]:
     """Return a plan in the form of :meth:`facerender.Plan.as_dict`, from the cache if possible.
 
-    ``cache`` enables reading and storing. The other parameters and the errors are the same as in
+    ``cache`` enables use of the cache. The other parameters and the errors are the same as in
     :func:`facerender.plan`.
     """
     allowed = Budget.parse(budget, exposure, within)
     name = _digest(scene, allowed, full, renderer) if cache else ""
-    with suppress(ValueError, KeyError, TypeError):  # damaged, or in another version's format
+    with suppress(ValueError, KeyError, TypeError):  # the file is damaged or has another format
         if cache and (content := disk_cache.read("plans", name)) is not None:
             cached: dict[str, Any] = json.loads(bytes(content))
             Shading.from_dict(cached["shading"]).check_lights(len(scene.lights))

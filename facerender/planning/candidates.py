@@ -1,6 +1,6 @@
 """The shadings that a plan may choose in place of the full, exact shading of a scene.
 
-Costs and errors are computed elsewhere. No OpenGL here.
+Other modules compute costs and errors. This module does not use OpenGL.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.fitting import G_POWERS, fit_g_power
 
-# Without FR_SMALL_SLOPE the float32 error is 3e-7/m² of the peak: invisible from this slope on.
+# Smallest slope m at which the error of float32 without FR_SMALL_SLOPE, 3e-7/m² of the lobe's peak,
+# is invisible.
 SMALLEST_PLAIN_SLOPE = 0.1
 
-# Attribute of a shading by the decision's name. If the model changes, all decisions of TERM count
-# as one.
+# Attribute of a shading, keyed by the decision's name. If the model changes, all decisions of TERM
+# count as one decision.
 DECISIONS = {
     "two lobes": "two_lobes",
     "lights": "specular_lights",
@@ -42,7 +43,7 @@ DECISIONS = {
     "small slopes": "term.small_slope",
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
-SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs a different slope
+SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs another slope than two
 ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
@@ -55,7 +56,8 @@ class Constants:
     ----------
     m, ks : mean slope and mean specular weight of the visible pixels
     faintest : indices of the lights, sorted by the brightness of their highlights, faintest first
-    frontal : indices of the lights, sorted by the error of the frontal term, smallest first
+    frontal : indices of the lights, sorted by the error that the frontal term causes, smallest
+        first
     shadows : indices of the lights with shadows, sorted by how much the shadow darkens the image,
         weakest first
     single : slopes of a single lobe that may replace two lobes
@@ -75,14 +77,14 @@ def candidates(
     constants: Constants,
     fits: Callable[[Shading], bool] = lambda _: True,
 ) -> Iterator[Shading]:
-    """Yield every shading that may replace the full one, including the full one.
+    """Yield every shading that may replace the full shading, and the full shading itself.
 
     Parameters
     ----------
-    full : the shading that counts as exact; has the exact lobe
-    fits : returns whether a shading with one change is within the budget. It is called for a
-        single lobe, fewer samples, omitted shadows and Lambert diffuse light; only changes that
-        fit are combined with others, which limits the number of combinations
+    full : the shading that counts as exact; it has the exact lobe
+    fits : function that returns whether a shading with one change is within the budget. It is
+        called for a single lobe, fewer samples, omitted shadows and Lambert diffuse light. Only
+        changes that fit are combined with other changes, which limits the number of combinations
     """
     lit = [light for light in constants.faintest if full.of(light)]
     kinds = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
@@ -104,7 +106,7 @@ def candidates(
 def _surfaces(
     scene: Scene, full: Shading, constants: Constants, fits: Callable[[Shading], bool]
 ) -> Iterator[Shading]:
-    """Yield variants of the full shading with the same specular lights, model, lobe and factors."""
+    """Yield variants of the full shading; the specular terms keep all properties but m."""
     materials = scene.mesh.materials
     normal_maps, specular_maps = (
         any(getattr(each, name) is not None for each in materials)
@@ -149,7 +151,7 @@ def shadowed(scene: Scene, shading: Shading) -> list[int]:
 def with_lights(
     shading: Shading, specular: Sequence[int] | None, frontal: Sequence[int]
 ) -> Shading:
-    """Return a shading with other sets of lights with a specular term and with a frontal term."""
+    """Return a shading with these ``specular_lights`` (None: all) and ``frontal_lights``."""
     return shading.replace(specular_lights=specular, frontal_lights=frontal)
 
 
@@ -170,7 +172,7 @@ def _lobes(k: int, smallest: float, largest: float) -> list[AnyLobe]:
     ends = (smallest, largest)
     first, *others = [name for name, lobe in LOBES.items() if lobe.belongs(ends, k).all()]
     fits = [fit_g_power(k, g, *ends) for g in G_POWERS]
-    # Of equal costs the search takes the first: exact, then the fitted g-powers.
+    # Of lobes with equal costs, the search takes the first: the exact lobe, or a fitted g-power.
     return [first, *(lobe for lobe in fits if lobe is not None), *others]
 
 
@@ -185,14 +187,14 @@ def _factors(term: Term, full: Term) -> Iterator[Term]:
 
 
 def changed(shading: Shading, full: Shading) -> list[str]:
-    """Return the decisions in which two shadings differ."""
+    """Return the names of the decisions in which two shadings differ."""
     return [name for name, get in _GET.items() if get(shading) != get(full)]
 
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
-    """Return the decisions in which two shadings differ, by name, with the decisions of each group.
+    """Return groups of decisions in which two shadings differ, keyed by the main decision's name.
 
-    The model includes the whole term; a single lobe includes the slope.
+    The model's group has all decisions of the term; the group of a single lobe includes the slope.
     """
     differs = changed(shading, full)
     together = {"two lobes": SINGLE, "model": TERM}
@@ -202,12 +204,12 @@ def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
 
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
-    """Return the values of the named decisions, by the shading's attribute."""
+    """Return the values of the named decisions, keyed by the shading's attribute."""
     return {DECISIONS[name]: _GET[name](shading) for name in names}
 
 
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
-    """Return a shading with the named decisions of another shading."""
+    """Return a shading whose named decisions are replaced by the decisions of ``other``."""
     decided = values(other, names)
     specular = decided.pop("specular_lights", shading.specular_lights)
     frontal = decided.pop("frontal_lights", shading.frontal_lights)
@@ -218,7 +220,7 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 
 
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
-    """Return the full shading with only the named decisions of another shading."""
-    # A g-power is fitted to the chosen slope and invalid for another one.
+    """Return the full shading, in which the named decisions of ``shading`` replace its own."""
+    # A g-power lobe is fitted to the chosen slope and is invalid for other slopes.
     base = with_decisions(full, shading, SINGLE) if "lobe" in names else full
     return with_decisions(base, shading, names)

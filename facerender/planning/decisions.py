@@ -23,7 +23,7 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
-# Their saving is a fraction of the whole cost, not of the specular cost.
+# Decisions whose saving is stated as a fraction of the whole cost, not of the specular cost.
 _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
 
 
@@ -33,15 +33,15 @@ class Decision:
 
     Attributes
     ----------
-    name : such as "Fresnel"
-    changed : whether the plan differs from the full shading here
+    name : name of the decision, such as "Fresnel"
+    changed : whether the plan differs from the full shading in this attribute
     chosen : the chosen value, as text
     other : the full shading's value; without a change, the cheaper value with the smallest error
-    error : error of this change alone; without a change, error of the other value
-    saving : fraction of the full program's cost that the change saves, or the other would save
+    error : error of this change alone; without a change, error of ``other``
+    saving : fraction of the full shading's cost that the change saves, or that ``other`` would save
     text : line of :meth:`Plan.explain`
-    values : of the cheaper of the two, by attribute of the shading such as "term.lobe"; empty if
-        the decision is not about the shading
+    values : the cheaper of both values, keyed by attribute of the shading, such as "term.lobe";
+        empty if the decision is not about the shading
     """
 
     name: str
@@ -64,8 +64,8 @@ def decisions(
 
     Parameters
     ----------
-    error : returns the error of a shading
-    otherwise : returns a lower bound of the error of a shading
+    error : function that returns the error of a shading
+    otherwise : function that returns a lower bound of the error of a shading
     """
     made = groups(shading, choice.full)
     for name in DECISIONS:

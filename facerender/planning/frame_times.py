@@ -18,10 +18,11 @@ _VIEWPOINTS, _REPEATS, _VERIFY = 3, 5, 15
 
 
 def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
-    """Measure a few frames and return a linear model of the time of all others.
+    """Measure a few frames and return a linear model of the times of all other frames.
 
-    Measured are the full frame, a frame for each change of detail, and the first and last of these
-    with the cheapest shading. The time of another shading is interpolated by its fragment price.
+    The measured frames are the full frame and a frame for each change of the level of detail. The
+    full and the final level of detail are also measured with the cheapest shading. The time of
+    another shading is interpolated from the price of its fragment.
     """
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}
@@ -50,13 +51,13 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
 
 
 def relative_time(full: Shading, shading: Shading, drawn: DrawnViews) -> Interval:
-    """Measure a shading's frame and the full one alternately; return the median of the ratios."""
+    """Measure a shading's frame and the full frame alternately; return the median time ratio."""
     own = _frame(drawn, drawn.detail, shading)
     return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
 
 
 def _frame(drawn: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
-    """Return a function that draws a frame at up to _VIEWPOINTS of the viewpoints in succession."""
+    """Return a function that draws up to _VIEWPOINTS of the viewpoints, one after the other."""
     step = max(len(drawn.viewpoints) // _VIEWPOINTS, 1)
     few = drawn.viewpoints[::step][:_VIEWPOINTS]
     return lambda: [draw(viewpoint, shading, detail) for viewpoint in few]

@@ -1,6 +1,6 @@
 """Find a cheaper frame of a scene within an error budget: samples, triangles and shading.
 
-Other modules list the shadings (``candidates.py``), search them (``search.py``), measure errors
+Other modules list the shadings (``candidates.py``), choose one (``search.py``), measure errors
 (``views.py``), price fragments (``pricing/table.py``) and time frames (``frame_times.py``).
 """
 
@@ -38,8 +38,8 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.system.progress import Progress, no_progress
 
-# Colour ramp of an error map: errors as fractions of the budget, their colours, and the colour of
-# errors beyond the budget.
+# Colour ramp of an error map: errors as fractions of the budget, the colours of these errors, and
+# the colour of errors beyond the budget.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _COLORS = np.array([(0, 0, 0), (40, 20, 140), (200, 40, 80), (250, 190, 40), (255, 255, 255)])
 _OVER = (0, 255, 120)
@@ -47,16 +47,17 @@ _OVER = (0, 255, 120)
 
 @dataclass(frozen=True)
 class Error:
-    """The error of a shading against the full one.
+    """The error of a shading compared with the full shading.
 
     Attributes
     ----------
-    maximum : the largest error of a pixel, in float64
-    within : the largest error within the budget's fraction of the pixels, in the worst image;
-        equal to the maximum if the fraction is 1
+    maximum : the largest error of a pixel, computed in float64
+    within : error that the budget's fraction of the pixels does not exceed, in the worst image;
+        equal to ``maximum`` if the fraction is 1
     percentile : error that one covered pixel in 1000 exceeds
-    camera, size, pixel : place of the largest error: index of the camera, width and height of the
-        image, x and y
+    camera : index of the camera with the largest error
+    size : width and height of the image with the largest error
+    pixel : x and y of the pixel with the largest error
     drawn, drawn_within : ``maximum`` and ``within`` of the rendered images, with the plan's samples
         and triangles; None if only fragments are priced and a pixel has one sample
     """
@@ -73,25 +74,26 @@ class Error:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A frame within a budget.
+    """The cheapest frame that was found within a budget.
 
     Attributes
     ----------
     scene : the scene of the plan
     shading : the chosen shading, for :meth:`facerender.Renderer.render`
-    full : the full shading, which it replaces
-    error, cost, decisions : see their classes
+    full : the full shading, which the chosen shading replaces
+    error, cost, decisions : see :class:`Error`, :class:`Cost` and :class:`Decision`
     budget : the parsed budget
     cameras : the cameras at which errors were measured
     sizes : width and height in pixels of the measured images, for every camera
     samples : samples per pixel of the measured images
     detail : level of detail of the chosen frame; None if only fragments are priced
-    measured : the frame's time divided by the full frame's; None without ``verify_cost``
+    measured : time of the chosen frame divided by the time of the full frame; None without
+        ``verify_cost``
     constants : constants that could replace maps, and the order in which lights could be dropped
-    candidates, tried : number of shadings that cost less than the full one, and number of shadings
-        that were evaluated at every pixel
-    error_map : (H, W), errors of the image with the largest error; of the rendered image if
-        the level of detail was reduced
+    candidates : number of shadings that cost less than the full shading
+    tried : number of shadings that were evaluated at every pixel
+    error_map : (H, W), error of each pixel in the image with the largest error; measured in the
+        rendered image if the level of detail was reduced
     """
 
     scene: Scene
@@ -112,14 +114,14 @@ class Plan:
     error_map: NDArray[np.float64] = field(repr=False)
 
     def explain(self) -> str:
-        """Return the plan as text: basis, a line for each decision, error and cost."""
+        """Return the plan as text: lines for budget, basis, each decision, error and cost."""
         lines = self.lines
         width = max(map(len, lines)) + 2
         return "\n".join(f"{name:{width}}{text}" for name, text in lines.items())
 
     @property
     def lines(self) -> dict[str, str]:
-        """The lines of :meth:`explain` by their names."""
+        """The lines of :meth:`explain`, keyed by name."""
         limit, rounding = self.budget.limit, ROUNDING[self.budget.unit]
         part = "of which rounding may use" if limit > rounding else "but rounding may cause"
         fraction = f" for {self.budget.fraction} of the pixels" if self.budget.within < 1.0 else ""
@@ -138,10 +140,10 @@ class Plan:
         return lines
 
     def shader(self, target: Target | Language | None = None) -> str:
-        """Return a GLSL file with only the chosen terms and with folded constants.
+        """Return the text of a GLSL file with only the chosen terms and with folded constants.
 
-        Its comments contain the plan and the function call for each light. ``target`` is as in
-        :func:`facerender.shader_source`.
+        Comments in the file contain the plan and the function call for each light. ``target`` is as
+        in :func:`facerender.shader_source`.
 
         Raises
         ------
@@ -160,15 +162,15 @@ class Plan:
         return "\n".join(filter(None, [version, *notes, rest]))
 
     def scene_toml(self) -> str:
-        """Return a scene file for ``facerender render --scene``, with the chosen shading and the
-        images that it was planned for."""
-        lines = ["Give mesh and maps again: they are not in here.", *self.explain().splitlines()]
+        """Return a scene file for ``facerender render --scene``, with the chosen shading and level
+        of detail, and with the image sizes of the plan."""
+        lines = ["Give mesh and maps again: this file has none.", *self.explain().splitlines()]
         notes = [f"# {line}\n" for line in lines]
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, self.planned)
 
     @property
     def planned(self) -> Planned | None:
-        """The images for which the plan holds, and the level of detail; None for the full frame."""
+        """Image sizes, samples and level of detail of the plan; None if it is the full frame."""
         if self._is_full:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
@@ -197,10 +199,10 @@ class Plan:
         return {key: _finite(value) for key, value in facts.items()}
 
     def save_error_map(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG of the errors of the image with the largest error.
+        """Write a PNG with the error of each pixel of the image with the largest error.
 
-        Colours range from black (no error) over blue, red and yellow to white (the budget); errors
-        beyond the budget are green.
+        Colours range from black (no error) over blue, red and yellow to white (error equal to the
+        budget). Larger errors are green.
 
         Raises
         ------
@@ -268,10 +270,10 @@ def plan(
     renderer: Renderer | None = None,
     progress: Progress = no_progress,
 ) -> Plan:
-    """Find a cheaper frame of a scene whose error stays within a budget.
+    """Find a frame of a scene that costs less to draw, with an error within a budget.
 
-    Choose in this order, each with the choices before: the fewest samples, per-pixel shading, the
-    fewest triangles, and the cheapest shading.
+    The order of choices is: culled back faces, the fewest samples, per-pixel shading, the fewest
+    triangles, and the cheapest shading. Each choice is made with all earlier choices in effect.
 
     Parameters
     ----------
@@ -286,9 +288,9 @@ def plan(
         values price a fragment and leave samples and triangles unchanged: "auto", "llvmpipe",
         "navi21" (RDNA2), "vega10" (GCN5) or "here", see
         :func:`facerender.pricing.table.load_prices`
-    verify_cost : measure the chosen frame and the full one alternately
-    exposure : of the displayed image, in stops
-    renderer : renderer whose size and samples are planned for; default: a new
+    verify_cost : whether to measure the chosen frame and the full frame, alternately; default false
+    exposure : exposure of the displayed image, in stops; default 0
+    renderer : renderer with the size and samples of the planned frame; default: a new
         :class:`facerender.Renderer`
     progress : called with the current step and its completed fraction
 
@@ -300,7 +302,7 @@ def plan(
 
     Warns
     -----
-    FacerenderWarning : a part is blended: the plan ignores changes of its shading
+    FacerenderWarning : a part is blended: the plan ignores changes of that part's shading
     """
     _check_types(scene, budget, full, cost, renderer)
     check_switch("verify_cost", verify_cost)
@@ -341,7 +343,7 @@ def _checked(scene: Scene, full: Shading) -> Shading:
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
         raise InputError("a plan chooses the lights' terms: omit lights from the shading")
     if not scene.lights and scene.environment is None:
-        raise InputError("the scene has no lights: add one, there is no shading to plan")
+        raise InputError("the scene has no lights, so there is no shading to plan: add a light")
     if "blend" in map(drawn_alpha, scene.mesh.parts, scene.mesh.materials):
         warn(
             f"parts of {scene.mesh.name} are blended: the plan only counts errors of the parts "
@@ -353,7 +355,7 @@ def _checked(scene: Scene, full: Shading) -> Shading:
 def _renderers(
     renderer: Renderer | None, sizes: Sequence[tuple[int, int]] | None, stack: ExitStack
 ) -> list[Renderer]:
-    """Return a renderer for each size with the same options; the stack closes new ones."""
+    """Return a renderer for each size with the same options; ``stack`` closes new renderers."""
     if sizes is not None:
         sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
     first = renderer or stack.enter_context(Renderer())
@@ -387,7 +389,7 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         progress("views", number / len(viewpoints))
         views.append(Region.of_viewpoint(viewpoint, task.full, task.budget))
     if not any(view.counted.any() for view in views):
-        raise InputError(f"the cameras see nothing of {scene.mesh.name}: give others")
+        raise InputError(f"the cameras see nothing of {scene.mesh.name}: give other cameras")
     constants = constants_of(scene, task.full, views)
     progress("prices", 0.0)
     software = renderers[0].context.software
@@ -448,7 +450,7 @@ def _error(
     sizes: Sequence[tuple[int, int]],
     drawn: Sequence[tuple[float, float]],
 ) -> Error:
-    """Return the error over all views; the views of all cameras follow each other for each size."""
+    """Return the error over all views, which are ordered by size, then by camera."""
     worst = _worst(maps)
     y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
     covered = np.concatenate([each[view.counted] for each, view in zip(maps, views, strict=True)])

@@ -1,13 +1,14 @@
 """The search for the cheapest shading of a plan.
 
-Shadings are tried in the order of their costs, so the first that passes is the cheapest that fits.
-A shading is tried first on a few pixels at which others failed. It is ruled out if more of these
-exceed the limit than the budget allows in the whole image. A shading that passes is evaluated in
-float64 at every pixel of every image. It is also drawn by OpenGL if a pixel has several samples or
-if whole frames are priced.
+Shadings are tried from cheap to expensive, so the first that fits the budget is the cheapest.
+A shading is first evaluated at a few pixels at which other shadings failed. It is rejected if more
+of these pixels exceed the limit than the budget allows in the whole image. A shading that is not
+rejected is evaluated in float64 at every pixel of every image. OpenGL also draws this shading if a
+pixel has several samples or if whole frames are priced.
 
-FLIP compares neighbourhoods and cannot be evaluated at a few pixels. There the display error at the
-few pixels preselects shadings: a shading is tried only if it errs less than every cheaper one.
+FLIP compares neighbourhoods and cannot be evaluated at a few pixels. With FLIP, the sRGB error
+at a few pixels preselects shadings: only shadings with a smaller error than every cheaper shading
+are tried.
 """
 
 from __future__ import annotations
@@ -40,21 +41,22 @@ from facerender.system.progress import Progress
 
 Float = NDArray[np.float64]
 
-# Pixels of a region: random pixels, and pixels with the largest errors beyond the spared ones.
+# Number of random pixels of a region; and number of pixels with the largest errors, in addition to
+# the number of pixels that may exceed the budget.
 _SPREAD, _WORST = 256, 64
-_KEPT = 2**18  # pixels of all cached terms of a region
-# Cached environment layers per cached term: most terms share the environment's light.
+_KEPT = 2**18  # largest number of pixels in all cached terms of a region
+# Largest number of cached environment layers per cached term: most terms share one such layer.
 _ENVIRONMENTS = 8
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a fragment or of a frame, by the prices of the plan.
+    """Cost of a fragment or of a frame, computed from the prices of the plan.
 
     Attributes
     ----------
-    total, specular : cost of the whole fragment program or frame, and of its specular terms
-    full_total, full_specular : the same for the full shading and frame
+    total, specular : cost of the whole fragment program or frame, and cost of its specular terms
+    full_total, full_specular : the same two costs with the full shading and level of detail
     unit, source : unit and origin of the prices
     """
 
@@ -82,10 +84,10 @@ class Choice:
 
     Attributes
     ----------
-    ordered : the shadings that cost less than the full one, cheapest first, then the full one
-    count : number of the shadings that cost less
-    refused : the full shading with single changes that exceed the limit
-    limit : limit of the error in float64; with the error of rounding it gives the budget
+    ordered : shadings that cost less than the full shading, cheapest first, then the full shading
+    count : number of shadings that cost less than the full shading
+    refused : variants of the full shading with one change, which exceed the limit
+    limit : limit of the error in float64; the budget is this limit plus the error of rounding
     frames : frame times as functions of fragment prices; None if only fragments are priced
     """
 
@@ -103,7 +105,8 @@ class Choice:
     ) -> None:
         """Collect and price the shadings.
 
-        views : pixels at which single changes that exceed the limit are ruled out; empty: try all
+        views : pixels at which single changes are evaluated. Changes that exceed the limit are not
+            tried. Empty: all changes are tried
         """
         self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
         self.limit = budget.limit - ROUNDING[budget.unit]
@@ -121,7 +124,7 @@ class Choice:
         full_cost = self.total(full)
         priced = filter(self.is_priced, listed)
         cheaper = [each for each in priced if self.total(each) < full_cost]
-        # Of equal costs, the shadings with the fewest changes come first.
+        # Of shadings with equal costs, the one with the fewest changes comes first.
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
@@ -135,13 +138,13 @@ class Choice:
         return True
 
     def total(self, shading: Shading) -> float:
-        """Return the cost of a fragment."""
+        """Return the cost of a fragment with a shading."""
         if shading not in self.costs:
             self.costs[shading] = self.prices.cost(self.scene, shading)[0]
         return self.costs[shading]
 
     def cost(self, shading: Shading) -> Cost:
-        """Return the cost of a fragment or a frame, and of the full one."""
+        """Return the cost of a fragment or a frame, with the shading and with the full one."""
         own, full = (self.prices.cost(self.scene, each) for each in (shading, self.full))
         if self.frames is None:
             return Cost(*own, *full, f"{self.prices.unit} a fragment", self.prices.source)
@@ -149,14 +152,14 @@ class Choice:
         return Cost(*priced[0], *priced[1], "ms a frame", self.frames.source)
 
     def saved(self, shading: Shading, other: Shading) -> float:
-        """Return by how much a shading is cheaper than another, as a fraction of the full cost."""
+        """Return how much less ``shading`` costs than ``other``, as a fraction of the full cost."""
         less = self.total(other) - self.total(shading)
         if self.frames is not None:
             less *= self.frames.own.slope
         return less / self.cost(self.full).full_total
 
     def first(self, fits: Callable[[Shading], bool], progress: Progress) -> Shading:
-        """Return the first shading that fits.
+        """Return the cheapest shading that fits.
 
         If the budget is smaller than the error of rounding, only the full shading fits.
         """
@@ -168,11 +171,11 @@ class Choice:
 
 
 class Witnesses:
-    """Pixels of the views at which shadings were ruled out.
+    """Pixels at which earlier shadings exceeded the limit, and the test of further shadings.
 
     Attributes
     ----------
-    regions : regions of pixels, the one that last ruled out a shading first; empty with FLIP
+    regions : regions of pixels; the one that last rejected a shading comes first. Empty with FLIP
     tried : number of shadings that were evaluated at every pixel
     """
 
@@ -201,11 +204,11 @@ class Witnesses:
         return self.drawn is None or self.drawn.accepts(shading)
 
     def error(self, shading: Shading) -> float:
-        """Return a lower bound of the error that the budget counts; with FLIP the exact error."""
+        """Return a lower bound of a shading's :meth:`Region.error`; with FLIP this error itself."""
         return max(region.error(shading) for region in self.regions or self.views)
 
     def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
-        """Return the shadings that have a smaller error than all shadings before them."""
+        """Return the shadings whose error is smaller than the error of every earlier shading."""
         best, least = [], np.inf
         for shading in ordered:
             if (error := self.error(shading)) < least:
@@ -215,7 +218,7 @@ class Witnesses:
 
 
 class Region:
-    """Pixels of one camera: G-buffers, evaluated terms, and the full shading of these pixels."""
+    """Pixels of one camera with G-buffers, evaluated terms, and radiance of the full shading."""
 
     def __init__(
         self,
@@ -235,10 +238,11 @@ class Region:
         Parameters
         ----------
         mapped, plain : G-buffers with and without the normal map
-        counted : (H, W), the pixels whose errors count
+        counted : (H, W), mask of the pixels whose errors count
         spared : number of pixels of the whole image that may exceed the budget
-        most_known : number of evaluated terms to cache; the full shading's come first
-        scattered : returns the change of the pixels by scattering; None if nothing scatters
+        most_known : largest number of shadings whose terms are cached; the first is the full one
+        scattered : function that returns the change of the pixels' radiance by scattering; None if
+            no material scatters
         """
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
         self.full, self.budget, self.spared, self.most_known = full, budget, spared, most_known
@@ -285,7 +289,7 @@ class Region:
         return terms
 
     def image(self, shading: Shading) -> Float:
-        """Return the radiance (H, W, 3), with the background."""
+        """Return the radiance (H, W, 3) of a shading, including the background."""
         terms = self.layers(shading)
         image = terms.sum(shading)
         if shading.frontal_lights:
@@ -299,16 +303,16 @@ class Region:
         return image
 
     def errors(self, shading: Shading) -> Float:
-        """Return the error of each pixel, (H, W); 0 for pixels that do not count."""
+        """Return the error of each pixel, (H, W); 0 for pixels outside ``counted``."""
         image = self.image(shading)
         return np.where(self.counted, self.budget.errors(image, self.exact), 0.0)
 
     def error(self, shading: Shading) -> float:
-        """Return the error that the budget counts: the largest, without the spared pixels."""
+        """Return the largest error of a pixel after leaving out the ``spared`` worst pixels."""
         return highest_but(self.errors(shading), self.spared)
 
     def spread(self) -> Region:
-        """Return a region of a few random pixels and the brightest highlights."""
+        """Return a region of a few random pixels and the pixels with the brightest highlights."""
         shine = np.where(self.counted, self.terms.specular.sum(axis=(0, -1)), -1.0)
         inside = np.flatnonzero(self.counted)
         chance = np.random.default_rng(0).permutation(inside)[:_SPREAD]
@@ -343,7 +347,7 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
     """Return constants that may replace maps, and the order in which lights are dropped.
 
-    The constants are means, weighted by the highlights.
+    The constants are means over pixels, weighted by the specular radiance of each pixel.
     """
     single = resolve(scene, replace(full, two_lobes=False))
     ends = {end for slopes in single.slopes for end in slopes}
@@ -376,8 +380,8 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
 def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
     """Return slopes of a single lobe that may replace two lobes.
 
-    They range from the narrow lobe of the same peak to the broad lobe of the same slope variance.
-    ``weights`` (one per counted pixel) weight the means.
+    The smallest slope gives the peak of the two lobes, and the largest gives their slope variance.
+    ``weights`` (one per counted pixel) weight the means over pixels.
     """
     if any(view.mapped.second_m is None for view in views):
         return ()

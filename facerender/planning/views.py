@@ -1,4 +1,4 @@
-"""Frames drawn by OpenGL: choice of the level of detail, and errors against the full frames."""
+"""Frames drawn by OpenGL: choose the level of detail, and measure errors of frames."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from facerender.shading import Shading
 
 Float = NDArray[np.float64]
 
-_FEWEST = 500  # triangles of a level of detail
-_MOST_SCATTERED = 8  # images of scattering that a viewpoint caches
+_FEWEST = 500  # smallest number of triangles of a level of detail
+_MOST_SCATTERED = 8  # largest number of images of scattering that a viewpoint caches
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def draw(viewpoint: Viewpoint, shading: Shading, detail: LevelOfDetail) -> NDArr
 
 
 def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
-    """Return whether per-pixel shading is possible and was measured to be cheaper."""
+    """Return whether per-pixel shading is possible, and known to be cheaper from measurements."""
     scene, renderer = viewpoint.scene, viewpoint.renderer
     known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
     return known and renderer.can_shade_per_pixel(scene, samples)
@@ -49,7 +49,7 @@ def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
 class ScatteredLight:
     """The change of a viewpoint's pixels by subsurface scattering, drawn with OpenGL.
 
-    A pixel's light depends on other pixels; computing it in float64 would take seconds.
+    A pixel's scattered light depends on other pixels; float64 would take seconds to compute it.
     """
 
     def __init__(self, viewpoint: Viewpoint) -> None:
@@ -57,9 +57,9 @@ class ScatteredLight:
         self.known: dict[Shading, Float] = {}
 
     def __call__(self, shading: Shading) -> Float:
-        """Return the change of the radiance, (H, W, 3)."""
+        """Return the change of the radiance by scattering, (H, W, 3)."""
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
-        if shading.diffuse == "coupled":  # its albedo depends on these attributes of the term only
+        if shading.diffuse == "coupled":  # the coupled albedo depends only on m and these
             names, m = [*names, "ks", "two_lobes", "slope_filter", "curvature"], shading.term.m
         light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
         if light not in self.known:
@@ -78,13 +78,14 @@ class ScatteredLight:
 class DrawnViews:
     """The views drawn by OpenGL.
 
-    With several samples per pixel OpenGL also shades silhouettes that no pixel's centre sees. A
-    change that exceeds the budget there alone is not tried again in combinations.
+    With several samples per pixel, OpenGL also shades silhouettes that cover no pixel's centre. A
+    single change that exceeds the budget in these images is not tried again in combinations.
 
     Attributes
     ----------
     triangles : number of the mesh's triangles
-    finest, detail : level of detail of the full frame, and of the frames that are tried
+    finest : level of detail of the full frame
+    detail : level of detail of the frames that are tried
     coarser : levels of detail that exceeded the budget, each with its error
     """
 
@@ -124,7 +125,7 @@ class DrawnViews:
         return False
 
     def accepts(self, shading: Shading) -> bool:
-        """Return whether a shading is within the budget; remember its single changes that fail."""
+        """Return whether a shading is within the budget; if not, note which single changes fail."""
         if self._within(shading):
             return True
         for names in groups(shading, self.full).values():
@@ -133,7 +134,7 @@ class DrawnViews:
         return False
 
     def rejects(self, shading: Shading) -> bool:
-        """Return whether a shading has a change that failed."""
+        """Return whether a shading has a change that failed on its own."""
         return any(values(shading, names) == failed for names, failed in self.failed)
 
     def _within(self, shading: Shading) -> bool:
@@ -142,9 +143,9 @@ class DrawnViews:
     def errors(
         self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
-        """Yield for each image the largest error, and the error that the budget counts.
+        """Yield for each image the largest error, and the largest without the spared pixels.
 
-        Errors of pixels that the full frame does not cover count too: FLIP compares neighbourhoods.
+        Pixels that the full frame does not cover count too, since FLIP compares neighbourhoods.
 
         detail : level of detail; default: ``self.detail``
         """

@@ -33,7 +33,7 @@ in vec2 corner;
 void main() { gl_Position = vec4(corner, 0.0, 1.0); }
 """
 # Directions, c and m change in every iteration, so that a compiler can hoist nothing out of the
-# loop. A rotation keeps the vectors' length.
+# loop. The rotation keeps the vectors' lengths.
 _FRAGMENT = """#version 330 core
 %s
 uniform int count;
@@ -58,7 +58,7 @@ void main() {
     }
 }
 """
-# Expressions that use the same inputs as the term; their cost is subtracted.
+# Expressions with the same inputs as a measured term; their cost is subtracted from its cost.
 OF_VECTORS = "(l.x + v.y) * m + f0"
 OF_COSINE = "c + m"
 
@@ -70,17 +70,17 @@ def by_slope(
     backend: Backend = "auto",
     progress: Callable[[float], object] = lambda done: None,
 ) -> dict[str, Interval]:
-    """Measure terms by the slope of time over the number of evaluations, net of an empty loop.
+    """Measure the cost of terms: the slope of time over evaluations, minus that of an empty loop.
 
     A fragment evaluates the term n times, for three values of n. The terms are measured
     alternately, so that a slow phase of the machine affects all of them. On a GPU, timer queries
-    measure the time. On a CPU, it is the processor time of this process up to ``glFinish``, divided
-    by the number of drawing threads: about the time of the wall clock, also on a busy machine.
+    measure the time. On a CPU, the processor time of this process up to ``glFinish`` is divided by
+    the number of drawing threads; the quotient is close to the wall time of an idle machine.
 
     Parameters
     ----------
-    terms : by name: prelude (with includes of the library), and float expression of vec3 n, l, v
-        and float c (cosine of the half vector's angle), m, f0
+    terms : keyed by name: prelude (with includes of the library), and float expression of vec3 n,
+        l, v and float c (cosine of the angle between normal and half vector), m, f0
     empty : expression whose cost is subtracted: OF_VECTORS for whole terms, OF_COSINE for lobes
     repeats : number of measurements
     progress : called with the completed fraction
@@ -131,12 +131,12 @@ def slopes(
     repeats: int,
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
-    """Return weighted sums of the runs' slopes of seconds over counts; the runs alternate.
+    """Return weighted sums of slopes, one slope of seconds over count per run; the runs alternate.
 
     Parameters
     ----------
     runs : functions that draw a given number of times and return the seconds
-    first : the smallest count; raised if the clock is too coarse for it
+    first : the smallest count; it is doubled while the times are too short for the clock
     weights : weight of each run's slope in each sum, (N, runs)
     repeats : number of measurements
     progress : called with the completed fraction
@@ -181,7 +181,7 @@ def frames(
 def clock_of(
     context: Context,
 ) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
-    """Return a context manager that times drawing; its list contains the seconds after the exit."""
+    """Return a function that makes timers: context managers with a list of seconds after exit."""
     if context.software:
         return partial(_cpu_clock, threads=_threads(context.renderer))
     return _gpu_clock
@@ -192,7 +192,7 @@ def _threads(renderer: str) -> int:
     if "softpipe" in renderer.lower():
         return 1
     cores = len(os.sched_getaffinity(0))
-    wanted = os.environ.get("LP_NUM_THREADS", "")  # of llvmpipe; 0: only the calling thread
+    wanted = os.environ.get("LP_NUM_THREADS", "")  # llvmpipe reads it; 0: only one thread
     return max(1, min(cores, int(wanted))) if wanted.isdecimal() else cores
 
 

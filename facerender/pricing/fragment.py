@@ -1,6 +1,6 @@
 """Cost of the parts of the renderer's fragment program, without the specular terms.
 
-``by_slope`` measures them on this machine, from the costs of the programs of ``samples``.
+``by_slope`` measures them on this machine, in the programs that ``samples`` returns.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 
 SIZE = (512, 256)
-FEW = 2  # environment samples; compilers unroll a loop of so few
+FEW = 2  # environment samples; compilers unroll a loop over two samples
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
 Timed = Callable[[int], float]  # draws N times and returns the seconds
 
-# A triangle that fills the target as a patch of a curved surface, with 1.5 texels per pixel. It is
-# clockwise, since the renderer draws images upside down and culls accordingly.
+# A triangle that fills the target, with normals of a curved surface and 1.5 texels per pixel. It
+# is clockwise, since the renderer draws images upside down and culls accordingly.
 _PATCH = Part(
     positions=np.array([(-1.0, -1.0, 0.1), (-1.0, 3.0, -0.2), (3.0, -1.0, 0.2)]),
     normals=np.array([(-0.5, -0.4, 1.0), (-0.4, 0.6, 1.0), (0.7, -0.3, 1.0)]),
@@ -63,14 +63,15 @@ def scene_with(
     environment: bool = False,
     **lights: int,
 ) -> Scene:
-    """Return a scene of a patch with the named maps of 1024 x 1024 texels.
+    """Return a scene with one triangle that fills the image, and maps of 1024 x 1024 texels.
 
     Parameters
     ----------
+    maps : names of the maps
     ambient : whether there is ambient light
     shadow : whether the lights cast shadows
     environment : whether there is an environment map
-    lights : number of lights by kind; default: one directional light
+    lights : number of lights, keyed by kind; default: one directional light
     """
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
     material = Material((1.0, 1.0, 1.0), 0.4, ks=0.3, kd=0.7, **textures)
@@ -91,11 +92,11 @@ def program_of(
     coupled: bool = False,
     environment_samples: int = 0,
 ) -> Program:
-    """Return the host's program of a scene's first part, for m >= SLOPE.
+    """Return the renderer's program for the first mesh part of a scene, for m >= SLOPE.
 
     Parameters
     ----------
-    shading : shading of the scene; None: every light has the stub
+    shading : shading of the scene; None: ``stub`` replaces the specular terms of the lights
     stub : GLSL in place of specular terms; "": no specular terms if ``shading`` is None
     """
     chosen = shading or Shading()
@@ -119,9 +120,9 @@ def _texture(name: str) -> Texture:
 
 
 def parts_of(program: Program) -> dict[str, int]:
-    """Return how many times a program contains each part.
+    """Return how many times a program contains each priced part.
 
-    Further specular terms are a separate part: they share values of the fragment with the first.
+    Further specular terms are a separate part: they share values with the first specular term.
     """
     groups = program.lights or ()
     specular = sum(group.count for group in groups if group.term >= 0) if program.calls else 0
@@ -157,15 +158,15 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
     """Return one scene and program per part; their costs determine the costs of the parts.
 
     Each part is measured in a program that uses it. Property maps need a specular and an ambient
-    term, which read them. Other maps need an albedo map, which pays for the interpolation of the
-    texture coordinates.
+    term, which read them. Other maps need an albedo map, whose cost includes the interpolation of
+    the texture coordinates.
 
     Parameters
     ----------
-    shading : shading whose specular terms the programs have. With None they evaluate ``INPUTS``
+    shading : shading with the programs' specular terms. With None, programs evaluate ``INPUTS``
         instead, which keeps the inputs of a specular term alive. Then the cost of a specular part
-        excludes the term, whose net cost must be added. This overestimates several terms by the
-        work that they share
+        excludes the term, whose net cost must be added. For several terms, this overestimates
+        the cost by the work that the terms share
     """
     albedo = ("albedo_map",)
     others: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
@@ -194,7 +195,7 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
     ]
 
 
-# The names of the parts, and the matrix that converts costs of the samples to costs of the parts.
+# The names of the parts, and the matrix that converts costs of sample programs to part costs.
 PARTS = tuple(parts_of(program_of(scene_with())))
 TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in samples()])
 
@@ -257,7 +258,7 @@ def by_slope(
 def _timed(
     context: Context, resources: Resources, scene: Scene, source: Program, program: moderngl.Program
 ) -> Timed:
-    """Return a function that draws the part of a scene N times and returns the seconds."""
+    """Return a function that draws the only part of a scene N times and returns the seconds."""
     (part,), (material,) = scene.mesh.parts, scene.mesh.materials
     lighting = Lighting.of(scene, Shading())
     set_uniforms(program, scene_uniforms(scene, _VIEW, lighting))

@@ -20,8 +20,8 @@ def seconds(
 ) -> NDArray[np.float64]:
     """Return the duration of each draw, (repeats, draws) in seconds.
 
-    The draws alternate, after an unmeasured round that compiles and uploads. ``progress`` is called
-    with the completed fraction.
+    The draws alternate. A previous round, which compiles and uploads, is not measured.
+    ``progress`` is called with the completed fraction.
     """
     for draw in draws:
         draw()
@@ -43,7 +43,7 @@ def ratios(draws: Sequence[Draw], repeats: int) -> list[Interval]:
 
 
 def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
-    """Return the median ratio of two frames' times in the same round."""
+    """Return the median over rounds of the time of ``draw`` divided by the time of ``full``."""
     own, other = seconds([draw, full], repeats).T
     return bootstrap(lambda turns: np.median((own / other)[turns], keepdims=True), repeats)[0]
 
@@ -54,7 +54,7 @@ class Line:
 
     Attributes
     ----------
-    fixed : milliseconds that no shading changes: geometry, coverage, maps, readback
+    fixed : milliseconds that do not depend on the shading: geometry, coverage, maps, readback
     slope : milliseconds of the whole frame per unit of the fragment price
     """
 
@@ -83,9 +83,10 @@ class Frames:
 
     Attributes
     ----------
-    full, own : time by fragment price, with the full and with the chosen level of detail
-    taken : milliseconds with the full shading: "full"; then, each with the choices before, with
-        the chosen "cull_back_faces", "samples", "shading_rate" and "triangles"
+    full, own : time as a function of the fragment price, with the full level of detail and with the
+        chosen one
+    taken : milliseconds of frames with the full shading, keyed by "full", "cull_back_faces",
+        "samples", "shading_rate" and "triangles"; each frame has this choice and all earlier ones
     source : origin of the times, as text
     """
 

@@ -13,7 +13,7 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 PARTS = ("scattering", "sample of scattering")
-_MEASURED = (8, 64)  # samples
+_MEASURED = (8, 64)  # subsurface samples per pixel of the two measured frames
 _SIZE = 512
 
 
@@ -32,7 +32,7 @@ def scene() -> Scene:
 
 
 def by_frames(repeats: int = 9) -> dict[str, float]:
-    """Measure the cost of PARTS on this machine, in nanoseconds; raise as
+    """Measure the cost of PARTS on this machine, in nanoseconds per pixel; raise as
     :func:`facerender.pricing.cost.frames`."""
     shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
     none, *both = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
@@ -40,6 +40,6 @@ def by_frames(repeats: int = 9) -> dict[str, float]:
 
 
 def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
-    """Return the cost of PARTS from the costs at two numbers of samples."""
+    """Return the cost of PARTS from the costs at two numbers of subsurface samples."""
     each = (costs[1] - costs[0]) / (samples[1] - samples[0])
     return dict(zip(PARTS, (max(costs[0] - samples[0] * each, 0.0), each), strict=True))

@@ -1,9 +1,9 @@
 """Price of a shading per fragment, as a sum of the prices of its parts.
 
 The parts are the renderer's program, its maps and lights (``fragment.py``), the specular term of
-the first light, and the term of each further light, which shares intermediate values with the
-first. ``python -m benchmarks.prices table`` writes the table ``prices.json`` in the repository;
-``measured`` prices this machine.
+the first light, and the term of each further light, which shares values with the first light's
+term. ``python -m benchmarks.prices table`` writes the table ``prices.json`` in the repository;
+``measured`` measures the prices on this machine.
 """
 
 from __future__ import annotations
@@ -40,15 +40,16 @@ class NoPrice(InputError):
 
 @dataclass(frozen=True)
 class Prices:
-    """Prices of one target.
+    """Prices of one driver or GPU.
 
     Attributes
     ----------
     source : origin of the prices, as text
     unit : unit of all prices
     parts : prices of ``fragment.PARTS`` without the specular terms, and of ``scatter.PARTS``
-    terms : two prices of each specular term, by :func:`term_name`: for the first light that has
-        a term, and for a further light. The same for second lobes, by :func:`second_name`
+    terms : two prices of each specular term, keyed by :func:`term_name`: the price for the first
+        light with a specular term, and the price for each further light. The same two prices of
+        each second lobe, keyed by :func:`second_name`
     """
 
     source: str
@@ -57,7 +58,7 @@ class Prices:
     terms: Terms
 
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
-        """Return the cost of a fragment of the scene, and its specular part.
+        """Return the cost of a fragment of the scene, and the specular part of this cost.
 
         With several mesh parts, return the mean weighted by their numbers of faces.
 
@@ -102,9 +103,9 @@ class Prices:
         terms: Sequence[Term],
         smallest: float,
     ) -> tuple[float, float]:
-        """Return the cost of a fragment of one mesh part, and its specular part.
+        """Return the cost of a fragment of one mesh part, and the specular part of this cost.
 
-        lights : cost of all lights without their terms
+        lights : cost of all lights without their specular terms
         terms : the lights' specular terms
         smallest : smallest slope m of the part
         """
@@ -166,11 +167,11 @@ class Prices:
 def load_prices(
     kind: str, scene: Scene, shadings: Iterable[Shading], software: bool = False
 ) -> Prices:
-    """Return the prices of a target, for some shadings of a scene.
+    """Return the prices of a driver or GPU, for some shadings of a scene.
 
     Parameters
     ----------
-    kind : "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) of the table; "auto" and "frame" choose
+    kind : "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table; "auto" and "frame" choose
         llvmpipe if the CPU draws, otherwise navi21; "here" measures on this machine, which takes
         up to a minute
     software : whether the CPU draws
@@ -201,7 +202,7 @@ def load_prices(
 
 
 def shipped() -> dict[str, Prices]:
-    """Return the prices of the table ``prices.json``, by target."""
+    """Return the prices of the table ``prices.json``, keyed by driver or GPU."""
     table = json.loads(TABLE.read_text(encoding="utf-8"))
     return {kind: Prices(**prices) for kind, prices in table.items()}
 
@@ -222,7 +223,7 @@ def term_name(term: Term, smallest_m: float) -> str:
 def second_name(term: Term, smallest_m: float) -> str:
     """Return the name under which a term's second lobe is priced.
 
-    The second lobe shares the Fresnel and masking terms, so the name excludes these.
+    Both lobes of a term share its Fresnel and masking terms, so the name excludes these.
     """
     return f"second lobe of {term_name(_unfactored(term), smallest_m)}"
 
@@ -232,21 +233,21 @@ def _unfactored(term: Term) -> Term:
 
 
 def variants(term: Term) -> dict[str, Term]:
-    """Return variants of a term by name: with constant and varying slope; the exact lobe also with
-    and without support of small slopes."""
+    """Return variants of a term, keyed by name: with and without a constant m. Variants with the
+    exact lobe also differ in the support of small slopes."""
     small = (True, False) if lobe_entry(term.lobe).of_tan2 else (None,)
     terms = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
     return {term_name(each, SLOPE): each for each in terms}
 
 
 def second_variants(term: Term) -> dict[str, Term]:
-    """Return terms whose second lobes cost the same as the second lobes of a term's variants, by
-    name."""
+    """Return terms whose second lobes cost the same as the second lobes of a term's variants,
+    keyed by name."""
     return {second_name(each, SLOPE): _unfactored(each) for each in variants(term).values()}
 
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
-    """Return the cost of each second lobe: costs of terms with two lobes less costs with one."""
+    """Return the cost of each second lobe: a term's cost with two lobes less its cost with one."""
     added = {}
     for name, term in seconds.items():
         first, further = one[term_name(term, SLOPE)]
@@ -255,7 +256,7 @@ def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[st
 
 
 def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
-    """Return the costs of the parts without specular ones, which the terms' prices include."""
+    """Return the costs of the parts, except specular parts: the terms' prices include these."""
     return {name: cost for name, cost in parts.items() if name not in _SPECULAR}
 
 
@@ -266,8 +267,9 @@ def measured(
 
     Parameters
     ----------
-    terms : terms by :func:`term_name`
-    seconds : terms whose second lobes are priced, by :func:`second_name`; all are in ``terms`` too
+    terms : terms, keyed by :func:`term_name`
+    seconds : terms whose second lobes are priced, keyed by :func:`second_name`; ``terms`` has each
+        of them too
 
     Raises
     ------
@@ -294,6 +296,6 @@ def measured(
     return Prices(source, "ns", without_specular(parts) | scatter.by_frames(repeats), prices)
 
 
-# Macros in place of the uniforms of a second lobe.
+# Macros that replace the uniforms of a second lobe.
 _LOBES = "#define second_m (1.5 * m)\n#define lobe_weight (0.5 + f0)\n"
 _SPECULAR = ("first specular term", "further specular term")

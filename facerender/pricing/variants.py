@@ -10,12 +10,12 @@ from facerender.shading import SMALL_SLOPE, Shading
 from facerender.terms import LOBES, MODELS
 
 SLOPE = 0.3  # slope m of the priced terms
-# A sum of the inputs of a term; its cost is subtracted from the cost of a term.
+# A sum of the inputs of a term; the cost of this sum is subtracted from the cost of the term.
 INPUTS = "dot(l, v) + n.x + m * f0"
 
-# The models that the paper contains, with their titles.
+# Titles of the models that the paper contains, keyed by the model's name.
 PRINTED = {model.name: model.title for model in MODELS.values() if model.printed}
-# Their lobes: E/c^4, and E computed from the angle.
+# Exact lobes of these models as published, with E = exp(-tan² γ / m²): E/c^4, and E from γ.
 _PRINTED_EXACT = {
     "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
     "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
@@ -29,10 +29,10 @@ class Variant:
 
     Attributes
     ----------
-    model, lobe : names
-    printed : the form as published, not the library's form
-    plain : without the extra precision at small angles, which the exact lobe does not need for
-        m >= SMALL_SLOPE
+    model, lobe : name of the model, and name of the lobe
+    printed : whether this is the form as published, not the library's form
+    plain : whether the extra precision at small angles is omitted, which the exact lobe does not
+        need for m >= SMALL_SLOPE
     """
 
     model: str
@@ -42,7 +42,7 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """The label, unique among the variants of the model."""
+        """The label of the variant, unique among the variants of the model."""
         if self.printed:
             return f"printed, {self.lobe}"
         return f"{self.lobe}, m >= {SMALL_SLOPE:g}" if self.plain else self.lobe
@@ -54,7 +54,7 @@ class Variant:
 
     @property
     def unclamped(self) -> bool:
-        """Whether this is a power without a clamp, as published."""
+        """Whether the lobe is a power without a clamp, as published."""
         return self.printed and self.lobe != "exact"
 
     @property
@@ -81,7 +81,7 @@ class Variant:
 
     @property
     def lobe_term(self) -> tuple[str, str]:
-        """GLSL prelude and expression of the lobe in float c and m; dimensionless."""
+        """GLSL prelude and expression of the lobe as a function of float c and m; no unit."""
         if self.unclamped:
             power = f"fr_printed_g_power(c, 2.0 / (m * m) - {self.k}.0, 16)"
             return '#include "printed/g_power.glsl"', power
@@ -92,7 +92,7 @@ class Variant:
 
 
 def of_model(model: str) -> tuple[Variant, ...]:
-    """Return the variants of a model, the published ones first."""
+    """Return the variants of a model, the published variants first."""
     printed = [Variant(model, lobe, printed=True) for lobe in _PRINTED_LOBES]
     library = [
         Variant(model, lobe, plain=plain)
@@ -103,10 +103,10 @@ def of_model(model: str) -> tuple[Variant, ...]:
 
 
 def terms(model: str) -> dict[str, tuple[str, str]]:
-    """Return GLSL prelude and expression of each whole term by the variant's name."""
+    """Return GLSL prelude and expression of each whole term, keyed by the variant's name."""
     return {variant.name: variant.term for variant in of_model(model)}
 
 
 def lobe_terms(model: str) -> dict[str, tuple[str, str]]:
-    """Return GLSL prelude and expression of each lobe by the variant's name."""
+    """Return GLSL prelude and expression of each lobe, keyed by the variant's name."""
     return {variant.name: variant.lobe_term for variant in of_model(model) if not variant.plain}

@@ -1,1 +1,1 @@
-"""Scene descriptions as values: mesh, material, textures, camera, lights. No OpenGL."""
+"""Scene descriptions as values: mesh, material, textures, camera, lights. OpenGL is not used."""

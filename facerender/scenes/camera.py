@@ -19,8 +19,9 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
-_NOT_ROTATED = 1e-3  # tolerance for elements of R R^T - I, because users may round rotations
-_PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")  # exclude extrinsics
+_NOT_ROTATED = 1e-3  # largest element of |R R^T - I|; not 0, because users may round a rotation R
+# Fields that must keep their defaults if extrinsics are given.
+_PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
 
 
 @dataclass(frozen=True)
@@ -29,18 +30,20 @@ class Camera:
 
     Parameters
     ----------
-    azimuth, elevation : degrees; 0, 0 looks at the face, azimuth 90 sees the side at +x
+    azimuth, elevation : direction from the target to the camera in degrees. A camera at azimuth 0
+        and elevation 0 sees the face, a camera at azimuth 90 the side at +x
     fov : vertical field of view, degrees in [1, 150]
     zoom : magnification; at 1, the framed region fits into the image at every azimuth
     target : point at the centre of the image; None for the centre of the framed region
     position : position of the camera; None to orbit the target
-    frame : region to frame: "all" of the mesh, "head" or "face"; see ``facerender.scenes.framing``
-    extrinsics : [R|t], (3, 4), from mesh space to OpenCV's camera space: camera at 0, x to the
-        right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target,
+    frame : region to frame: "all" (the whole mesh), "head" or "face"; see
+        ``facerender.scenes.framing``
+    extrinsics : matrix [R|t], (3, 4), that maps mesh space to OpenCV's camera space: camera at 0, x
+        to the right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target,
         position and frame
-    intrinsics : K, (3, 3), from camera space to pixels of an image of ``size``; replaces fov. The
-        top left pixel has its corner at (0, 0) and its centre at (0.5, 0.5). Add 0.5 to the
-        principal point of a calibration that has the centre at (0, 0), such as OpenCV's
+    intrinsics : matrix K, (3, 3), that maps camera space to pixels of an image of ``size``;
+        replaces fov. The top left pixel has its corner at (0, 0) and its centre at (0.5, 0.5). Add
+        0.5 to the principal point if a calibration, such as OpenCV's, has that centre at (0, 0)
     size : width and height of the image that intrinsics refer to; rendered images need the same
         aspect ratio
     """
@@ -106,12 +109,12 @@ class Camera:
         if not ((focal >= 1e-3) & (focal <= 1e4)).all() or np.abs(middle).max() > 1e3:
             raise InputError(
                 f"camera intrinsics = {shown(self.intrinsics)}: give fx and fy from 0.001 to 10000 "
-                f"times the image size of {width} x {height} pixels, and cx and cy up to 1000 times"
+                f"times and cx and cy up to 1000 times the image size of {width} x {height} pixels"
             )
 
 
 def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:
-    """Check a matrix of 3 rows; return it as tuples."""
+    """Check that a value is a matrix of 3 rows; return the matrix as tuples."""
     rows = value.tolist() if isinstance(value, np.ndarray) else value
     good = isinstance(rows, tuple | list) and len(rows) == 3
     if not good or not all(
@@ -127,7 +130,8 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
 def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
     """Return cameras at equal angles around the mesh, at the elevation of the given camera.
 
-    The first camera is the given one.
+    The first camera has the azimuth of the given camera. Position, extrinsics and intrinsics of the
+    given camera are not used.
 
     Raises
     ------
@@ -140,6 +144,9 @@ def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
 
 
 def orbiting(camera: Camera, **orbit: Any) -> Camera:
-    """Return the camera as an orbiting one, with changed fields such as azimuth or zoom."""
+    """Return the camera without position, extrinsics and intrinsics, so that it orbits its target.
+
+    orbit : fields to change, such as azimuth or zoom
+    """
     placed: dict[str, Any] = dict.fromkeys(("position", "extrinsics", "intrinsics", "size"))
     return replace(camera, **placed, **orbit)

@@ -1,5 +1,5 @@
 """Environment maps: a panorama, its octahedral mip levels and irradiance coefficients for shading,
-and a procedural studio. ``loading/environment.py`` reads the files."""
+and a procedural studio. ``loading/environment.py`` reads image files."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from facerender.terms.ranges import Range, check_fields, ranged
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-SIDE = 256  # side of the map's first level in texels; the last level has 4
+SIDE = 256  # side of the map's first mip level in texels; the last level has a side of 4 texels
 LEVELS = 7
-_INSIDE = 4  # a texel of the map averages 4 x 4 samples of the panorama
+_INSIDE = 4  # each texel of the map averages 4 x 4 samples of the panorama
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Panorama:
     Parameters
     ----------
     name : file or "studio", for messages and scene files
-    radiance : (H, 2 H, 3), linear. The top row is straight up, the middle column is +z, where the
-        face looks. Columns run from left to right as the face sees them
+    radiance : (H, 2 H, 3), linear RGB. The top row is the direction straight up. The middle column
+        is +z, the direction in which the face looks. Columns run from the face's left to its right
 
     Raises
     ------
@@ -68,7 +68,7 @@ class Panorama:
 
     @cached_property
     def coefficients(self) -> Float:
-        """Coefficients (9, 3) of the irradiance in spherical harmonics of the normal."""
+        """Spherical harmonics coefficients (9, 3) of the irradiance as a function of the normal."""
         radiance, directions, solid_angle = self._resampled
         received = np.tensordot(
             harmonics(directions) * solid_angle[..., None], radiance, ((0, 1), (0, 1))
@@ -77,8 +77,8 @@ class Panorama:
 
     @cached_property
     def map(self) -> Float32:
-        """Octahedral levels side by side, (SIDE + 2, W, 3). Each level has half the side of the
-        previous one, and a border of one texel that is copied from across its edges."""
+        """Mip levels of the octahedral map side by side, (SIDE + 2, W, 3). Each level has half the
+        side of the previous level, and a border of one texel from across the level's edges."""
         level, solid_angle = self._octahedron()
         levels = [_bordered(level)]
         for _ in range(LEVELS - 1):
@@ -103,7 +103,7 @@ class Panorama:
         return radiance, _directions(rows), solid_angle
 
     def _octahedron(self) -> tuple[Float, Float]:
-        """Return the first level (SIDE, SIDE, 3) and the solid angle of each texel."""
+        """Return the map's first mip level (SIDE, SIDE, 3) and the solid angle of each texel."""
         radiance = np.pad(self._resampled[0], ((1, 1), (0, 0), (0, 0)), "edge")
         rows = len(radiance) - 2
         radiance = np.pad(radiance, ((0, 0), (1, 1), (0, 0)), "wrap")
@@ -126,8 +126,8 @@ class Environment:
     Parameters
     ----------
     panorama : the image
-    rotation : rotation about the vertical axis in degrees, which is added to azimuths
-    scale : factor on the radiance; a uniform radiance of 1 shows a white surface as 1
+    rotation : rotation about the vertical axis in degrees; added to the panorama's azimuths
+    scale : factor on the radiance; a uniform radiance of 1 shows a white diffuse surface as 1
 
     Raises
     ------
@@ -144,15 +144,16 @@ class Environment:
 
     @property
     def turn(self) -> Float:
-        """Rotation matrix (3, 3) from directions of the mesh to directions of the panorama."""
+        """Rotation matrix (3, 3) from directions in mesh space to directions in the panorama."""
         cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
         return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
 
 @lru_cache(maxsize=1)
 def studio() -> Panorama:
-    """Return a procedural studio: a dim room with three lights. In the image, a large soft box is
-    at the upper left and a strip light at the right. A rim light is behind the face."""
+    """Return a procedural studio: a dim room with three lights. For a camera in front of the face,
+    a large soft box is at the upper left, a strip light at the right, a rim light behind the face.
+    """
     directions = _directions(128)
     room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
     for azimuth, elevation, width, height, color in (
@@ -183,8 +184,8 @@ def _directions(rows: int) -> Float:
 
 
 def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
-    """Return x, y, z of unit directions at points of an octahedral map in [-1, 1], and lengths. The
-    lengths are distances from the centre of the octahedron to its surface."""
+    """Return x, y, z of unit directions at points x, z of an octahedral map in [-1, 1]. Also return
+    the distance from the octahedron's centre to its surface in each direction."""
     y = 1.0 - np.abs(x) - np.abs(z)
     folded = y < 0.0
     x, z = (
@@ -196,8 +197,8 @@ def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
 
 
 def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
-    """Return the means of rows of values over the intervals between consecutive ends. Row i of
-    values is constant from own[i] to own[i + 1]."""
+    """Return the mean row of values over each interval [ends[j], ends[j + 1]]. Row i of values
+    holds from own[i] to own[i + 1]."""
     if len(ends) == len(own):
         return values.astype(np.float64)
     means = np.empty((len(ends) - 1, *values.shape[1:]))
@@ -217,12 +218,13 @@ def _between(values: Float, row: Float, column: Float) -> Float:
 
 
 def _blocks(values: Float) -> Float:
-    """Return the sums of blocks of 2 x 2 texels."""
+    """Return the sum of each block of 2 x 2 texels."""
     half = len(values) // 2
     return np.asarray(values.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
 
 
 def _bordered(level: Float) -> Float:
-    """Add a border of one texel. An edge of the map adjoins itself, mirrored at its middle."""
+    """Add a border of one texel. Each edge of a level adjoins its own mirror image on the sphere,
+    because the map is an unfolded octahedron."""
     beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
     return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])

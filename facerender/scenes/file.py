@@ -1,4 +1,4 @@
-"""Scene files in TOML, without mesh and maps."""
+"""Scene files in TOML. They contain no mesh and no maps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "shading", "planned"),
     *("ambient", "background"),
 )
-MOST_BYTES = 1 << 24  # of a scene file
+MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
 STUDIO = "studio"  # name of the procedural environment
 
 
@@ -40,7 +40,7 @@ class EnvironmentFile:
     Parameters
     ----------
     file : .hdr, .exr, .npy or .npz, or "studio" for the procedural environment
-    rotation : rotation about the vertical axis in degrees, which is added to azimuths
+    rotation : rotation about the vertical axis in degrees; added to the map's azimuths
     scale : factor on the radiance
     """
 
@@ -60,7 +60,7 @@ def parse_environment(text: str) -> EnvironmentFile:
 
     Raises
     ------
-    InputError : text of another form, or a value outside its range
+    InputError : the text has another form, or a value is outside its range
     """
     file, *numbers = text.split(",")
     try:
@@ -77,14 +77,14 @@ def parse_environment(text: str) -> EnvironmentFile:
 
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read camera, lights, ambient, background and material from a TOML file.
+    """Read the values of a scene file in TOML.
 
     Returns
     -------
     dict with the keys that the file contains: camera (Camera), cameras (tuple of Camera, the camera
-    path of ``facerender plan``), lights (tuple of Light), environment (EnvironmentFile), ambient,
-    background, material (dict of the factors of :class:`Material`), shading (dict for
-    :meth:`Shading.from_dict`), planned (Planned)
+    path of ``facerender plan``), lights (tuple of Light), environment (EnvironmentFile), ambient
+    and background (as in :class:`Scene`), material (dict of the factors of :class:`Material`),
+    shading (dict for :meth:`Shading.from_dict`), planned (Planned)
 
     Raises
     ------
@@ -100,7 +100,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def scene_value(key: str, value: Any) -> Any:
-    """Convert the plain value of a scene file's key to the type that :func:`load_scene` returns.
+    """Convert the TOML value of a key to the type that :func:`load_scene` returns for the key.
 
     Raises
     ------
@@ -119,10 +119,10 @@ def scene_value(key: str, value: Any) -> Any:
             raise InputError(f"cameras = {shown(value)}: give a list of tables")
         return tuple(from_table(Camera, key, item) for item in value)
     if key == "shading":
-        Shading.from_dict(value)  # validates
+        Shading.from_dict(value)  # only checks the values
         return value
     if key == "material":
-        from_table(Material, key, value, without=MAPS)  # validates
+        from_table(Material, key, value, without=MAPS)  # only checks the values
         return value
     if key == "environment":
         text = isinstance(value, str)
@@ -138,7 +138,7 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
     """Return a scene as TOML for :func:`load_scene`, without mesh and maps.
 
     The table ``material`` contains the factors that are equal for all parts. The table ``planned``
-    contains the images that the shading was planned for.
+    contains the fields of :class:`Planned`.
     """
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
@@ -164,7 +164,7 @@ def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _changes(value: Camera | Light) -> dict[str, Any]:
-    """Return the fields that differ from their defaults."""
+    """Return the fields of a camera or light that differ from their defaults."""
     return {
         each.name: getattr(value, each.name)
         for each in fields(value)
@@ -197,7 +197,7 @@ def _toml(value: Any) -> str:
 
 
 def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
-    """Return a dataclass from a TOML table.
+    """Return an instance of a dataclass with the values of a TOML table.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
 
     Raises
     ------
-    InputError : not a table, an unknown or a missing key, a value outside its range
+    InputError : the value is no table, a key is unknown or missing, or a value is out of range
     """
     known = [each.name for each in fields(kind) if each.name not in without]
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in known]):

@@ -1,15 +1,15 @@
 """Detection of head and face from the geometry of a mesh, which must have y up and look along +z.
 
 The algorithm scans rows of a front view from the top down. The head ends at the neck: the narrowest
-row below the widest one, within plausible head heights, before the rows widen to the shoulders. If
-hair hides the neck, the head ends at the shoulders. A mesh with neither is a head as a whole. If
-the part above a neck is small and has no nose, it is a hair bun. The head then ends at the next
-neck.
+row between the head's widest row and the shoulders, at a plausible height of a head. If hair hides
+the neck, the head ends at the shoulders. A mesh without neck and shoulders is a head as a whole. If
+the part above a neck is small and has no nose, that part is a hair bun. The head then ends at the
+next neck.
 
-The nose is the row whose middle protrudes most, compared with points at the distance of a nose's
-width. The chin is the row below which the front recedes. Nose and chin determine the hairline and
-the sides by the proportions of faces (Farkas (1994), "Anthropometry of the head and face"). If nose
-or chin are not found, as on an egg, they get their usual position in the head."""
+The nose is the row in which the middle protrudes most from the nose's sides. The chin is the row
+below which the front of the face recedes. Nose and chin determine the hairline and the sides of the
+face by the proportions of faces (Farkas (1994), "Anthropometry of the head and face"). If nose or
+chin is not found, as on an egg, the row at the usual height is used."""
 
 from __future__ import annotations
 
@@ -25,29 +25,33 @@ Float = NDArray[np.float64]
 
 _SAMPLES = 300_000  # points on the surface
 _ROWS, _FACE_ROWS = 256, 96  # number of rows of the whole mesh and of its head
-# Ratios of lengths:
+# Ratios of lengths. The size of a row is the geometric mean of its width and depth.
 _SHOULDERS = 1.55  # minimum: width of the shoulders / width of the head
 # Maximum: size of the neck / size of the head. Minimum: size below the neck / size of the neck.
 _NECK, _WIDENED = 0.88, 1.2
-_HEAD = (0.8, 2.0)  # range: height of the head / its size
-_BREADTH = 0.75  # maximum: width of the head / its height; hair may be wider
-_NOSE = (0.3, 0.82)  # range: distance from top to nose / height of the head
+_HEAD = (0.8, 2.0)  # range: height of the head / size of the head
+_BREADTH = 0.75  # maximum: width of the head / height of the head; hair may be wider
+_NOSE = (0.3, 0.82)  # range: distance from the top of the head to the nose / height of the head
 _USUAL_NOSE = 0.6
 _RIDGE = 0.16  # distance from the middle to the nose's sides / width of the head
-_RIDGE_LEAST, _RIDGE_MOST = 0.35, 1.0  # range: protrusion of the nose / distance to its sides
+# Range: protrusion of the nose / distance from the middle to the nose's sides.
+_RIDGE_LEAST, _RIDGE_MOST = 0.35, 1.0
 _CHIN = (0.3, 0.95)  # range: distance from nose to chin / distance from top to nose
 _USUAL_CHIN = 0.52
-_FALL = 0.4  # minimum: recession in three rows below the chin / distance to the nose's sides
-_HAIRLINE, _SIDE = 1.35, 0.95  # distances from the nose / distance from nose to chin
+# Minimum: recession in three rows below the chin / distance from the middle to the nose's sides.
+_FALL = 0.4
+# Distance from nose to hairline, and from the middle to the face's sides / from nose to chin.
+_HAIRLINE, _SIDE = 1.35, 0.95
 _MARGIN = 1.1
-_MOST_HEADS = 2  # one above the other: a hair bun, and the head
+_MOST_HEADS = 2  # a hair bun, and the head below the bun
 _BUN = 0.35  # maximum: height of a hair bun / height of bun and head
 
 _known: WeakKeyDictionary[Mesh, Mapping[str, Region]] = WeakKeyDictionary()
 
 
 def find_regions(mesh: Mesh) -> Mapping[str, Region]:
-    """Return the cached regions "head" and "face" of a mesh; both are the whole of a flat mesh."""
+    """Return the regions "head" and "face" of a mesh; results are cached. Both regions of a mesh
+    without height are the whole mesh."""
     if mesh.regions is not None:
         return mesh.regions
     if mesh not in _known:
@@ -65,7 +69,7 @@ def _surface(mesh: Mesh) -> Float:
     counts = 1 + (areas * (_SAMPLES / total if total > 0.0 else 0.0)).astype(np.int64)
     triangle = np.repeat(np.arange(len(corners)), counts)
     index = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
-    # Roberts' sequence fills a square evenly. Its upper half is folded onto the lower triangle.
+    # Roberts' sequence fills a square evenly. The square's upper half is folded onto the lower.
     u, v = np.modf((index[:, None] + 0.5) * (0.7548776662466927, 0.5698402909980532))[0].T
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u)[:, None], np.where(over, 1.0 - v, v)[:, None]
@@ -76,7 +80,7 @@ def _surface(mesh: Mesh) -> Float:
 def _found(points: Float) -> dict[str, Region]:
     middle = float(np.median(points[:, 0]))
     body = points[_connected(points[:, 0] - middle, _rows(points[:, 1], _ROWS)[0])]
-    if len(body) < 3 or np.ptp(body[:, 1]) < 1e-6:  # flat on the ground
+    if len(body) < 3 or np.ptp(body[:, 1]) < 1e-6:  # no height
         return dict.fromkeys(("head", "face"), _region(points))
     found = [(neck, *_face(body, neck, middle)) for neck, middle in _ends(body)]
     first, last, top = found[0], found[-1], float(body[:, 1].max())
@@ -92,8 +96,8 @@ def _rows(y: Float, count: int) -> tuple[NDArray[np.int64], float]:
 
 
 def _region(points: Float) -> Region:
-    """Return the bounding upright cylinder of points."""
-    # By columns: numpy's minimum over rows takes eighty times as long.
+    """Return the upright cylinder that bounds points."""
+    # Takes the minimum of each column, because numpy's minimum over rows takes 80 times as long.
     low, high = (np.array([end(column) for column in points.T]) for end in (np.min, np.max))
     center = (low + high) / 2.0
     radius = float(np.hypot(*(points - center)[:, [0, 2]].T).max())
@@ -101,7 +105,7 @@ def _region(points: Float) -> Region:
 
 
 def _ends(points: Float) -> Iterator[tuple[float, float]]:
-    """Yield candidates for the lower end of the head: its height, and the head's middle in x."""
+    """Yield the height of each candidate for the head's lower end, and the head's middle in x."""
     rows, step = _rows(points[:, 1], _ROWS)
     low, high = np.full((2, _ROWS), np.inf), np.full((2, _ROWS), -np.inf)
     for axis, column in enumerate((0, 2)):
@@ -122,9 +126,9 @@ def _ends(points: Float) -> Iterator[tuple[float, float]]:
 
 
 def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the points that connect to the middle of their row without a gap. This
+    """Return a mask of the points that connect to the middle of their row without a gap. The mask
     excludes hands and other parts at the side of the body."""
-    cells = 64  # per side
+    cells = 64  # per half of a row
     extent = float(np.abs(x).max()) or 1.0
     place = (np.abs(x) * (cells / extent)).astype(np.int64).clip(0, cells - 1)
     side = (x > 0.0).astype(np.int64)
@@ -191,7 +195,7 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
     Returns
     -------
     front : largest z near the middle
-    ridge : protrusion of the middle over points at the distance side from it, divided by side
+    ridge : protrusion of the middle from points at the distance ``side``, divided by ``side``
     """
     count = 2 * _FACE_ROWS
     rows = ((top - body[:, 1]) / step).astype(np.int64)
@@ -212,8 +216,8 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
 
 
 def _chin(front: Float, nose: int, fall: float) -> int:
-    """Return the row of the chin: the first below which the front recedes by fall in three rows.
-    Searches a range of rows below the nose. Returns the usual row if none is found."""
+    """Return the row of the chin: in a range of rows below the nose, the first row below which the
+    front recedes by ``fall`` within three rows. Return the usual row if there is no such row."""
     usual, first, last = (
         min(nose + round(fraction * nose), len(front) - 1) for fraction in (_USUAL_CHIN, *_CHIN)
     )

@@ -1,5 +1,5 @@
-"""Lights and light kinds. Each kind has an entry here and a file in ``shaders/host/light``. Angles
-are in degrees, lengths in mesh units."""
+"""Lights and light kinds. Each kind has an entry in LIGHT_KINDS and a file in
+``shaders/host/light``. Angles are in degrees, lengths in mesh units."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 
-NEAREST = 1.05  # smallest distance of a point light with a shadow, in radii of the mesh
+NEAREST = 1.05  # smallest distance from a point light with a shadow to the centre, in mesh radii
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Light:
     ----------
     azimuth, elevation : direction to a distant light in degrees, as for the camera
     irradiance : irradiance of a surface that faces the light, one number or linear RGB in [0, 1e9].
-        For a point light: at the centre of the mesh. pi shows a white diffuse surface as 1.
+        A point light's irradiance is at the mesh's centre. pi shows a white diffuse surface as 1.
     position : position of a point light in mesh units; replaces azimuth and elevation
     radius : angular radius in degrees, in [0, 20]; for a point light, as seen from the mesh's
-        centre. 0 for a light without area.
+        centre. A light of radius 0 has no area.
     shadow : whether the mesh casts shadows. Shadows of area lights are soft.
     """
 
@@ -73,20 +73,22 @@ class Light:
 class LightKind:
     """A kind of light.
 
-    Its file ``host/light/NAME.glsl`` declares uniform arrays of NAME_LIGHTS elements and the
-    function ``Light NAME_light(int i, vec3 position)``.
+    The file ``host/light/NAME.glsl`` of a kind declares uniform arrays of NAME_LIGHTS elements and
+    the function ``Light NAME_light(int i, vec3 position)``.
 
     Attributes
     ----------
     name : name of the file, such as "point"
     example : light that cost measurements use
-    matches : returns whether a light is of this kind; a light has the first kind that matches
+    matches : function that returns whether a light can be of this kind; the first kind in
+        LIGHT_KINDS that matches a light is the light's kind
     arrays : names of the uniform arrays
-    elements : returns a light's element of each array, (1,) to (3,), in the renderer's space
-    lighting : returns unit vectors to the light and its irradiance at positions (..., 3) in the
-        renderer's space, in float64
-    sine : returns the sine of the angular radius at positions (..., 3), as (..., 1) or one value
-        for all; None for kinds without area
+    elements : function that returns a light's element of each uniform array, (1,) to (3,), in the
+        renderer's space
+    lighting : function that returns unit vectors to a light and the light's irradiance at positions
+        (..., 3) in the renderer's space, in float64
+    sine : function that returns the sine of a light's angular radius, seen from positions (..., 3),
+        as (..., 1) or one value for all positions; None for kinds without area
     """
 
     name: str
@@ -98,7 +100,8 @@ class LightKind:
     sine: Callable[[Light, Mesh, Float], Float] | None = None
 
     def uniforms(self, lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
-        """Return the uniform arrays of lights of this kind by name, (N, 1) to (N, 3) each."""
+        """Return the uniform arrays of N lights of this kind, keyed by the array's name. Each array
+        is (N, 1) to (N, 3)."""
         columns = zip(*(self.elements(light, mesh) for light in lights), strict=True)
         return {name: np.array(each) for name, each in zip(self.arrays, columns, strict=True)}
 
@@ -116,7 +119,7 @@ class LightKind:
 def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
     """Return position and intensity in the renderer's space, (3,) each.
 
-    The intensity is the irradiance at the mesh's centre times the squared distance from it.
+    The intensity is the irradiance at the mesh's centre times the squared distance to that centre.
 
     Raises
     ------
@@ -159,7 +162,7 @@ def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
     if size > (distance - 1.0) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
         raise InputError(
             f"point light {light.position} with radius {light.radius:g} is too near: parts of the "
-            f"mesh may see a radius above {MAX_RADIUS:g}; give a smaller radius, or move it away"
+            f"mesh may see a radius above {MAX_RADIUS:g} degrees; reduce it, or move the light away"
         )
     return position, intensity, size
 
@@ -228,8 +231,9 @@ LIGHTS: Mapping[str, Light] = {
 
 
 def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
-    """Return s and k of ``slope_variance.glsl`` for a light's largest angular radius on a mesh.
-    Return None for a light without area. Raises the same errors as drawing the light."""
+    """Return sin R and (1 + cos R)/2, where R is the largest angular radius of a light, seen from
+    the mesh's bounding sphere. These values are s and k in ``slope_variance.glsl``. Return None for
+    a light without area. Raises the same errors as drawing the light."""
     if light.kind.sine is None:
         return None
     nearest = np.zeros(3)
@@ -246,7 +250,7 @@ class LightSpace:
 
     Attributes
     ----------
-    matrix : (4, 4) float64, for row vectors, with a perspective division
+    matrix : (4, 4) float64, for row vectors; the result must be divided by w
     tan_radius : tangent of the light's angular radius, seen from the mesh's centre
     top : largest projected z of the unit sphere
     """
@@ -261,7 +265,7 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
 
     Raises
     ------
-    InputError : a point light is nearer than NEAREST or farther than 1e6 mesh radii
+    InputError : a point light is less than NEAREST or more than 1e6 mesh radii from the centre
     """
     tan_radius = math.tan(math.radians(light.radius))
     if light.position is None:
@@ -285,8 +289,8 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
 
 
 def light_axes(light: Light, mesh: Mesh) -> Float:
-    """Return an orthonormal basis as columns (3, 3). The third is the direction to the light from
-    the centre of the mesh."""
+    """Return an orthonormal basis as columns (3, 3). The third column is the direction from the
+    centre of the mesh to the light."""
     towards = light.direction if light.position is None else mesh.normalised(light.position)
     towards = towards / np.linalg.norm(towards)
     across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)
@@ -301,7 +305,7 @@ def parse_light(text: str) -> Light:
 
     Raises
     ------
-    InputError : an unknown name or another form
+    InputError : the name is unknown, or the text has another form
     """
     first, *behind = re.split(r",(?=radius=|shadow\b)", text)
     kind, _, rest = first.rpartition(":")

@@ -21,13 +21,14 @@ from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
 
-# Weights of attribute errors relative to position errors, which are in extents of the mesh. Texture
-# coordinates are measured on the surface, in radii of the mesh. _COLOR is for linear colours and
-# occlusion. The weights are chosen by comparison of images, as in docs/measurements/levels.md.
+# Weights of attribute errors. A position error, in extents of the mesh, has the weight 1. _PLACE is
+# for texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR is for linear
+# colours and occlusion. The weights are chosen by comparison of images, as in
+# docs/measurements/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 
-_SAME_SHAPE = 1.01  # tolerance of the aspect ratio, for rounded sizes
+_SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, for rounded sizes
 
 _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 
@@ -37,12 +38,12 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
 
     Edges collapse in the order of their quadric error (Garland and Heckbert 1997), which includes
     normals, texture coordinates, colours and occlusion (Hoppe 1999). Remaining vertices do not
-    move. Borders of the mesh, seams and borders between parts collapse along themselves, on both
-    sides together, so that no cracks open. Materials, number of parts, bounds, radius, profile,
-    head and face do not change, so that cameras frame both meshes alike. Triangles are ordered for
-    the vertex cache.
+    move. Edges on mesh borders, seams and borders between parts collapse only along these lines, on
+    both sides together, so that no cracks open. Materials, number of parts, bounds, radius,
+    profile, head and face do not change, so that cameras frame the simplified mesh like the
+    original. Triangles are ordered for the GPU's vertex cache.
 
-    The result is deterministic across processes; equal arguments give the same object.
+    The result is the same in every process. Repeated calls with equal arguments return one object.
 
     Reference: Kapoulkine (2016-2026), meshoptimizer: meshopt_simplifyWithAttributes.
 
@@ -53,11 +54,11 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
 
     Raises
     ------
-    InputError : triangles below 1; the package meshoptimizer is not installed
+    InputError : triangles is below 1, or the package meshoptimizer is not installed
 
     Warns
     -----
-    FacerenderWarning : the mesh still has more triangles, because of its seams or parts
+    FacerenderWarning : the mesh still has more triangles than the limit, because of seams or parts
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     TRIANGLES.check("triangles", triangles)
@@ -72,7 +73,8 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
 
 
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:
-    """Simplify all parts together: common borders stay closed, and errors compare across parts."""
+    """Simplify all parts together, so that borders between parts stay closed and the errors of
+    different parts are comparable."""
     try:
         meshoptimizer.library()
     except ImportError:
@@ -82,7 +84,7 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
     rows = np.concatenate([_vertices(mesh, number) for number in range(len(mesh.parts))])
-    # In some files, triangles do not share vertices.
+    # In some files, triangles do not share vertices, so equal vertices are merged.
     rows, first, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     corners = numbers.reshape(-1)[np.concatenate(faces)]
     columns = rows.astype(np.float32)
@@ -111,9 +113,9 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
 def _vertices(mesh: Mesh, index: int) -> Float:
     """Return the vertex attributes of a part as rows.
 
-    Columns: part number, position, normal, scaled texture coordinates, colour (12). If any part has
-    occlusion or second texture coordinates, also occlusion (13). If any part has second texture
-    coordinates, also these, scaled (15).
+    The first 12 columns are part number, position, normal, scaled texture coordinates and colour.
+    If any part has occlusion or second texture coordinates, column 13 is the occlusion. If any part
+    has second texture coordinates, columns 14 and 15 are the scaled second texture coordinates.
     """
     part = mesh.parts[index]
     count = len(part.positions)
@@ -156,7 +158,7 @@ class LevelOfDetail:
     Attributes
     ----------
     samples : samples per pixel
-    triangles : limit for the mesh; None for all triangles
+    triangles : largest number of triangles of the mesh; None for all triangles
     cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
     """
 
@@ -179,13 +181,13 @@ class LevelOfDetail:
 
 @dataclass(frozen=True)
 class Planned:
-    """The images for which a plan measured its error, and the settings that it chose for them.
+    """The images for which a plan measured its error, and the settings that the plan chose.
 
     Parameters
     ----------
     sizes : width and height of each image in pixels
-    samples : samples per pixel of the images
-    drawn_samples : samples per pixel that the plan draws instead; None for the same number
+    samples : samples per pixel of the images without the plan
+    drawn_samples : samples per pixel that the plan draws; None for the number in ``samples``
     triangles : largest number of triangles that the plan draws; None for all
     cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
 
@@ -220,9 +222,9 @@ class Planned:
     def holds(self, size: tuple[int, int], samples: int) -> bool:
         """Return whether the plan covers an image.
 
-        Samples must be the planned number; size and aspect ratio must be in the planned ranges.
-        One sample is also covered if the plan draws all triangles and back faces: it is at the
-        pixel's centre, where every plan is measured.
+        The samples per pixel must be the planned number; size and aspect ratio must be in the
+        planned ranges. One sample per pixel is also covered if the plan draws all triangles and
+        back faces: that sample is at the pixel's centre, where every plan is measured.
         """
         centres = self.triangles is None and not self.cull_back_faces
         widths, heights = zip(*self.sizes, strict=True)

@@ -18,12 +18,12 @@ from facerender.terms.ranges import FRACTION, Range, check_fields, ranged
 if TYPE_CHECKING:
     from facerender.terms.scattering import Gaussians
 
-SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; default of meshes without colours
+SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear RGB; default of meshes without colours
 
 
 Alpha = Literal["opaque", "mask", "blend"]
 
-# Maps that can be packed in red, green and blue of one texture.
+# Maps that can be packed in the red, green and blue channels of one texture.
 PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
 MAPS = (
     *("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"),
@@ -38,31 +38,32 @@ class Material:
 
     Parameters
     ----------
-    albedo : linear RGB
+    albedo : fraction of light that is reflected diffusely, linear RGB
     m : roughness, the RMS slope of the microfacets, in [1e-4, 2]; unused with a roughness map
     roughness_factor : factor on the roughness map, in [0, 1]; m = (factor * texel)^2, as in glTF
     f0 : Fresnel reflectance at normal incidence, in [0, 1)
-    ks, kd : specular and diffuse weights, >= 0. A bare dielectric has ks = 1; 0.18, from GPU Gems
-        3 chapter 14, suits powdered skin.
+    ks, kd : specular and diffuse weights, >= 0. A bare dielectric has ks = 1. For powdered skin,
+        GPU Gems 3, chapter 14, gives ks = 0.18.
     second_slope : factor on m for a second specular lobe, in [0.01, 100]; 1 for no second lobe
-    lobe_weight : fraction of the first lobe, in [0, 1]; 1 for no second lobe
-    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Only the
-        albedo map is sRGB-encoded. Green of the normal map points up. Occlusion dims ambient light.
-    lobe_map : texture or None. Its red channel multiplies the fraction of the second lobe,
-        1 - lobe_weight: white for sweat or oil, black for dry skin.
+    lobe_weight : fraction of ks that the first lobe gets, in [0, 1]; 1 for no second lobe
+    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Of these,
+        only the albedo map is sRGB-encoded. The normal map has green pointing up. The occlusion
+        map dims ambient light.
+    lobe_map : texture or None. The red channel multiplies 1 - lobe_weight, the fraction of the
+        second lobe: white for sweat or oil, black for dry skin.
     scattering : subsurface scattering: "skin", Gaussians, or None or "none" for no scattering. A
         Gaussian has a variance in mm^2 and weights of red, green and blue. For each colour the sum
-        of weights is at most 1; the remaining light leaves where it enters.
+        of all Gaussians' weights is at most 1; the remaining light leaves where it enters.
     alpha : use of the opacity: "opaque" ignores it; "mask" discards fragments below
         ``alpha_cutoff``; "blend" makes the part transparent. A transparent part is drawn after all
-        others, casts no shadow and does not scatter.
-    opacity : in [0, 1]
-    alpha_cutoff : >= 0; a cutoff above the opacity discards the whole part
+        other parts, casts no shadow and does not scatter.
+    opacity : opacity of the part, in [0, 1]; 1 is opaque
+    alpha_cutoff : smallest opacity that "mask" draws, >= 0
     opacity_map : grey texture or None; multiplies the opacity
     emissive : emitted linear radiance, >= 0; it does not light other surfaces
     emissive_map : sRGB-encoded texture or None; multiplies emissive
     normal_strength : factor on x and y of the normal map's texels, in [0, 100]
-    occlusion_strength : s in [0, 1]; the occlusion is 1 + s (texel - 1)
+    occlusion_strength : strength s of the occlusion map, in [0, 1]; occlusion = 1 + s (texel - 1)
     second_uv : names of the maps that use the part's second texture coordinates
     """
 
@@ -135,7 +136,7 @@ class Material:
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
-        """Smallest and largest m over all lobes. Decodes the roughness map if there is one."""
+        """Smallest and largest m over both lobes. Decodes the roughness map if there is one."""
         if self.roughness_map is None:
             return self.with_second(self.m, self.m)
         packed = self.property_map
@@ -147,7 +148,7 @@ class Material:
     @cached_property
     def property_map(self) -> Texture | None:
         """Occlusion, roughness and specular map packed in one texture, to save texture fetches.
-        None without such maps, or if their wrapping, filtering or texture coordinates differ."""
+        None without any of these maps, or if they differ in wrapping, filtering or coordinates."""
         return pack(*self.properties) if self.packs else None
 
     @property
@@ -162,7 +163,10 @@ class Material:
         return len({(name in self.second_uv, m.sampling) for name, m in pairs if m}) == 1
 
     def by_second(self, name: str) -> bool:
-        """Return whether a map, or "property_map", uses the second texture coordinates."""
+        """Return whether a map uses the second texture coordinates.
+
+        name : one of MAPS, or "property_map"
+        """
         names = PROPERTY_MAPS if name == "property_map" else (name,)
         return any(each in self.second_uv and getattr(self, each) is not None for each in names)
 

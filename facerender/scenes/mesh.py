@@ -1,4 +1,4 @@
-"""Meshes: triangles with their materials. The package ``loading`` reads the files."""
+"""Meshes: triangles with their materials. The package ``loading`` reads mesh files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
-TRIANGLES = IntegerRange(1, math.inf)  # limit for the triangles of a simplified mesh
+TRIANGLES = IntegerRange(1, math.inf)  # range of the limit for a simplified mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +69,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """An upright cylinder around a part of a mesh that a camera frames, in the renderer's space.
+    """An upright cylinder around the head or face of a mesh, in the renderer's space.
 
     Attributes
     ----------
     center : (3,) float64
-    radius, height : half of the width and half of the height
+    radius, height : half the width and half the height of the cylinder
     """
 
     center: NDArray[np.float64]
@@ -94,15 +94,15 @@ class Mesh:
     Attributes
     ----------
     name : file name, for messages
-    parts : at least one
-    materials : one for each part
-    bounds : (2, 3) float64, lowest and highest corner of the vertices that faces use
-    radius : largest distance of such a vertex from the centre of the bounds
-    profile : (K, 2) float64, outline of the mesh rotated about the vertical axis through its
-        centre: distance from the axis and height, in the renderer's space
-    millimetres : millimetres per unit of mesh space; None if unknown. Scattering needs it
-    regions : for a simplified mesh, head and face of the original; None to find them in this mesh,
-        see :func:`facerender.scenes.framing.find_regions`
+    parts : at least one part
+    materials : one material for each part
+    bounds : (2, 3) float64, lowest and highest corner of the box around the vertices of all faces
+    radius : largest distance of a face's vertex from the centre of the bounds
+    profile : (K, 2) float64, outline of the mesh rotated about the vertical axis through the centre
+        of the bounds: distance from the axis and height, in the renderer's space
+    millimetres : millimetres per unit of mesh space; None if unknown, which rules out scattering
+    regions : for a simplified mesh, head and face of the original mesh; None to find both in this
+        mesh, see :func:`facerender.scenes.framing.find_regions`
     """
 
     name: str
@@ -162,7 +162,7 @@ class Mesh:
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
         """Return a mesh of pieces that :func:`facerender.scenes.repair.clean` has repaired. If
-        there are several pieces, unnamed ones are called by their number, such as ``part3``."""
+        there are several pieces, the third one is called ``part3`` unless it has a name."""
         several = len(pieces) > 1
         names = (each.name or f"part{i}" * several for i, each in enumerate(pieces, 1))
         parts = [
@@ -194,18 +194,18 @@ class Mesh:
     ) -> Mesh:
         """Return a mesh of one part from copies of arrays or nested lists.
 
-        Repairs the mesh like one from a file, with warnings: drops faces that cannot be drawn, and
-        turns faces outwards.
+        The mesh is repaired like a mesh from a file, with warnings: faces that cannot be drawn are
+        dropped, and faces are turned outwards.
 
         Parameters
         ----------
         positions : (N, 3), y up
         faces : (F, 3) vertex indices from 0, counter-clockwise seen from outside
-        uv : (N, 2), v upwards; repeat the vertices of a seam for each side of it
-        normals : (N, 3), of any length; None to compute smooth normals
+        uv : (N, 2), v upwards; repeat the vertices of a seam for each side of the seam
+        normals : (N, 3), vectors of any length; None to compute smooth normals
         colors : (N, 3) or (N, 4): linear floats in [0, 1], or sRGB-encoded uint8 or uint16; alpha
             is dropped
-        material : None for skin, or for white if colors are given
+        material : None for skin, or for a white material if colors are given
         name : name of the mesh and of its part
         millimetres : millimetres per unit; scattering needs it
 
@@ -217,11 +217,11 @@ class Mesh:
         check_type("name of a mesh", name, str, "text")
         piece = _piece_of(positions, faces, uv, normals, colors, material)
         piece.name = name
-        with np.errstate(all="ignore"):  # clean() drops faces that overflow
+        with np.errstate(all="ignore"):  # clean() drops faces that cause overflow
             return cls.assembled(clean([piece], name), name, millimetres)
 
     def select(self, parts: str | Iterable[str] = (), hide: str | Iterable[str] = ()) -> Mesh:
-        """Return a mesh of the named parts, or of all parts, without the hidden ones.
+        """Return a mesh of the named parts (default: all) without the hidden parts.
 
         Bounds and camera framing refer to the remaining parts.
 
@@ -275,7 +275,8 @@ class Mesh:
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 
     def with_material(self, **changes: Any) -> Mesh:
-        """Return the mesh with fields of every material replaced. Geometry and maps are shared.
+        """Return a copy of the mesh with fields of every material replaced. The copy shares
+        geometry and maps with this mesh.
 
         A new ``m`` also removes the roughness maps.
 
@@ -289,7 +290,7 @@ class Mesh:
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
-    """Return the texture coordinates of a part's map; None if the part lacks them. A map without
+    """Return the texture coordinates that a part has for the named map, or None. A map without
     texture coordinates is ignored."""
     return part.uv2 if material.by_second(name) else part.uv
 
@@ -303,7 +304,7 @@ def drawn_alpha(part: Part, material: Material) -> Alpha:
 
 
 def base_slope(part: Part, material: Material) -> float:
-    """Return m of a part's first lobe, or the factor on the squared texels of its roughness map."""
+    """Return m of a part's first lobe; with a roughness map, the factor on its squared texels."""
     mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None
     return material.roughness_factor**2 if mapped else material.m
 
@@ -329,7 +330,8 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
 
 
 def _unique(names: Iterable[str]) -> Iterator[str]:
-    """Yield names on one line each. Repeated names get a number: the second eye is ``eye.2``."""
+    """Yield each name, clipped to one line. A repeated name gets a number: the second part that is
+    called ``eye`` becomes ``eye.2``."""
     used = {""}
     for full in names:
         plain = name = clipped(full, 80)
@@ -342,8 +344,8 @@ def _unique(names: Iterable[str]) -> Iterator[str]:
 
 
 def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
-    """Return a part with its vertices outside the bounds moved to their centre. No face uses these
-    vertices, but in float32 they could overflow."""
+    """Return a part with its vertices outside the bounds moved to the centre of the bounds. No face
+    uses these vertices, but they could overflow in float32."""
     inside = ((part.positions >= bounds[0]) & (part.positions <= bounds[1])).all(axis=1)
     if inside.all():
         return part
@@ -352,7 +354,8 @@ def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
 
 
 def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the widest vertex in each of 511 horizontal slices."""
+    """Return the profile of a mesh: distance from the axis and height of the outermost vertex in
+    each of at most 511 horizontal slices."""
     widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
     slices = np.round(heights * 255.0).astype(np.int64)
     order = np.lexsort((widths, slices))

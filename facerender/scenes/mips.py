@@ -1,5 +1,5 @@
 """Mip chains of maps, with an averaging method for each kind of map. Large maps are reduced in
-strips, with the same result as the whole map. No OpenGL."""
+strips, which gives the same result as reducing the whole map. OpenGL is not used."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
-Rows = Callable[[int, int], "Image"]  # returns rows low to high; row 0 is at the bottom
+Rows = Callable[[int, int], "Image"]  # returns rows [low, high) of an image; row 0 is the bottom
 
-_STRIP = 32  # rows
+_STRIP = 32  # rows that are reduced at once
 
 
 def chain(kind: Kind, image: Image) -> Levels:
@@ -35,12 +35,12 @@ def coarse_base(
 ) -> NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return the base level from which :func:`coarse_chain` computes a chain.
 
-    Needs memory for one strip and the result only.
+    The function needs memory for one strip and the result only.
 
     Parameters
     ----------
-    size : width and height of the finest level
-    drop : number of finest levels to skip, at least 1; the base has at least 2 x 2 texels
+    size : width and height of the full image
+    drop : number of finest levels to skip, at least 1; the base level has at least 2 x 2 texels
     """
     if kind == "data":
         return coarse_data(rows, size, drop)
@@ -61,8 +61,9 @@ def coarse_base(
 
 
 def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]) -> Levels:
-    """Return the mip chain of a base from :func:`coarse_base`. It equals :func:`chain` without the
-    skipped levels. Values of "data" may differ by 1 of 255, because Pillow rounds."""
+    """Return the mip chain of a base from :func:`coarse_base`. The chain equals the result of
+    :func:`chain` without the skipped levels, except that Pillow may round a value of "data" to the
+    next 8-bit level."""
     if isinstance(base, tuple):
         return [base[0], *_normal_chain(base[1])]
     return _data_chain(base) if base.shape[2] == 3 else _color_chain(base)
@@ -82,7 +83,7 @@ def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint
 def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
     """Yield strips of an image, each with the index of its first row in the base level.
 
-    height : height of the base level; the indices are even
+    height : height of the base level; the yielded indices are even
     """
     step = max(_STRIP >> drop, 2)
     for top in range(0, height, step):
@@ -118,8 +119,8 @@ def _even(texels: NDArray[Any]) -> NDArray[Any]:
 
 @lru_cache(maxsize=1)
 def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return tables from an sRGB byte to a quarter of its linear value, and from the sum of four
-    quarters to an sRGB byte."""
+    """Return two tables. The first maps an sRGB byte to a quarter of its linear value. The second
+    maps the sum of four quarters to an sRGB byte."""
     quarter = 16383
     decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
     encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
@@ -131,7 +132,7 @@ def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width, channels = texels.shape
     halved = np.empty((height // 2, width // 2, channels), dtype=np.uint8)
     for top, strip in _strips(texels):
-        # Adds four 16-bit channels as one uint64. The sums fit in 16 bits, so nothing carries over.
+        # Adds four 16-bit channels as one uint64. Each sum fits in 16 bits, so there is no carry.
         light = decode[strip].view(np.uint64)[..., 0]
         rows = light[0::2] + light[1::2]
         blocks = rows[:, 0::2] + rows[:, 1::2]
@@ -177,7 +178,7 @@ def _linear_color_levels(image: Image) -> Levels:
 
 
 def _strips(rows: NDArray[Any]) -> list[tuple[int, NDArray[Any]]]:
-    """Return strips of rows that fit in the CPU cache, each with its first row's index."""
+    """Return strips of rows that fit in the CPU cache, each with the index of its first row."""
     return [(top, rows[top : top + _STRIP]) for top in range(0, len(rows), _STRIP)]
 
 
@@ -198,7 +199,8 @@ def _unit_planes(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the texels of a level: directions of mean vectors (3, H, W), and slope deviation."""
+    """Return the texels (H, W, 4) of a mip level: RGB is the direction of the mean vectors
+    (3, H, W), alpha is the slope deviation."""
     length = np.sqrt(means[0] ** 2 + means[1] ** 2 + means[2] ** 2).clip(1e-6, 1.0)
     texels = np.empty((*length.shape, 4), dtype=np.uint8)
     scale = np.float32(127.5) / length
@@ -210,7 +212,7 @@ def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _halved_normals(image: Image, times: int) -> NDArray[np.float32]:
-    """Return the mean normal vectors (3, H, W) after a number of halvings."""
+    """Return the mean normal vectors (3, H, W) of an image that is halved a number of times."""
     means = _halve_planes(_unit_planes(_even(texels(image, "RGB"))))
     for _ in range(times - 1):
         means = _halve_planes(_even_planes(means))

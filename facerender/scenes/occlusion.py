@@ -1,5 +1,5 @@
-"""Ambient occlusion at vertices, for meshes without occlusion maps. Embree traces the rays, through
-the package embreex."""
+"""Ambient occlusion at vertices, for meshes without occlusion maps. The package embreex traces the
+rays with Embree."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from facerender.system.files import digest_of
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.int64]
 
-DIRECTIONS = 512  # over the whole sphere; half of them are above the plane of a vertex
-# Distance of ray origins from the surface, in radii of the mesh; float32 resolves 1e-7.
+DIRECTIONS = 512  # ray directions on the whole sphere; half of them are on a vertex's outer side
+# Distance of ray origins from the surface, in mesh radii; float32 resolves 1e-7 mesh radii.
 _OFFSET = 1e-4
-_AT_ONCE = 1 << 16  # rays
+_AT_ONCE = 1 << 16  # rays that are traced at once
 
 
 def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
@@ -29,16 +29,17 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     The occlusion is the fraction of uniform ambient light that reaches a vertex. It dims ambient
     light and environment maps.
 
-    All vertices use the same 512 ray directions over the whole sphere. Rays above the plane of the
-    vertex normal count, weighted by their cosine. The result is as accurate as with 256
-    cosine-distributed rays, but deterministic and without noise between neighbours. Vertices with
-    equal position and normal, for example at seams of texture coordinates, share one value. Opaque
-    parts block rays from both sides. Other parts do not block rays and get no occlusion.
+    All vertices use the same 512 ray directions over the whole sphere. Only rays on the outer side
+    of the surface count, weighted by the cosine between ray and normal. The result is as accurate
+    as with 256 cosine-distributed rays, but deterministic and without noise between neighbouring
+    vertices. Vertices with equal position and normal, for example at seams of texture coordinates,
+    share one value. Opaque parts block rays from both sides. Parts that are not opaque do not block
+    rays and get no occlusion.
 
     Parameters
     ----------
-    mesh : from :func:`facerender.load_mesh`; :func:`facerender.simplified` keeps the values
-    cache : whether to read and write the values in ``~/.cache/facerender``
+    mesh : from :func:`facerender.load_mesh`; :func:`facerender.simplified` keeps baked occlusion
+    cache : whether to read and write baked occlusion in ``~/.cache/facerender``
 
     Raises
     ------
@@ -77,7 +78,8 @@ def _values(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], cache: bool
 ) -> NDArray[np.float64]:
     """Return the occlusion of vertices, given as rows (N, 6) of position and normal. Vertices that
-    no face uses get 1. With cache, results are read from and written to the cache."""
+    no face uses get 1. If ``cache`` is true, results are read from and written to the disk cache.
+    """
     facts = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
     name = digest_of(facts, vertices.data, faces.data) if cache else ""
     if cache and (content := disk_cache.read("occlusion", name)) is not None:
@@ -102,7 +104,7 @@ def _open_fraction(
     ----------
     positions, faces : triangles that block the light
     vertices : rows (N, 6) of position and normal
-    corners : the faces as indices into vertices
+    corners : (F, 3), index into ``vertices`` of each corner of ``faces``
     """
     try:
         from embreex.mesh_construction import TriangleMesh
@@ -132,10 +134,10 @@ def _open_fraction(
 
 
 def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:
-    """Return the offset directions of ray origins from vertices.
+    """Return the directions in which ray origins are offset from vertices.
 
     A direction is the normal plus a component towards the middle of the vertex's faces. Without
-    it, a ray at a sharp edge could start in the plane of the face behind the edge.
+    this component, a ray at a sharp edge could start in the plane of the face behind the edge.
     """
     sums, lengths = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     middles = positions[faces].mean(axis=1)

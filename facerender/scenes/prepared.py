@@ -1,5 +1,5 @@
-"""KTX 2 files of normal maps with slope deviation, for other programs. Format: Khronos Group, "KTX
-File Format Specification", version 2."""
+"""Write normal maps with slope deviation as KTX 2 files, for other programs. Reference: Khronos
+Group, "KTX File Format Specification", version 2."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from facerender.scenes.texture import Texture
 from facerender.system.atomic import write_bytes
 
 _IDENTIFIER = b"\xabKTX 20\xbb\r\n\x1a\n"
-_R8G8B8A8_UNORM = 37  # VkFormat
+_R8G8B8A8_UNORM = 37  # value of Vulkan's VkFormat
 _CHANNELS = (0, 1, 2, 15)  # red, green, blue, alpha
 
 
@@ -25,12 +25,12 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
     Parameters
     ----------
     source : path of an image that :meth:`Texture.open` reads
-    path : output path, .ktx2; 8-bit linear RGBA with rows from the top down
+    path : output path, .ktx2; the file contains 8-bit linear RGBA with rows from the top down
 
     Raises
     ------
-    InputError : the image is missing, damaged or too large; the output has another suffix or cannot
-        be written
+    InputError : the image is missing, damaged or too large; the output path has a suffix other than
+        .ktx2 or cannot be written
     """
     if Path(path).suffix.lower() != ".ktx2":
         raise InputError(f"{path}: unknown format {Path(path).suffix!r}; give .ktx2")

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
 
-# Limits of coordinates and extents. Within them, areas, squared areas and products of areas with
-# positions neither overflow nor become 0 in float64.
+# Limits of coordinates and extents. Within these limits, areas, squared areas and products of areas
+# with positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
-_MOST_UV = 1e6  # float32 loses the resolution of a texel far below this value
+_MOST_UV = 1e6  # far below this value, float32 already fails to resolve a texel
 _MOST_PIECES = 1024  # every part with its material needs a draw call in each pass
-_FAR = 32.0  # outlier distance, relative to the distance that includes 90 % of the vertices
+_FAR = 32.0  # smallest distance of an outlier / distance that includes 90 % of the vertices
 
 
 @dataclass
@@ -86,7 +86,7 @@ def _corners(piece: Piece) -> NDArray[np.float64]:
 
 
 def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return a mask of the vertices that faces use. Fifty times as fast as np.unique."""
+    """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
     found = np.zeros(len(positions), dtype=bool)
     found[faces] = True
     return found
@@ -98,7 +98,7 @@ def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the triangles (F, 3, 3) that have an area with either winding.
+    """Return a mask of the triangles (F, 3, 3) that have an area above 0 with both windings.
 
     Both windings are tested because rounding of large coordinates (1e25) can give a cross product
     of 0 at one corner and not at another.
@@ -109,8 +109,9 @@ def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _outwardness(corners: NDArray[np.float64]) -> float:
-    """Return the area-weighted mean cosine between face normals and directions from the centre. It
-    is near 1 for a closed head or an open mask, and near -1 for one that is inside out."""
+    """Return the area-weighted mean cosine between face normals and directions from the mesh's
+    centre. The mean is near 1 for a closed head or an open mask, and near -1 if the mesh is inside
+    out."""
     normals = _face_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
@@ -119,7 +120,7 @@ def _outwardness(corners: NDArray[np.float64]) -> float:
 
 
 def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
-    """Drop faces with invalid indices, with non-finite or huge vertices, and without area."""
+    """Drop faces that have invalid vertex indices, non-finite or huge vertices, or no area."""
     out_of_range = sum(piece.out_of_range for piece in pieces)
     infinite = huge = bad_faces = huge_faces = flat_faces = 0
     for piece in pieces:
@@ -146,7 +147,10 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
-    """Drop faces with a bad corner, by a mask (F, 3); return the number of dropped faces."""
+    """Drop faces with a bad corner; return the number of dropped faces.
+
+    good : mask of good corners, (F, 3), or of good faces, (F, 1)
+    """
     keep = good.all(axis=1)
     piece.faces = piece.faces[keep]
     return int((~keep).sum())
@@ -213,7 +217,8 @@ def _wind_by_normals(piece: Piece) -> None:
 
 
 def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
-    """Compute smooth normals over vertices welded by position, across seams and materials.
+    """Compute smooth normals. Vertices at one position share a normal, also across seams and
+    materials.
 
     Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
     the result does not depend on the triangulation of flat polygons.
@@ -241,7 +246,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
                 welded[faces[:, corner]], angle * unit[:, axis], len(normals)
             )
     length = np.linalg.norm(normals, axis=1)
-    # If opposite faces cancel out, any unit vector will do.
+    # If the normals of opposite faces cancel out, any unit vector will do.
     normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
 
@@ -252,10 +257,11 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Number the positions. Positions that are equal to 2^-21 of the extent share a number."""
+    """Return a number for each position. Positions that are equal after rounding to about 2^-21 of
+    the mesh's extent share a number."""
     low = positions.min(axis=0)
     extent = float((positions.max(axis=0) - low).max()) or 1.0
-    # The factor is even, so that a plane of symmetry is rounded to the middle of a cell.
+    # 2^21 - 2 is even, so that a plane of symmetry is rounded to the middle of a cell.
     cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     return np.asarray(np.unique(keys, return_inverse=True)[1].reshape(-1))
@@ -268,8 +274,8 @@ def _wind_consistently(
 
     Consistent neighbours traverse their common edge in opposite directions, so a directed edge that
     occurs twice reveals a contradiction. In that case each face gets two graph nodes, one for
-    each winding. Edges connect nodes of neighbours that agree. A connected component is then one
-    possible winding of a surface.
+    each winding. Graph edges connect the nodes of neighbouring faces with consistent windings. A
+    connected component of the graph is then one possible winding of a surface.
     """
     first, second = welded[:, [0, 1, 2]].ravel(), welded[:, [1, 2, 0]].ravel()
     count = int(welded.max()) + 1

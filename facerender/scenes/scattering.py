@@ -14,7 +14,7 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import target_of, view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
 
-_HEADS = (40.0, 1200.0)  # plausible radii in mm, from a small head to a whole person
+_HEADS = (40.0, 1200.0)  # plausible mesh radii in mm, from a small head to a whole person
 _warned: WeakSet[Mesh] = WeakSet()
 
 
@@ -24,10 +24,11 @@ class Scattering:
 
     Attributes
     ----------
-    profiles : profiles, each with its Gaussians that are wider than half a pixel
+    profiles : different profiles, reduced to Gaussians that are wider than half a pixel
     numbers : for each part the number of its profile, from 1; -1 for a part without scattering
     millimetres : millimetres per unit of the renderer's space
-    pixels : pixels per unit across the view, at depth 1
+    pixels : pixels that a vertical length of 1 covers in the image at depth 1, in the renderer's
+        space
     """
 
     profiles: tuple[Gaussians, ...]
@@ -51,8 +52,9 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
         return None
     if mesh.millimetres is None:
         raise InputError(
-            f"scattering needs the size of {mesh.name}, which does not specify its unit: "
-            "give --millimetres, such as 1 or 1000 (load_mesh(..., millimetres=1))"
+            f"scattering needs the size of {mesh.name}, which does not specify its unit: give "
+            "--millimetres 1 if the unit is 1 mm, or 1000 if it is 1 m (load_mesh(..., "
+            "millimetres=1))"
         )
     millimetres = mesh.radius * mesh.millimetres
     if not _HEADS[0] <= millimetres <= _HEADS[1] and mesh not in _warned:

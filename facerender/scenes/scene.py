@@ -23,7 +23,7 @@ Only = Literal[
     "specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility", "mask", "parts"
 ]
 
-# Shading of a pixel: at each of its samples, or once per part.
+# A pixel is shaded at each of its samples ("sample"), or once per part ("pixel").
 ShadingRate = Literal["sample", "pixel"]
 SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
 
@@ -47,8 +47,8 @@ class Scene:
     mesh : a :class:`Mesh`, or any source that :func:`facerender.load_mesh` accepts
     camera, lights : see :class:`Camera` and :class:`Light`
     ambient : irradiance of uniform ambient light, one number or linear RGB
-    background : linear RGB behind the mesh, or None for transparent
-    environment : environment map, or None; it is not visible behind the mesh
+    background : linear RGB behind the mesh, or None for a transparent background
+    environment : environment map that lights the mesh but is not visible behind it, or None
     """
 
     mesh: Mesh

@@ -13,5 +13,6 @@ if TYPE_CHECKING:
 else:
     MeshSource = Any
 
-# facerender.load_mesh, set by the package: loading imports scenes, so scenes cannot import loading.
+# The package facerender sets this to load_mesh. The subpackage scenes cannot import load_mesh from
+# the subpackage loading, which imports scenes.
 reader: Callable[[Any], Any] | None = None

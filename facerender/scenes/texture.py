@@ -1,4 +1,4 @@
-"""Textures: images that are decoded and reduced to mip levels in background threads. No OpenGL."""
+"""Textures: images that background threads decode and reduce to mip levels. OpenGL is not used."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 Wrap = Literal["repeat", "clamp", "mirror"]
 
 FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
-MOST_TEXELS = 6 * 8192**2  # in all maps of a mesh: 4 GiB for two copies with mip levels
+MOST_TEXELS = 6 * 8192**2  # limit for all maps of a mesh; two copies with mip levels take 4 GiB
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
-LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the image
+LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
 
 class Texture:
@@ -49,8 +49,9 @@ class Texture:
     decode : function that returns the Pillow image, in any mode; runs in a thread
     name : name in messages: the file, or the map and its mesh file
     size : width and height, if known
-    coarser : implementation of :meth:`coarser` for a texture that is made of others. ``decode``
-        must then return an image in mode RGB with row 0 at the bottom; it is not cached.
+    coarser : implementation of :meth:`coarser` for a texture that is made of other textures. In
+        this case, ``decode`` must return an image in mode RGB with row 0 at the bottom, and the
+        image is not cached.
 
     Attributes
     ----------
@@ -117,7 +118,7 @@ class Texture:
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
-        """Return a texture from the bytes of an image file. They are decoded later.
+        """Return a texture from the bytes of an image file. The bytes are decoded later.
 
         Raises
         ------
@@ -127,7 +128,7 @@ class Texture:
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
-        """Return the alpha of an image file as a grey texture, or None if the image has no alpha.
+        """Return the alpha channel of an image file as a grey texture, or None if there is none.
         Raises the errors of :meth:`of`."""
         opened = _opened(content, name)
         if not opened.has_transparency_data:
@@ -207,9 +208,9 @@ class Texture:
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
-        """Return a texture of the same image with other sampling; both share the decoded image.
+        """Return a texture with other sampling that shares the decoded image of this texture.
 
-        wrap, nearest : see the attributes
+        wrap, nearest : see the attributes of :class:`Texture`
 
         Raises
         ------
@@ -269,7 +270,7 @@ class Texture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height. For a file they are available before decoding."""
+        """Width and height. The size of an image file is available before decoding."""
         if self._source:
             return self._source.size
         if self._size is None:
@@ -296,7 +297,7 @@ class Texture:
         return grey.sampled(*self.sampling) if self.sampling != grey.sampling else grey
 
     def coarser(self, levels: int) -> Texture:
-        """Return a texture of the same image without its finest mip levels.
+        """Return a texture of this texture's image without the finest mip levels.
 
         levels : number of levels to omit
 
@@ -329,7 +330,7 @@ class Texture:
 
     @contextmanager
     def _rows(self) -> Iterator[Rows]:
-        """Yield a function that returns rows of the image. It does not cache the image."""
+        """Yield a function that returns rows of the image. The image is not cached."""
         with _decoding:
             with self._lock:
                 known, decode = self._rgb, self._decode
@@ -349,7 +350,7 @@ class Texture:
             give_back()
 
     def forget(self) -> None:
-        """Drop the mip chains of a coarse texture. They are computed again on demand."""
+        """Drop the mip chains of a coarse texture. The chains are computed again on demand."""
         if self._source:
             self._source.forget()
         elif self.coarse:
@@ -359,7 +360,8 @@ class Texture:
                 self._levels.clear()
 
     def ends(self) -> NDArray[np.uint8]:
-        """Return the minimum and maximum texel of "data", (2, 3). Waits until it is computed."""
+        """Return the minimum and maximum of each channel over the texels of "data", (2, 3). Waits
+        until the mip chain "data" is computed."""
         if self._source:
             return self._source.ends()
         if self._ends is None:
@@ -382,10 +384,10 @@ class Texture:
         """Return the future of a mip chain. A thread computes each chain once.
 
         - "color": sRGB-encoded uint8 (H, W, 4), averaged in linear light
-        - "linear-color": the same as linear float16, for exact comparisons
+        - "linear-color": linear float16 (H, W, 4), averaged in linear light, for exact comparisons
         - "normal": uint8 (H, W, 4), averaged as unit vectors. Alpha is the slope deviation within
-          a texel (``fr_slope_variance_map``), 0 in the finest level.
-        - "data": uint8 (H, W, 3)
+          a texel (``fr_slope_variance_map``), and 0 in the finest level.
+        - "data": uint8 (H, W, 3), averaged without decoding
         """
         if self._source:
             return self._source.levels(kind)
@@ -414,13 +416,13 @@ class Texture:
             ) from None
 
     def _drop_image(self, chain: Future[Levels]) -> None:
-        """Drop the decoded image, since an 8-bit chain also contains it."""
+        """Drop the decoded image, since an 8-bit mip chain also contains its texels."""
         if chain.exception() is None:
             with self._lock:
                 self._rgb = None
 
     def _finest(self) -> Image:
-        """Return the image from the finest level of a finished chain."""
+        """Return the image from the finest level of a mip chain that is already computed."""
         from PIL import Image
 
         chains = (
@@ -439,10 +441,11 @@ def pack(
     """Merge three grey textures into one with the largest of their widths and heights.
 
     Missing textures become white. The textures must have equal sampling, see
-    :attr:`Material.property_map`; the result has the same sampling. Equal arguments give the same
-    texture while it is in use, so that materials which differ only in factors share it.
+    :attr:`Material.property_map`; the result also has this sampling. Repeated calls with equal
+    arguments return one texture as long as it is in use, so that materials which differ only in
+    factors share the texture.
 
-    known : a packed texture from the cache, to return instead of a new one
+    known : packed texture from the cache, which is returned instead of a new texture
     """
     if (found := _packed.get((red, green, blue))) is not None:
         return found
@@ -543,7 +546,7 @@ def _executor() -> ThreadPoolExecutor:
 
 
 _starting = threading.Lock()
-_decoding = threading.Lock()  # decodes one large image at a time, to limit memory
+_decoding = threading.Lock()  # ensures that one large image is decoded at a time, to limit memory
 
 
 def _finish() -> None:

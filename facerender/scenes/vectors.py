@@ -18,7 +18,7 @@ HIGHEST = 1e9  # limit of radiance, irradiance and albedo, so that images do not
 MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
 
 POSITIONS = VectorRange(-FARTHEST, FARTHEST)
-COLORS = VectorRange(0.0, HIGHEST)  # linear RGB, also of irradiance
+COLORS = VectorRange(0.0, HIGHEST)  # linear RGB of a colour or an irradiance
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
 ELEVATIONS = Range(-90.0, 90.0, "degrees")
 
@@ -28,7 +28,7 @@ def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Raises
     ------
-    InputError : a coordinate exceeds MOST_RADII
+    InputError : the absolute value of a coordinate exceeds MOST_RADII
     """
     if not (np.abs(place) <= MOST_RADII).all():
         raise InputError(
@@ -39,7 +39,8 @@ def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def check_array(name: str, value: Any, columns: int) -> None:
-    """Raise InputError if a value is not a numeric array (N, columns), or (N,) for columns = 0."""
+    """Raise InputError if a value is not a numeric array of shape (N, columns). If columns is 0,
+    the shape must be (N,)."""
     shape = (columns,) if columns else ()
     if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
         raise InputError(f"{name} = {shown(value)}: give an array of numbers")

@@ -18,9 +18,10 @@ from facerender.scenes.vectors import direction_to, within_reach
 from facerender.terms.ranges import range_of
 
 FRAMING_MARGIN = 1.04
-_SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, for rounding
+_SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, for rounded sizes
 SIZES = range_of(Camera, "size")
-_UNSEEN = 2e-4  # fraction of pixels to ignore, for a few stretched triangles of a UV chart
+# Fraction of pixels to ignore, so that a few stretched triangles do not require finer mip levels.
+_UNSEEN = 2e-4
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
@@ -32,8 +33,8 @@ class View:
     ----------
     position : (3,) float64
     forward : (3,) float64, unit vector of the viewing direction
-    matrix : (4, 4) float64, view times projection for row vectors. Clip y = -1 is the top of the
-        image, so that the rows of a framebuffer are in image order
+    matrix : (4, 4) float64, view matrix times projection matrix, for row vectors. Clip y = -1 is
+        the top of the image, so that the rows of a framebuffer are in image order
     """
 
     position: NDArray[np.float64]
@@ -41,7 +42,9 @@ class View:
     matrix: NDArray[np.float64]
 
     def shifted(self, pixels: tuple[float, float], size: tuple[int, int]) -> View:
-        """Return the view with its image moved right and down by pixels (x, y).
+        """Return the view with its image moved right by x pixels and down by y pixels.
+
+        pixels : x and y
 
         size : width and height of the image
         """
@@ -50,7 +53,7 @@ class View:
         return replace(self, matrix=self.matrix @ move)
 
     def intrinsics(self, size: tuple[int, int]) -> NDArray[np.float64]:
-        """Return K, (3, 3), from camera space to pixels of an image of this size.
+        """Return the matrix K, (3, 3), that maps camera space to pixels of an image of this size.
 
         Pixel x points right, y down. The top left pixel has its corner at (0, 0) and its centre at
         (0.5, 0.5). Values are rounded to 1e-9 pixels, so that a central principal point is exact.
@@ -61,7 +64,7 @@ class View:
         return np.round(pixels @ self._lens, 9)
 
     def extrinsics(self, mesh: Mesh) -> NDArray[np.float64]:
-        """Return [R|t], (3, 4), from mesh space to camera space.
+        """Return the matrix [R|t], (3, 4), that maps mesh space to camera space.
 
         Camera space has the camera at 0, x to the right, y down, z forward, and mesh units.
 
@@ -74,8 +77,8 @@ class View:
 
     @property
     def _lens(self) -> NDArray[np.float64]:
-        """Matrix (3, 3) from camera space to clip x, y and w. w is the depth; x and y are the
-        scaled x and y of camera space plus a multiple of the depth."""
+        """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x and y are
+        x and y of camera space, scaled, plus a multiple of the depth."""
         x, y, w = self.matrix[:3, _XYW].T
         lens = np.eye(3)
         for row, axis in enumerate((x, y)):
@@ -99,12 +102,12 @@ def sample_grid(count: int) -> NDArray[np.float64]:
 
 
 def view_of(scene: Scene, aspect: float) -> View:
-    """Return the view of a scene's camera for images with an aspect ratio of width / height.
+    """Return the view of a scene's camera for images of the given aspect ratio, width / height.
 
     Raises
     ------
-    InputError : the camera is at its target, one of them is more than 1e6 mesh radii away, or the
-        camera's intrinsics are for another aspect ratio
+    InputError : the camera is at its target, the camera or its target is more than 1e6 mesh radii
+        from the mesh's centre, or the camera's intrinsics are for another aspect ratio
     """
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_range("aspect", aspect, 1e-6, 1e6)
@@ -125,7 +128,7 @@ def view_of(scene: Scene, aspect: float) -> View:
         raise InputError(f"camera position {camera.position} is at its target; move one of them")
     forward = gaze / distance
     up = np.array([0.0, 1.0, 0.0])
-    if abs(forward[1]) > 0.9999:  # seen from above, the back of the head is on top
+    if abs(forward[1]) > 0.9999:  # the view from above has the back of the head on top
         up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
     lens = _projection(camera.fov, aspect, eye, forward)
     return View(eye, forward, _look(eye, target, up) @ lens)
@@ -159,7 +162,7 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
     """Return the view of a camera with extrinsics and, optionally, intrinsics."""
     pose = np.array(camera.extrinsics)
     left, _, right = np.linalg.svd(pose[:, :3])
-    turn = left @ right  # nearest rotation: the given one may be rounded
+    turn = left @ right  # the nearest rotation, because R may be rounded
     eye = within_reach("position in camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
     forward = turn[2]
     lens = _projection(camera.fov, aspect, eye, forward)
@@ -193,7 +196,7 @@ def _projection(
     sphere lies between the near plane and the far plane."""
     from pyrr import matrix44
 
-    depth = float(position @ -forward)  # of the mesh's centre
+    depth = float(position @ -forward)  # depth of the mesh's centre
     far = max(depth + 1.0, 0.02)
     near = max(depth - 1.0, far * 1e-3)
     lens: NDArray[np.float64] = matrix44.create_perspective_projection(fov, aspect, near, far)
@@ -232,17 +235,18 @@ def levels_to_spare(
     size: tuple[int, int],
     anisotropy: float = 1.0,
 ) -> int:
-    """Return the number of finest mip levels of a map that an image does not read.
+    """Return how many of a map's finest mip levels are not read for an image of the given view.
 
     A triangle reads the level log2(t), where t is the number of texels along the longer axis of a
     pixel's footprint (OpenGL 3.3, section 3.8.11). Anisotropic filtering divides t by the
-    anisotropy (EXT_texture_filter_anisotropic). Hidden triangles also count.
+    anisotropy (EXT_texture_filter_anisotropic). Triangles behind other triangles also count.
 
     Parameters
     ----------
     part, uv : part of the mesh, and its texture coordinates
     texels : width and height of the map
     size : width and height of the image
+    anisotropy : degree of anisotropic filtering, at least 1 (isotropic)
     """
     clip = np.column_stack([mesh.normalised(part.positions), np.ones(len(part.positions))])
     x, y, w = (clip @ view.matrix[:, [0, 1, 3]]).T
@@ -269,7 +273,7 @@ def levels_to_spare(
     area, read = area[visible], read[visible]
     order = np.argsort(read)
     finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
-    most = min(texels).bit_length() - 2  # the coarsest level has at least 2 x 2 texels
+    most = min(texels).bit_length() - 2  # the finest level that is left has at least 2 x 2 texels
     return max(min(math.floor(math.log2(max(finest, 1.0))), most), 0)
 
 
@@ -278,9 +282,9 @@ def _framing_distance(
 ) -> float:
     """Return the camera distance at which a profile fits into the view at every azimuth.
 
-    Includes a margin. As the camera orbits, a vertex at height y and distance r from the axis moves
-    on a circle. top, bottom and side are the distances at which the circle touches that edge of
-    the view.
+    The distance includes FRAMING_MARGIN. As the camera orbits, a vertex at height y and distance r
+    from the axis moves on a circle in the view. top, bottom and side are the camera distances at
+    which the circle touches the top, bottom and side edges of the view.
     """
     r, y = profile.T
     sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))

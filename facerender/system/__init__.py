@@ -2,6 +2,6 @@
 
 import os
 
-# The process that imported the package. A module that is imported after a fork compares this with
-# os.getpid() to detect the fork.
+# Id of the process that imported the package. A module that is imported after a fork compares this
+# id with os.getpid() to detect the fork.
 IMPORTER = os.getpid()

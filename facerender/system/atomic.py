@@ -18,7 +18,7 @@ _UNFINISHED = ".facerender-"  # prefix of temporary files
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
-    """Return a path at which a file can be written, or replaced.
+    """Return ``path`` as a Path, if a file can be written or replaced there.
 
     Raises
     ------
@@ -57,7 +57,8 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
-    """Call ``write`` with a temporary name in the same folder, then rename that file to ``path``.
+    """Call ``write`` with a temporary path in the folder of ``path``, then rename the file to
+    ``path``.
 
     Raises
     ------
@@ -84,7 +85,7 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) ->
 
 
 def remove_abandoned(folder: str | os.PathLike[str]) -> None:
-    """Remove the temporary files that :func:`write_whole` left in a folder when it was killed."""
+    """Remove the temporary files of :func:`write_whole` that killed processes left in a folder."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith(_UNFINISHED):
@@ -99,6 +100,6 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write text as UTF-8; errors as in :func:`write_whole`. Invalid bytes of file names are
-    escaped."""
+    """Write text as UTF-8; errors as in :func:`write_whole`. Invalid bytes, which file names
+    may contain, are escaped."""
     write_bytes(path, text.encode(errors="backslashreplace"))

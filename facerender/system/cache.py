@@ -1,7 +1,7 @@
-"""The cache on disk, in $XDG_CACHE_HOME/facerender or ~/.cache/facerender. An entry is named by a
-digest of its inputs, and is written completely or not at all. A folder that cannot be read or
-written is ignored. The least recently used entries are removed when all exceed
-$FACERENDER_CACHE_MIB."""
+"""The cache on disk, in $XDG_CACHE_HOME/facerender or ~/.cache/facerender. The name of a
+cache entry is a digest of its inputs. An entry is written completely or not at all. Without
+access to the folder, nothing is cached. The least recently used entries are removed when the cache
+exceeds $FACERENDER_CACHE_MIB."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _LIMIT = "FACERENDER_CACHE_MIB"
 _DEFAULT_LIMIT = 1024
 _HEAD = struct.Struct("<12sI")  # magic, CRC-32 of the content
 _MAGIC = b"facerender 1"
-_START = 64  # offset of the content in bytes: its arrays stay aligned in memory
+_START = 64  # offset of the content in bytes, so that arrays in the content are aligned
 
 
 def folder() -> Path:
-    """Return the folder of the entries, which may not exist."""
+    """Return the folder of the cache. The folder may not exist."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     home = os.path.expanduser("~/.cache")
     return Path(base if os.path.isabs(base) else home, "facerender")
 
 
 def limit() -> int:
-    """Return the maximum bytes of all entries together.
+    """Return the largest size of the cache in bytes.
 
     Raises
     ------
@@ -47,12 +47,12 @@ def limit() -> int:
 
 
 def size() -> int:
-    """Return the bytes of all entries together."""
+    """Return the size of the cache in bytes."""
     return sum(count for _, count, _ in _entries())
 
 
 def read(kind: str, name: str) -> memoryview | None:
-    """Return the content of an entry; None if it is missing or damaged, or the cache is disabled.
+    """Return the content of a cache entry; None if missing or damaged, or if the cache is disabled.
 
     Raises
     ------
@@ -63,10 +63,10 @@ def read(kind: str, name: str) -> memoryview | None:
     path = folder() / kind / name
     try:
         with open_file(path, "an entry") as file:
-            data = np.fromfile(file, dtype=np.uint8).data  # a bytearray would first be set to 0
+            data = np.fromfile(file, dtype=np.uint8).data  # a bytearray is first filled with 0
     except InputError:
         return None
-    with suppress(OSError):  # the file of another user
+    with suppress(OSError):  # the file belongs to another user
         os.utime(path)  # mark the entry as recently used
     if len(data) < _START:
         return None
@@ -76,7 +76,8 @@ def read(kind: str, name: str) -> memoryview | None:
 
 
 def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
-    """Write an entry, the concatenation of pieces, and remove old entries beyond the limit.
+    """Write a cache entry of consecutive pieces, and remove old entries beyond the limit. An entry
+    that alone exceeds the limit is not written.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
 
 
 def _entries() -> list[tuple[float, int, Path]]:
-    """Return the time of last use, size and path of each entry."""
+    """Return the time of last use, size and path of each cache entry."""
     found = []
     for path in folder().glob("*/*"):
         try:
@@ -116,7 +117,8 @@ def _entries() -> list[tuple[float, int, Path]]:
 
 
 def _evict(newest: Path) -> None:
-    """Remove the least recently used entries beyond the limit, and abandoned temporary files."""
+    """Remove the least recently used cache entries beyond the limit, and abandoned temporary files,
+    but not ``newest``."""
     total = 0
     for used, count, path in sorted(_entries(), reverse=True):
         total += count

@@ -1,4 +1,4 @@
-"""Read untrusted files safely: only regular files, up to a limit of bytes."""
+"""Read untrusted files safely: only regular files, and only up to a maximum size."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any, BinaryIO
 
 from facerender.errors import InputError, clipped, reason
 
-MOST = 1 << 30  # bytes
-# A dotted key that is deeper than any valid table: the parser's time and memory grow quadratically
-# with the depth.
+MOST = 1 << 30  # default size limit of a file in bytes
+# A dotted TOML key that is deeper than in any valid table. It is refused because the parser's time
+# and memory grow quadratically with the depth.
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
 )

@@ -33,8 +33,8 @@ def limit(mebibytes: float | None) -> float:
 
 
 def available() -> float:
-    """Return the MiB that this process can still allocate, limited by the machine and its control
-    group; infinite if both are unknown."""
+    """Return the MiB that this process can still allocate, limited by the machine and by the
+    process's control group; infinite if both limits are unknown."""
     free = math.inf
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()

@@ -1,4 +1,5 @@
-"""Functions of meshoptimizer (Kapoulkine, 2016-2026) through ctypes; requires the extra ``lod``."""
+"""Call functions of meshoptimizer (Kapoulkine, 2016-2026) through ctypes. This requires the extra
+``lod``."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 _POINTER, _SIZE, _FLOAT = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_float
 _DECODER = ctypes.c_int, [_POINTER, _SIZE, _SIZE, _POINTER, _SIZE]
 _FILTER = None, [_POINTER, _SIZE, _SIZE]
-# Types of result and arguments, as declared in src/meshoptimizer.h of version 0.23.
+# Types of result and arguments of each function, as in src/meshoptimizer.h of version 0.23.
 _TYPES: dict[str, tuple[Any, list[Any]]] = {
     "simplifyWithAttributes": (
         _SIZE,
@@ -33,10 +34,10 @@ _TYPES: dict[str, tuple[Any, list[Any]]] = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the compiled library of the Python package meshoptimizer with declared types.
+    """Return the compiled library of the Python package meshoptimizer, with declared types.
 
     The package's wrappers are not imported: they declare no types for simplify_with_attributes and
-    the filters, pass 64-bit sizes as 32-bit integers, and crash.
+    the filters, pass 64-bit sizes as 32-bit integers, and therefore crash.
 
     Raises
     ------
@@ -61,13 +62,16 @@ def collapsed(
     weights: NDArray[np.float32],
     triangles: int,
 ) -> NDArray[np.uint32]:
-    """Collapse edges: return at most ``triangles`` faces (F, 3) of the same vertices, if possible,
-    whatever the error.
+    """Collapse edges until at most ``triangles`` faces remain, if possible, without an error limit.
+
+    The result (F, 3) contains indices into the same vertices.
 
     Parameters
     ----------
-    faces, positions : (F, 3) and (N, 3)
-    attributes, weights : (N, K) and (K,); a weight relates an attribute's error to a distance
+    faces : (F, 3), indices into positions
+    positions : (N, 3)
+    attributes : (N, K), values per vertex, for example the components of its normal
+    weights : (K,); a difference of 1 in an attribute counts as this distance in mesh extents
     triangles : target number of faces
     """
     faces, weights = np.ascontiguousarray(faces), np.ascontiguousarray(weights)
@@ -83,8 +87,11 @@ def collapsed(
 
 
 def in_cache_order(faces: NDArray[np.uint32], vertices: int) -> NDArray[np.uint32]:
-    """Return faces (F, 3) in an order in which a GPU's vertex cache avoids repeated transforms
-    (Sander et al. 2007)."""
+    """Return faces (F, 3) in an order in which a GPU's vertex cache avoids transforming a vertex
+    repeatedly (Sander et al. 2007).
+
+    vertices : number of vertices
+    """
     faces = np.ascontiguousarray(faces)
     ordered = np.empty_like(faces)
     library().meshopt_optimizeVertexCache(

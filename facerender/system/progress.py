@@ -1,5 +1,5 @@
-"""Progress of long operations. They call a function with the name of the current step and its
-completed fraction."""
+"""Progress of long operations. An operation calls a function with the name of the current step and
+the completed fraction of this step."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Bar(ExitStack):
     """A tqdm bar on standard error that shows the current step and disappears at the end. If a
     signal ends the process, a line reports the progress, also without a terminal.
 
-    quiet : show no bar
+    quiet : whether to hide the bar
     on_step : function called with the name of each step when it starts; replaces the bar
     """
 

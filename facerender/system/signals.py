@@ -18,8 +18,8 @@ _actions: list[Callable[[], str | None]] = []
 
 
 def heed_signals() -> None:
-    """Let SIGINT, SIGTERM and SIGPIPE end the process, with status 130, 143 and 141. A
-    KeyboardInterrupt might not: trimesh catches and discards it."""
+    """Let SIGINT, SIGTERM and SIGPIPE end the process, with the status 130, 143 or 141.
+    A KeyboardInterrupt might not end the process, because trimesh discards this exception."""
     for name in ("SIGINT", "SIGTERM", "SIGPIPE"):
         if hasattr(signal, name):  # Windows lacks some of them
             signal.signal(getattr(signal, name), _end)
@@ -27,13 +27,13 @@ def heed_signals() -> None:
 
 def heed_the_coordinator() -> None:
     """Let SIGTERM end the process as by default, after unfinished output is removed. Ignore SIGINT:
-    the coordinator receives it and sends SIGTERM."""
+    the coordinator of the batch also receives SIGINT, and then sends SIGTERM."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _end_silently)
 
 
 def hold() -> None:
-    """Block the calling thread forever if the process is ending, so that it starts nothing new."""
+    """If the process is ending, block the calling thread forever before it starts new work."""
     if _ending:
         from threading import Event
 
@@ -43,7 +43,7 @@ def hold() -> None:
 @contextmanager
 def if_ended(action: Callable[[], str | None]) -> Iterator[None]:
     """Call ``action`` if a signal ends the process within the context. The final message includes
-    the text that it returns."""
+    the text that ``action`` returns."""
     hold()
     _actions.append(action)
     try:
@@ -54,7 +54,7 @@ def if_ended(action: Callable[[], str | None]) -> Iterator[None]:
 
 @contextmanager
 def temporary_folder() -> Iterator[str]:
-    """Create a private temporary folder, and remove it at the end."""
+    """Create a private temporary folder, and remove it at the end of the context."""
     import shutil
     import tempfile
 
@@ -74,7 +74,7 @@ def temporary_folder() -> Iterator[str]:
 def _end(number: int, frame: FrameType | None) -> None:
     reports = _undo()
     if number in _WORDS:
-        with suppress(Exception):  # the main thread may be writing to it
+        with suppress(Exception):  # the main thread may be writing to standard output
             sys.stdout.flush()
         line = ": ".join(filter(None, [_WORDS[signal.Signals(number)], *reports]))
         with suppress(OSError):
@@ -89,7 +89,7 @@ def _end_silently(number: int, frame: FrameType | None) -> None:
 
 
 def _undo() -> list[str | None]:
-    """End the children, then call the registered actions; return their texts."""
+    """End the children, then call the registered actions; return the texts of the actions."""
     global _ending
     _ending = True
     with suppress(Exception):
@@ -124,5 +124,5 @@ def _end_children() -> None:
 def _runs(child: int) -> bool:
     try:
         return os.waitpid(child, os.WNOHANG) == (0, 0)
-    except ChildProcessError:  # other code waited for it
+    except ChildProcessError:  # other code has waited for the child
         return False

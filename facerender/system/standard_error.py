@@ -1,4 +1,4 @@
-"""Standard error of the whole process, including C libraries and child processes."""
+"""Redirect standard error of the whole process, including C libraries and child processes."""
 
 from __future__ import annotations
 

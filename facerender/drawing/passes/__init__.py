@@ -1,5 +1,5 @@
-"""Rendering passes as values. An image is drawn by a list of passes, which omits passes that the
-scene does not need. No OpenGL here."""
+"""Rendering passes as data. The renderer draws an image by a list of passes, which contains only
+the passes that the scene needs. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Target:
     Attributes
     ----------
     colors : number of colour images
-    samples : per pixel
+    samples : samples per pixel
     size : width and height in pixels; None for the size of the frame
     sampled : whether later passes read the images as textures
     values : content of a pixel: "color" for RGBA, "number" for one value
-    number : distinguishes targets that are otherwise equal
+    number : number that distinguishes targets with otherwise equal attributes
     """
 
     colors: int = 1
@@ -46,8 +46,10 @@ class Draw:
 
     Attributes
     ----------
-    setup : triangle data of the part. If set, only positions are drawn, except in "marked" draws
-    area : left, lowest row, width and height in pixels of the target; None for the whole target
+    setup : triangle data of the part. A "marked" draw reads it as a texture; another draw with a
+        setup reads only its vertex positions
+    area : left column, lowest row, width and height, in pixels, of the rectangle to draw; None for
+        the whole target
     depth : the depth test, and the buffers that the draw writes:
 
         - "test": nearer fragments pass and write colour and depth
@@ -55,7 +57,7 @@ class Draw:
         - "blend": nearer fragments pass, and their colour is blended over the image
         - "mark": one triangle over the area writes depth only, without a test
         - "marked": one triangle over the area writes colour where the previous "mark" draw wrote
-          the same depth. Its program reads the triangle data from `setup`
+          the same depth. The draw's program reads the triangle data from `setup`
     order : (F,) indices of the part's triangles in drawing order; None for the part's own order
     """
 
@@ -75,14 +77,14 @@ class Pass:
 
     Attributes
     ----------
-    name : name under which later passes read the first image
-    others : names of the other images
+    name : uniform name under which later passes read the first image of the target
+    others : uniform names of the further images of the target
     clear : initial value of all pixels: linear RGB and coverage
-    uniforms : shared by all draws
-    added : whether draws add to the image
+    uniforms : uniforms that all draws share
+    added : whether draws add their colours to the image
     cull_back_faces : whether only front faces are drawn
-    key : hash key of everything that the image depends on. If the target holds an image with this
-        key, the pass is skipped. None: the pass is always drawn
+    key : hashable value of everything that the image depends on. The pass is skipped if the target
+        already holds an image with an equal key. None: the pass is always drawn
     """
 
     name: str

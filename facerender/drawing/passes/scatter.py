@@ -1,5 +1,5 @@
-"""The pass for subsurface scattering. ``shaders/host/scatter.frag`` reads an image and the further
-images of the shading pass."""
+"""The pass for subsurface scattering. ``shaders/host/scatter.frag`` reads the images of the shading
+pass: radiance, irradiance, position and albedo."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def scatter_pass(
     samples : subsurface samples per pixel
     background : linear RGB behind the image; None if the image already contains the background
     several : whether the image has several samples per pixel
-    area : part of the image that contains the mesh; None for the whole image
+    area : rectangle of the image that contains the mesh; None for the whole image
     """
     behind = background or (0.0, 0.0, 0.0)
     uniforms = {

@@ -33,13 +33,13 @@ def shade_pass(
 
     Parameters
     ----------
-    samples : per pixel
-    only : "specular" or "diffuse" instead of the whole image
-    visibility : visibility pass for deferred shading, with the same samples; None for forward
-        shading
+    samples : samples per pixel
+    only : term to draw, "specular" or "diffuse"; None for the whole image
+    visibility : visibility pass for deferred shading, with the same number of samples; None for
+        forward shading
     scattering : scattering of the scene. If given, the pass also draws the input images of the
         scatter pass, and omits background and blended parts
-    apart : draw only the input images of the scatter pass
+    apart : whether to draw only the input images of the scatter pass
 
     Raises
     ------

@@ -28,19 +28,19 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 
 TEXELS = 1024  # width and height of a light's shadow map
-MOST = 16  # lights that cast shadows; one texture holds their maps in a row
-_EMPTY = -1e30  # z of empty texels
+MOST = 16  # largest number of lights that cast shadows; one texture holds their maps in a row
+_EMPTY = -1e30  # z, in light space, of texels without a surface
 
 
 def shadow_passes(resolved: ResolvedScene) -> list[Pass]:
     """Return the pass that draws all shadow maps, or [] if no light casts shadows.
 
-    The maps are reused until the mesh, its masks or a light changes. Texels that an alpha mask
-    discards cast no shadow, nor do blended parts.
+    The shadow maps are reused until the mesh, an alpha mask or a light changes. Blended parts, and
+    texels that an alpha mask discards, cast no shadow.
 
     Raises
     ------
-    InputError : more than MOST lights cast shadows, or one of them is inside the mesh
+    InputError : more than MOST lights cast shadows, or a light with shadows is inside the mesh
     """
     scene = resolved.scene
     spaces = resolved.lighting.spaces(scene.mesh)
@@ -85,7 +85,7 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
 
 
 def _cut(material: Material) -> Hashable:
-    """Return the values of a material's alpha mask, which the key of a shadow map includes."""
+    """Return the values of a material's alpha mask, as a part of the shadow maps' ``Pass.key``."""
     map_ = material.opacity_map and ref(material.opacity_map)
     own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
     return (material.alpha, map_, *own) if material.alpha != "opaque" else None
@@ -99,9 +99,10 @@ def light_visibility_pass(
 ) -> Pass:
     """Return the pass that draws the visible fraction of each light that casts shadows.
 
-    The lights are in the order of programs (:class:`Lighting`).
+    The lights have the order of :class:`Lighting`.
 
-    visibility : see :func:`shade_pass`; blended_part : see :func:`surface_pass`
+    visibility : see :func:`shade_pass`
+    blended_part : see :func:`surface_pass`
     """
     scene, lighting = resolved.scene, resolved.lighting
     draws = [

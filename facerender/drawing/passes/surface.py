@@ -24,21 +24,22 @@ def surface_pass(
 ) -> Pass:
     """Return the pass that draws the G-buffer of a scene.
 
-    Images, in this order:
+    The pass draws these images, in this order:
 
-    - position, part number from 1
+    - position, number of the part from 1
     - normal, m
     - albedo, specular weight
     - texture coordinates, occlusion, and either facing (if `scatters`) or opacity (of a layer)
-    - second m and lobe weight, if a part has two lobes
+    - m of the second lobe and weight of the first lobe, if a part has two lobes
     - emission, if a part emits light
     - depth, and number of the triangle in drawing order, if `blended_part` is given
 
     Parameters
     ----------
     visibility : see :func:`shade_pass`
-    scatters : also draw the cosine between the mesh's normal and the view
-    blended_part : draw one layer of this part instead of all parts that are not blended
+    scatters : whether to draw facing, the cosine between the mesh's normal and the direction to
+        the camera
+    blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn
     """
     scene, shading = resolved.scene, resolved.shading
     two = any(material.two_lobes for material in scene.mesh.materials)
@@ -68,7 +69,7 @@ def surface_pass(
     uniforms = scene_uniforms(scene, view)
     shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
     target = Target(colors=4 + two + shines)
-    if blended_part is not None:  # two targets take turns: a layer reads the previous one
+    if blended_part is not None:  # two targets alternate: a layer reads the previous layer
         target = Target(colors=target.colors + 1, sampled=True, number=blended_part.layer % 2)
     drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn

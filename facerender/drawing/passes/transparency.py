@@ -26,9 +26,9 @@ class BlendedPart:
 
     Attributes
     ----------
-    part : index in the mesh
-    order : (F,) indices of its triangles, back to front by the depth of their centres
-    layer : for depth peeling, index of the surface that each pixel shows: 0 is the nearest
+    part : index of the part in the mesh
+    order : (F,) indices of the part's triangles, back to front by the depth of triangle centres
+    layer : for depth peeling, index of the surface that each pixel shows: 0 is the nearest surface
     """
 
     part: int
@@ -36,9 +36,9 @@ class BlendedPart:
     layer: int = 0
 
     def alone(self, scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-        """Return draws of one layer: the depth of all parts that may hide it, then the layer.
+        """Return the depth draws of all parts that may hide the layer, then the draw of the layer.
 
-        draws : one for each part of the scene
+        draws : one draw for each part of the scene
         """
         own = draws[self.part]
         features = (*own.program.features, *(("DEPTH_PEELING",) * (self.layer > 0)))
@@ -48,8 +48,8 @@ class BlendedPart:
 
 
 def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
-    """Return the blended parts in drawing order: they are sorted by the depth of their nearest
-    vertex, the farthest first."""
+    """Return the blended parts in drawing order: they are sorted by the depth of each part's
+    nearest vertex, from far to near."""
     found = []
     for number, (part, material) in enumerate(
         zip(scene.mesh.parts, scene.mesh.materials, strict=True)
@@ -65,7 +65,7 @@ def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
 def unblended(scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
     """Return the draws of parts that are not blended.
 
-    draws : one for each part of the scene
+    draws : one draw for each part of the scene
     """
     parts = zip(scene.mesh.parts, scene.mesh.materials, draws, strict=True)
     return tuple(draw for part, material, draw in parts if drawn_alpha(part, material) != "blend")
@@ -74,15 +74,15 @@ def unblended(scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
 def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
     """Return the draws of blended parts, in drawing order.
 
-    draws : one for each part of the scene
+    draws : one draw for each part of the scene
     """
     over = blended_parts(scene, view)
     return tuple(replace(draws[each.part], order=each.order, depth="blend") for each in over)
 
 
 def with_blended(shaded: Pass, image: Pass) -> list[Pass]:
-    """Return two passes: one draws the blended parts of a shading pass into an image, the other
-    draws `image`, a pass of one sample per pixel, with the blended parts over it."""
+    """Return two passes. The first draws the blended parts of a shading pass into a texture. The
+    second draws `image`, a pass of one sample per pixel, and composites that texture over it."""
     hides = [depth_only(draw) for draw in shaded.draws if draw.depth == "test"]
     over = [draw for draw in shaded.draws if draw.depth == "blend"]
     target = replace(shaded.target, sampled=True, number=1)

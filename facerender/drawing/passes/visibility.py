@@ -1,5 +1,5 @@
-"""Deferred shading: the visibility pass finds the triangle at each sample, then each visible
-triangle of a pixel is shaded once."""
+"""Deferred shading: the visibility pass finds the visible triangle at each sample. The shading pass
+then shades each triangle once in every pixel where the triangle is visible."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
-# Drivers on which deferred shading is cheaper; measured in docs/measurements/performance.md.
+# Drivers on which deferred shading is the cheaper one: see docs/measurements/performance.md.
 DRIVERS = ("llvmpipe",)
-_MOST_PIXELS = 30  # pixels per triangle: above it, with one sample, deferred shading is slower
-_MOST_TRIANGLES = 1 << 24  # float32 represents whole numbers exactly up to this one
-_BRIGHTEST = 1e3  # largest background: adding and subtracting it in float32 leaves an error of 6e-5
+# With one sample and more pixels per triangle than this, deferred shading is slower than forward.
+_MOST_PIXELS = 30
+_MOST_TRIANGLES = 1 << 24  # float32 represents all whole numbers up to this one exactly
+_BRIGHTEST = 1e3  # largest background: float32 adds and subtracts this value with an error of 6e-5
 
 
 def can_defer(scene: Scene, rows: int) -> bool:
     """Return whether deferred shading supports a scene.
 
     All parts must be opaque and use one set of texture coordinates. The scene must have fewer than
-    2^24 triangles, and each part must fit into one texture. The background must not exceed 1000.
+    2^24 triangles. The triangle data of each part must fit into one texture. No channel of the
+    background may exceed 1000.
 
-    rows : largest height of a texture
+    rows : largest height of a texture, in texels
     """
     counts = [len(part.faces) for part in scene.mesh.parts]
     bright = max(scene.background or (0.0,)) > _BRIGHTEST
@@ -41,7 +43,7 @@ def can_defer(scene: Scene, rows: int) -> bool:
 
 
 def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
-    """Return whether deferred shading is cheaper, according to measurements.
+    """Return whether deferred shading was measured to be cheaper than forward shading.
 
     driver : value of GL_RENDERER
     """
@@ -58,7 +60,7 @@ class Visible:
     Attributes
     ----------
     setup : triangle data of the part
-    first : number of its first triangle in the image, at least 1; 0 is the background
+    first : number of the part's first triangle in the image, at least 1; 0 is the background
     area : bounds of the part in the image; if width or height is 0, the part is outside the image
     """
 
@@ -73,10 +75,12 @@ class Visibility:
 
     Attributes
     ----------
-    view, size, samples : camera of the image, its width and height in pixels, samples per pixel
-    parts : parts of the scene, in its order
+    view : camera of the image
+    size : width and height of the image in pixels
+    samples : samples per pixel
+    parts : parts of the scene, in the order of the mesh
     shading_rate : "pixel" to shade one triangle for each part and pixel, "sample" to shade all
-        visible triangles
+        visible triangles of a pixel
     """
 
     view: View
@@ -122,7 +126,7 @@ class Visibility:
         return Pass("visible", target, draws, uniforms={"view_projection": self.view.matrix})
 
     def shaded(self, drawn: Pass, uniforms: Uniforms | None = None) -> Pass:
-        """Convert a forward pass to a deferred one, which shades the visible triangles.
+        """Convert a forward pass to a deferred pass, which shades the visible triangles.
 
         Parameters
         ----------
@@ -142,9 +146,10 @@ class Visibility:
         )
 
     def _shaded(self, draw: Draw, part: Visible, depth: float) -> tuple[Draw, Draw]:
-        """Return two draws: one writes `depth` where a part is visible, one shades the part there.
+        """Return two draws: the first writes `depth` at the pixels that show a part, and the second
+        shades these pixels.
 
-        depth : value in [0, 1] that is different for each part
+        depth : depth value in [0, 1] that is different for each part
         """
         samples = f"SAMPLES {self.samples}"
         uniforms = {"first": part.first, "triangle_count": len(part.setup.faces), "depth": depth}

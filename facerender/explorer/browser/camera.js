@@ -40,8 +40,8 @@ function viewOf({azimuth, elevation, zoom, fov}, aspect) {
   return {position, matrix: [0, 1, 2, 3].flatMap(row => columns.map(column => column[row]))};
 }
 
-// Returns the position of a point in the image, as fractions of its width and height from the top
-// left. z < 0 if the point is nearer to the camera than the mesh's centre.
+// Returns the position of a point in the image, as fractions of the image's width and height from
+// the top left. z < 0 if the point is nearer to the camera than the mesh's centre.
 function projected({position, matrix}, point) {
   const [x, y, , w] = [0, 1, 2, 3].map(column =>
     [...point, 1].reduce((sum, each, row) => sum + each * matrix[4 * row + column], 0));

@@ -1,10 +1,11 @@
-// Code for the same image: command line, TOML, Python, GLSL; and the diff of two texts.
+// Writes code that draws the page's image (command line, TOML, Python or GLSL), and the diff of two
+// texts.
 const rounded = list => list.map(short).join(", ");
 
 const materialFields = term => Object.fromEntries(
   ["m", "f0", "ks"].filter(name => term[name] !== null).map(name => [name, short(term[name])]));
 
-// Returns the fields of the shading that differ from their defaults, by name in TOML and Python.
+// Returns the fields of the shading that differ from their defaults, keyed by their names in TOML.
 function shadingFields(term) {
   const first = {model: firstModel, lobe: Object.keys(registry.lobes)[0],
     ...modelOf(term).factors && {fresnel: firstFresnel, masking: firstMasking}};
@@ -16,7 +17,7 @@ function pointOf(light) {
   return scaledBy(directionTo(light), light.distance * facts.radius).map((x, i) => x + facts.center[i]);
 }
 
-// Returns the mesh's arguments, without the roughness map if the term sets m.
+// Returns the command-line arguments of the mesh, without the roughness map if the term sets m.
 function meshWords(term) {
   const {roughness_map: roughness, ...others} = facts.mesh.maps;
   return [facts.mesh.shell, ...Object.values(others), term.m === null && roughness].filter(Boolean);
@@ -128,9 +129,9 @@ function diff(before, after) {
   return lines;
 }
 
-const CONTEXT = 3;  // Unchanged lines before and after a change.
+const CONTEXT = 3;  // Unchanged lines that are shown before and after a change.
 
-// Replaces the lines of a diff that are far from a change by "@" and their number.
+// Replaces the lines of a diff that are far from a change by "@" and the number of these lines.
 function hunks(lines) {
   const near = lines.map((_, i) =>
     lines.slice(Math.max(i - CONTEXT, 0), i + CONTEXT + 1).some(([sign]) => sign !== " "));

@@ -75,7 +75,7 @@ const button = (text, label, press) => {
   return made;
 };
 
-// Returns the mesh file's value of a uniform, if all parts have the same value.
+// Returns the mesh file's value of a uniform if all parts have the same value, else "per part".
 function ownValue(name) {
   const values = new Set(facts.parts.map(part => short(part.uniforms[name])));
   return values.size === 1 ? [...values][0] : "per part";

@@ -1,6 +1,6 @@
-// Measures the cost of A and B on this GPU: the milliseconds that one more shading pass takes.
+// Measures the cost of A and B on this GPU: the milliseconds that each further shading pass takes.
 const ROUNDS = 7;
-const LONG = 40;  // Least duration of the passes of a round, in ms.
+const LONG = 40;  // Minimum time of all passes of one image in a round, in ms.
 const MOST_PASSES = 512;
 const TIMED = {base: "without highlights", a: "A", b: "B"};
 const COSTS = {...TIMED, difference: "B − A"};
@@ -22,7 +22,7 @@ function quartiles(values) {
 }
 
 // Returns the milliseconds that work takes on the GPU, or null if the GPU's clock was disturbed.
-// Without that clock it waits until a pixel can be read, which requires the end of all drawing.
+// Without that clock, the function reads a pixel after the work, which waits for all drawing.
 async function timed(drawing, clock, work) {
   const {gl} = drawing;
   if (!clock) {
@@ -50,9 +50,9 @@ async function timed(drawing, clock, work) {
   return gl.getParameter(clock.GPU_DISJOINT_EXT) ? null : time;
 }
 
-// Measures the images in turns.
-//   report   called with the progress as text
-//   stop     returns true to cancel: the result is null
+// Measures the images (A, B, and A without highlights) in turns.
+//   report   function that is called with the progress as text
+//   stop     function that returns true to cancel the measurement: the result is null
 async function measuredCost(
   drawing, state, report, stop, clock = drawing.gl.getExtension("EXT_disjoint_timer_query_webgl2"),
 ) {
@@ -80,7 +80,7 @@ async function measuredCost(
     }
     if (Object.values(found).includes(null)) {
       if (++disturbed < ROUNDS) continue;
-      return measuredCost(drawing, state, report, stop, null);  // The clock is always disturbed.
+      return measuredCost(drawing, state, report, stop, null);  // The clock is disturbed too often.
     }
     for (const which of Object.keys(TIMED)) slopes[which].push(found[which]);
     ++round;

@@ -40,7 +40,7 @@ function normals(packed) {
   return vectors;
 }
 
-// Returns each part with the arrays for the host's vertex shader, and its triangles.
+// Returns each part with the arrays for the renderer's vertex shader, and the part's triangles.
 async function meshParts() {
   const bytes = new Uint8Array(await (await inflated("geometry")).arrayBuffer());
   const columns = [];

@@ -1,4 +1,4 @@
-// Draws images A and B on float targets, their error, and the image on the canvas.
+// Draws images A and B and their error into float targets, and the visible image on the canvas.
 const MOST_SAMPLES = 4;
 
 class Drawing {
@@ -56,7 +56,8 @@ class Drawing {
     this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
   }
 
-  // Computes the mip levels of a normal map; the deviation of the finest level is 0.
+  // Computes the mip levels of a normal map. Alpha stores the standard deviation of the slopes in a
+  // texel, which is 0 in the finest level.
   halve(texture, levels, {width, height}) {
     const {gl} = this;
     const buffer = gl.createFramebuffer();
@@ -99,7 +100,7 @@ class Drawing {
     };
   }
 
-  // Draws the parts with a fragment shader into the bound target.
+  // Draws all parts into the bound target; fragmentOf returns the fragment shader of a part.
   drawParts(state, term, fragmentOf) {
     const {gl} = this;
     const [width, height] = this.size;
@@ -155,8 +156,8 @@ class Drawing {
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, sampled.buffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target.buffer);
     gl.blitFramebuffer(...whole, ...whole, gl.COLOR_BUFFER_BIT, gl.NEAREST);
-    // Tiled GPUs need not store the samples. Without this call, ANGLE on SwiftShader clears the
-    // target for B before it resolves A.
+    // Tiled GPUs then need not store the samples. Without this call, ANGLE on SwiftShader clears the
+    // multisampled target for B before it resolves the samples of A.
     gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
   }
@@ -173,7 +174,7 @@ class Drawing {
     gl.depthFunc(gl.LESS);
   }
 
-  // Binds both images to a program with error.glsl.
+  // Binds images A and B as textures of a program that contains error.glsl.
   compare(program, exposure) {
     const {gl, targets} = this;
     [targets.a, targets.b].forEach((target, unit) => {
@@ -227,7 +228,7 @@ class Drawing {
     return pixels;
   }
 
-  // Returns the surface and the radiance of A and B at the centres of pixels [x, y], with one sample.
+  // Returns the surface values and the radiance of A and B at the centres of the pixels [x, y].
   probe(state, places) {
     const {gl} = this;
     const found = places.map(() => ({}));

@@ -1,5 +1,8 @@
-// Error of B against A at a pixel, in the worst channel: linear radiance; 8-bit levels of the
-// displayed image before rounding; relative to max(A, 0.01). The last component is A's coverage.
+// error_at returns three errors of B against A at a pixel, each in the worst channel, and coverage.
+//   x   error of the linear radiance
+//   y   error of the displayed image in 8-bit levels, before rounding
+//   z   error of the linear radiance, relative to max(A, 0.01)
+//   w   coverage of A
 precision highp float;
 precision highp int;
 precision highp sampler2D;

@@ -3,7 +3,7 @@ const SETTLED = 180;  // Milliseconds without a change before errors, code and U
 
 let state = firstState();
 let drawing = null;  // Null before the start and after a failure.
-let pixels = null;   // Error pixels of the current image.
+let pixels = null;   // Errors at the pixels of the current image.
 let statisticsNow = null;
 let awaited = [];    // Promises for the errors of the current image.
 let [frame, timer, version] = [0, 0, 0];
@@ -112,7 +112,8 @@ function readout() {
     : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of these.`;
 }
 
-// The pixel that sets m of the plotted lobes: under the pointer, or else at the largest error.
+// Pixel under the pointer, or null. The plotted lobes use m of this pixel; if it is null, m of the
+// pixel with the largest error.
 let pointed = null;
 let scale = "linear";
 let lobes = null;
@@ -137,7 +138,7 @@ function plotHere() {
     + `N.V = ${figure(here.facing)}, ${cosines ? `N.L = ${cosines}` : "no lights"}.`;
 }
 
-let cost = null;  // The last measurement.
+let cost = null;  // The last measurement of costs.
 let costOf = "";  // Key of the measured image.
 const imageKey = ({a, b, camera, lights, ambient, only}) =>
   JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
@@ -269,7 +270,7 @@ function buildControls() {
     try {
       await navigator.clipboard.writeText(text);
       byId("copy").textContent = "copied";
-    } catch {  // Some browsers refuse this for a local file: the user can copy the selected text.
+    } catch {  // Some browsers allow no clipboard for a local file: the user copies the selection.
       getSelection().selectAllChildren(byId("code"));
       byId("copy").textContent = "selected";
     }
@@ -290,7 +291,7 @@ function handleOf(i) {
   return handle;
 }
 
-// Turns a light or the camera, by degrees.
+// Turns a light or the camera by angles in degrees.
 function turn(direction, right, up) {
   direction.azimuth = (direction.azimuth + right + 540) % 360 - 180;
   direction.elevation = clamp(direction.elevation + up, -90, 90);
@@ -299,7 +300,8 @@ function turn(direction, right, up) {
 
 const STEPS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
 
-// Calls `move` with the step of an arrow key, or the function in `others` of another key.
+// Calls `move` with the step of a pressed arrow key, or calls the function that `others` contains
+// for another key.
 function onKeys(target, move, others = {}) {
   target.addEventListener("keydown", event => {
     const action = others[event.key] ?? (STEPS[event.key] && (() => move(...STEPS[event.key])));
@@ -309,7 +311,8 @@ function onKeys(target, move, others = {}) {
   });
 }
 
-// Calls `move` with the movement of a pointer, or `pinch` with the ratio of two pointers' distances.
+// Calls `move` with the movement of one pointer. With two pointers, calls `pinch` with the ratio of
+// their new distance to their old distance.
 function dragged(target, move, pinch) {
   const held = new Map();
   const apart = () => {
@@ -405,7 +408,7 @@ window.explorer = {
   get state() { return state; },
   get size() { return drawing.size; },
   get samples() { return drawing.samples; },
-  // errors of the current image, or a promise of them
+  // error statistics of the current image, or a promise of these statistics
   errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
@@ -417,7 +420,7 @@ attempt(async () => {
   const unpacks = Boolean(window.DecompressionStream);
   const held = unpacks && Promise.all(
     [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
-  buildControls();  // While the browser unpacks.
+  buildControls();  // Runs while the browser unpacks the data.
   restore(location.hash);
   if (!unpacks) {
     throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): use Chrome 80, "

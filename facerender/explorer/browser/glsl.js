@@ -1,11 +1,11 @@
 // Builds the GLSL of a term, and of the programs that draw it, from texts in the page's data.
-let sources = null;  // By role; null until they are unpacked.
+let sources = null;  // GLSL texts, keyed by role; null until the texts are unpacked.
 
 const modelOf = term => registry.models[term.model];
 const lobeOf = term => term.lobe === "g-power" ? registry.g_power : registry.lobes[term.lobe];
 const smallestSlope = term => term.m ?? Math.min(...facts.parts.map(part => part.slopes[0]));
 
-// Returns the flat GLSL file of a term, valid for m >= smallest, and the call of its function.
+// Returns the GLSL of a term without #include, valid for m >= smallest, and its function call.
 function termSource(term, smallest) {
   const plain = lobeOf(term).by_angle && smallest >= registry.small_slope;
   const factors = modelOf(term).factors ? [term.fresnel, term.masking] : [];
@@ -26,7 +26,7 @@ function lobeName({lobe, g, factor, offset}) {
   return `g-power ${g} (${+factor.toPrecision(5)}/m^2${less})`;
 }
 
-// Returns the first lines of the renderer's programs for a part: its features as macros.
+// Returns the first lines of the renderer's programs for a part: the part's features as macros.
 function surfaceHead(part, term) {
   const own = part.features.filter(name => term.m === null || name !== "ROUGHNESS_MAP");
   return "#version 300 es\n" + own.map(name => `#define ${name}\n`).join("");

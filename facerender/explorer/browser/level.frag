@@ -1,10 +1,10 @@
 // Computes a mip level of a normal map from the next finer level. RGB is the direction of the mean
-// vector. A is the deviation of the slopes in the texel, as in facerender/slope_variance.glsl.
-// FR_MAP_DEVIATION, and the length of a vector as a function of its deviation, are as in
-// scenes/texture.py.
+// vector. A is the standard deviation of the slopes in the texel, divided by FR_MAP_DEVIATION from
+// facerender/slope_variance.glsl. scenes/mips.py computes A from the length of the mean vector in the
+// same way.
 uniform sampler2D finer;
-uniform bool finest;  // whether the finer level is the finest, which has unit vectors
-uniform ivec2 last;   // last texel of the finer level
+uniform bool finest;  // whether `finer` is level 0, which has unit vectors
+uniform ivec2 last;   // last texel of `finer`
 out vec4 texel;
 
 vec3 mean_vector(ivec2 at) {

@@ -1,11 +1,12 @@
-// Plots the lobes of A and B over the angle, with m of a pixel. The library's GLSL evaluates them.
-const ANGLES = 361;  // From 0 to 90 degrees.
+// Plots the lobes of A and B over the angle of the half vector, with m of a pixel. The GLSL of the
+// library evaluates the lobes.
+const ANGLES = 361;  // Number of angles from 0 to 90 degrees.
 const COSINES = Float32Array.from({length: ANGLES}, (_, i) => Math.cos(Math.PI / 2 * i / (ANGLES - 1)));
 const SCALES = [["linear", "linear"], ["log", "log"], ["polar", "polar"]];
 const LOWEST = 1e-4;  // Lower end of the logarithmic scale.
 const [PLOT, BELOW] = [{width: 360, height: 190}, {width: 360, height: 90}];
 
-// Returns the values of a term's lobe at the angles.
+// Returns the values of a term's lobe at all angles.
 function lobeValues(drawing, term, m) {
   const {gl} = drawing;
   const target = floatTarget(gl, [ANGLES, 1]);
@@ -24,7 +25,8 @@ function lobeValues(drawing, term, m) {
   return values.filter((_, i) => i % 4 === 0);
 }
 
-// Returns the lobe's largest difference from exact that the registry states, in % of the peak.
+// Returns the largest error of a lobe that the registry states, in % of the peak (`limit`), and a
+// text about it.
 function statedError(term, m) {
   const stated = lobeOf(term).errors?.[modelOf(term).k];
   if (!stated || lobeOf(term).by_angle) return {text: ""};
@@ -61,7 +63,8 @@ function axes({width, height}, across, up, grid) {
   ];
 }
 
-// Draws both plots. a, b: m, the values of the lobe, and the angles of the lights' half vectors.
+// Draws the plot of both lobes and the plot of their difference. a and b each contain m, the values
+// of the lobe, and the angles of the lights' half vectors in degrees.
 function plotLobes(box, {a, b}, scale) {
   const {width, height} = PLOT;
   const [left, right, top, bottom] = [42, width - 4, 16, height - 14];
@@ -76,7 +79,7 @@ function plotLobes(box, {a, b}, scale) {
   const step = [2, 5, 10, 15, 20].find(each => degrees(dark) / each < 6.5);
   const ticks = Array.from({length: 1 + Math.floor((degrees(dark) - 2) / step)},
     (_, i) => [x(i * step / 90 * (ANGLES - 1)), `${i * step}°`]);
-  let point;  // Maps the index of an angle and a value to the plot.
+  let point;  // Function from the index of an angle and a value to a position [x, y] in the plot.
   let numbers = [...Array(dark + 1).keys()];
   if (scale === "polar") {
     const radius = height - 18;

@@ -2,10 +2,10 @@
 const radians = degrees => degrees * Math.PI / 180;
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
-// Returns six digits, without trailing zeros.
+// Returns a number as text with six significant digits, without trailing zeros.
 const short = x => String(+x.toPrecision(6));
 
-// Returns three digits for display, never with an exponent.
+// Returns a number as text with three significant digits for display, never with an exponent.
 function figure(x) {
   if (!Number.isFinite(x)) return "not finite";
   if (x === 0) return "0";

@@ -1,7 +1,7 @@
-// Shows A left of the cut and B right of it, or their difference. Pixels over the budget are red.
-// Row 0 of an image is on top.
+// Shows A left of the cut and B right of the cut, or their difference. Pixels whose error exceeds
+// the budget are red. Row 0 of an image is on top.
 uniform int height;
-uniform int cut;           // pixels from the left
+uniform int cut;           // distance of the cut from the left side, in pixels
 uniform bool difference;
 uniform float gain;
 uniform float budget;      // 8-bit levels; negative for no budget

@@ -1,4 +1,4 @@
-// The state of the page, and its text in the URL fragment: the differences from the initial state.
+// The state of the page. The URL fragment stores the differences from the initial state as text.
 const SHOWS = {wipe: "A | B", a: "A", b: "B", difference: "|A − B|"};
 const ONLY = {all: "all terms", specular: "specular"};
 const MOST_LIGHTS = 8;
@@ -97,7 +97,7 @@ function fragmentOf(state) {
   return words.join("&");
 }
 
-// Returns the state of a URL fragment, and its invalid parts.
+// Returns the state of a URL fragment, and the invalid parts of the fragment.
 function stateOf(fragment) {
   const state = firstState();
   const unknown = [];
