@@ -14,12 +14,14 @@ Environment     environment map from a Panorama; load_environment reads an Envir
 Shading         the specular Term of each light, and the terms to omit
 Job             a scene with its outputs as plain data, for files and other machines
 Frame, GBuffer  results of a renderer
-compare         tests whether two images match, with reasons; shifted moves a scene by pixels
-plan            finds the cheapest Shading within an error budget; turntable returns cameras
-load_cameras    reads cameras from a file; save_animation writes .gif, .webp or .mp4
+compare         returns whether two images match, and why not; shifted moves the image of a scene
+plan            finds the cheapest Shading within an error budget
+load_cameras    reads cameras from a file; turntable returns cameras around a mesh
+save_animation  writes .gif, .webp or .mp4
 brdf, lobes     the reference functions in float64
-shader_source   returns a GLSL file for a target, includes inserted; shader_dir is the include
-                directory; resolve_includes and moderngl_includes serve your own programs
+shader_source   returns a GLSL file for a target, with its includes inserted; shader_dir returns the
+                include directory; resolve_includes inserts includes into your own GLSL text, and
+                moderngl_includes registers them for your own moderngl programs
 """
 
 from importlib import import_module

@@ -27,7 +27,7 @@ class InputError(FacerenderError, ValueError):
 
 
 class ContextError(FacerenderError, RuntimeError):
-    """There is no OpenGL context, or it lacks a required feature."""
+    """There is no OpenGL context, or the context lacks a required feature."""
 
 
 class NotMeasured(FacerenderError, RuntimeError):

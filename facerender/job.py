@@ -1,5 +1,5 @@
-"""Render jobs as plain data that can be pickled and stored as TOML or JSON. The command line and
-programs create jobs; the renderer draws their scenes. This module does not use OpenGL."""
+"""The class Job: a scene and its outputs as plain data for pickle, TOML or JSON. The command line
+and programs create jobs; the renderer draws their scenes. This module does not use OpenGL."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MAX_SAMPLES = 64
 
 @dataclass(frozen=True)
 class MeshFile:
-    """The files of a mesh, its selected parts and its number of triangles. Parameters as in
+    """The files of a mesh, its selected parts, and its number of triangles. Parameters as in
     :func:`facerender.load_mesh` (paths as text), :meth:`facerender.Mesh.select` and
     :func:`facerender.simplified`. ``occlusion``: whether :func:`facerender.with_occlusion` is used.
     """
@@ -225,11 +225,11 @@ class Job:
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
         """Return the level of detail of an image. The planned level is used only for the planned
-        size and samples; other sizes and samples cause a FacerenderWarning and use all triangles.
+        size and samples. Otherwise, a FacerenderWarning is emitted, and all triangles are drawn.
 
         Parameters
         ----------
-        samples : samples per pixel of the renderer
+        samples : the renderer's samples per pixel
         name : name of the scene, for the warning
         """
         if self.planned and self.planned.holds(self.image.size, samples):
@@ -261,7 +261,7 @@ class Job:
 
     @classmethod
     def from_dict(cls, tables: Mapping[str, Any]) -> Job:
-        """Return the job of the data from :meth:`as_dict`; missing keys get their defaults.
+        """Return the job that data from :meth:`as_dict` describe; missing keys get their defaults.
 
         Parameters
         ----------

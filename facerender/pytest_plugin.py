@@ -1,7 +1,7 @@
 """pytest plugin: the fixture ``facerender_snapshot`` compares images with the tests' goldens.
 
 Pytest imports this module in every session if facerender is installed. This module therefore
-imports other modules of facerender only when a test checks the first image.
+imports other modules of facerender only when a test first checks an image.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _setting(config: pytest.Config, name: str) -> Any:
 
 
 def _updates(config: pytest.Config) -> Updates:
-    """Return which goldens the session writes."""
+    """Return the options that select the goldens that the session writes."""
     from facerender.comparison.goldens import Updates
 
     names = {"missing": "update_missing", "differing": "update"}
@@ -240,8 +240,8 @@ def pytest_runtest_makereport(
 class _Session:
     """State of a session: checks and goldens.
 
-    With pytest-xdist, each worker sends checks to the reporting process with its test reports, and
-    the ids of tests that did not pass when the worker ends.
+    With pytest-xdist, each worker sends its checks, as part of its test reports, to the reporting
+    process. At its end, the worker also sends the ids of tests that did not pass.
     """
 
     def __init__(self, config: pytest.Config) -> None:
@@ -249,7 +249,7 @@ class _Session:
         self.unused: list[Path] = []
         self._checks: list[dict[str, str]] = []
         self._passed: set[str] = set()
-        self._collected: dict[str, set[str]] = {}  # ids that must pass, keyed by module
+        self._collected: dict[str, set[str]] = {}  # test ids, keyed by module
 
     @pytest.hookimpl(wrapper=True)
     def pytest_make_collect_report(
@@ -294,7 +294,7 @@ class _Session:
             self._write_report(paths)
 
     def _find_unused(self, modules: list[str]) -> list[Path]:
-        """Return unused goldens of these modules, and all goldens of deleted modules."""
+        """Return unused goldens of these test files, and all goldens of deleted test files."""
         used = {check["golden"] for check in self._checks}
         folders = {_goldens(Path(module)) for module in modules}
         for root in {folder.parent for folder in folders}:

@@ -137,7 +137,7 @@ class Term:
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
 
 
-_OF_TERM: Any = object()  # Default of parameters that come from `term`.
+_OF_TERM: Any = object()  # Default: the parameter keeps the field of `term`.
 
 
 @dataclass(frozen=True, init=False)
@@ -154,8 +154,8 @@ class Shading:
     specular_lights : indices of the lights with a specular term; None (default) for all
     shadow_lights : indices of the lights whose shadows are drawn; None (default) for all that cast
         shadows
-    frontal_lights : indices of lights near the camera, for which the Fresnel term is f0 and masking
-        has no effect. The terms of these lights omit both; only for Cook-Torrance
+    frontal_lights : indices of lights near the camera. Their terms omit masking and use f0 as the
+        Fresnel term; only for Cook-Torrance
     outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
         for the exact lobe
     ks : one specular weight that replaces the weights of materials and specular maps; default None
@@ -316,7 +316,7 @@ class Shading:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Shading:
-        """Return the shading of a table from :meth:`as_dict`.
+        """Return the shading that a table from :meth:`as_dict` describes.
 
         Raises
         ------

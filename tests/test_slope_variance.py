@@ -117,7 +117,7 @@ def test_area_light_that_is_too_near_is_refused(renderer, head):
     place = tuple(head.center + head.radius * np.array([0.0, 0.0, 1.5]))
     near = fr.Light(position=place, radius=10.0)
     for shading in (fr.Shading(), fr.Shading(specular_lights=())):
-        with pytest.raises(fr.InputError, match="radius 10 is too near: .* a smaller radius, or"):
+        with pytest.raises(fr.InputError, match="radius 10 is too near: .* reduce it, or"):
             renderer.render(fr.Scene(head, lights=(near,)), shading)
     renderer.render(fr.Scene(head, lights=(replace(near, radius=5.0),)))
 

@@ -34,8 +34,8 @@ _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = ("terms", "glsl", "scenes", "loading", "drawing", "images")
 _MODULES = ("batch/outputs.py", "job.py", "shading.py")
 _LARGEST = 128  # maximum number of jobs per chunk
-# Minimum number of chunks, if there are enough jobs. The jobs in memory that wait for jobs with the
-# same mesh fill at most this number of chunks.
+# Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
+# same mesh; the waiting jobs would fill at most this number of chunks.
 _CHUNKS = 64
 _FILES = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
@@ -71,10 +71,10 @@ class Chunk:
 
     Attributes
     ----------
-    number : position among the chunks of the batch
+    number : index among the chunks of the batch
     rows : the jobs
     keys : for each job, a digest of everything that the job's files depend on
-    kept : records of jobs that an earlier run has drawn, keyed by the position in the chunk
+    kept : records of jobs that an earlier run has drawn, keyed by the job's index in the chunk
     """
 
     number: int
@@ -87,7 +87,7 @@ class Chunk:
 
     @property
     def name(self) -> str:
-        """The name of the chunk's files."""
+        """The name, without suffix, of the chunk's record and of its tar."""
         return f"{self.number:06d}-{digest_of(*self.keys)[:16]}"
 
 
@@ -125,7 +125,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
         return Chunk(number - 1, tuple(group), keys)
 
     def pack() -> list[Row]:
-        """Return the rows of the groups that have waited longest, as many as fit into a chunk."""
+        """Return the rows of the longest-waiting groups: as many groups as fit into a chunk."""
         packed: list[Row] = []
         for name in list(waiting):
             if packed and len(packed) + len(waiting[name]) > size:
@@ -158,7 +158,7 @@ def code_version() -> str:
 def key_of(row: Row) -> str:
     """Return a digest of everything that a job's files depend on.
 
-    The digests of the job's input files are cached until :func:`forget_files`.
+    The digests of the job's input files are cached until :func:`forget_files` is called.
     """
     facts = [row.id, _with_contents(row.tables), row.outputs, row.exposure]
     return digest_of(code_version(), json.dumps(facts, sort_keys=True))[:24]
@@ -182,7 +182,7 @@ def forget_files() -> None:
 
 @lru_cache(100_000)
 def _mesh_facts(table: str) -> str:
-    """Return a mesh table as JSON, with digests instead of paths."""
+    """Return a mesh table as JSON, with digests of files instead of paths."""
     mesh = json.loads(table)
     source = mesh.get("path") or str(data_dir("assets") / "head.glb")
     files = [_content(mesh.get(name) or "") for name in _FILES[1:]]

@@ -60,7 +60,7 @@ def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> i
 
 
 def _check_renderer(outcome: Outcome, known: set[str]) -> None:
-    """Warn if this worker's OpenGL driver differs from the drivers of other workers."""
+    """Warn if a worker's OpenGL driver differs from the drivers of other workers."""
     if outcome.renderer and known and outcome.renderer not in known:
         warn(
             f"{outcome.worker} draws with {outcome.renderer}, others with {min(known)}: pixels "

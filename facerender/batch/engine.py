@@ -24,7 +24,7 @@ class Engine:
     Attributes
     ----------
     executor : runs the submitted chunks
-    slots : returns the number of chunks that run at the same time
+    slots : returns the number of chunks that can be drawn at the same time
     workers : number of supervisor threads in this process; 0 on a cluster
     """
 
@@ -57,7 +57,7 @@ def dask(address: str) -> Iterator[Engine]:
         raise InputError(
             f"--scheduler {address} needs dask.distributed: pip install 'facerender[batch]'"
         ) from None
-    for name in [*logging.getLogger().manager.loggerDict]:  # this module reports the errors
+    for name in [*logging.getLogger().manager.loggerDict]:  # this module reports Dask's errors
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
@@ -93,7 +93,7 @@ def scheduler_gone() -> FacerenderError:
 def default_workers() -> tuple[int, str]:
     """Return the default number of workers, and the reason as text.
 
-    The default is one worker per core that this process may use, or as many as fit into memory.
+    The default is one worker per core that this process may use, or fewer if memory is too small.
     """
     cores, memory = _cores(), available()
     fit = max(1, int(memory // _WORKER_MIB))

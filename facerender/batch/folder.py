@@ -87,7 +87,7 @@ def status(output: str) -> dict[str, int]:
 
 
 def set_aside(storage: Storage, work: Work) -> None:
-    """Remove tables that will change, then move the records of changed jobs to folder STALE."""
+    """Remove tables that will change, then move records of changed chunks to the folder STALE."""
     for name in TABLES if work.todo or work.stale else ():
         storage.drop(name)
     for name in work.stale & record_names(storage):
@@ -118,7 +118,7 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
             for record in records_of(storage, name):
                 (bad if "error" in record else good).write(json.dumps(record) + "\n")
     _drop_stale(storage, drawn)
-    for name in storage.names(BEGUN):  # left if a worker ended after it wrote the record
+    for name in storage.names(BEGUN):  # a finished chunk's list remains if its run was killed
         storage.drop(f"{BEGUN}/{name}")
     if failed.stat().st_size:
         storage.move(failed, "failed.jsonl")

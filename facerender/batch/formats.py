@@ -29,7 +29,7 @@ _LONGEST_LINE = 2**20
 _MOST_TOML = 2**26  # Bytes.
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
-_TEXT = {  # Columns of a .csv file in which every cell is text, even if it looks like a number.
+_TEXT = {  # Columns of a .csv file with text in each cell, even if the cell looks like a number.
     *(
         "id",
         "outputs",
@@ -45,7 +45,7 @@ _TEXT = {  # Columns of a .csv file in which every cell is text, even if it look
 
 
 def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
-    """Yield the rows of a table as :func:`nested` returns them; the file suffix sets the format.
+    """Yield the rows of a table as :func:`nested` returns them; the suffix determines the format.
 
     Raises
     ------

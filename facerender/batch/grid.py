@@ -1,4 +1,4 @@
-"""Generates the rows of a .toml file: common tables, a list of jobs, a grid of axes, random values.
+"""Generates rows of a .toml file from common tables, a list of jobs, a grid and random values.
 
 Rows are generated one at a time.
 """
@@ -76,7 +76,7 @@ def grid_rows(tables: Table) -> Iterator[Table]:
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """An axis of the grid: `row` returns its n-th value as a row with only this key."""
+    """An axis of the grid: `row` returns its value at an index as a row with only `key`."""
 
     key: str
     count: int
@@ -193,7 +193,7 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
         first, second = words(number // _BLOCK)[number % _BLOCK]
         u, v = (first >> 11) * 2.0**-53, (second >> 11) * 2.0**-53
         value = _DISTRIBUTIONS[kind](ends[0], ends[1], u, v)
-        # Rounded, because exp and log agree only to 12 digits on all machines.
+        # Rounded, because exp and log agree between machines only to 12 digits.
         row: Table = placed(keys, min(max(float(f"{value:.12g}"), low), high))
         return row
 
@@ -201,12 +201,12 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
 
 
 def _normal(mean: float, sigma: float, u: float, v: float) -> float:
-    """Return a normally distributed number (Box and Muller, 1958); u and v are in [0, 1)."""
+    """Return a normally distributed number from uniform u and v (Box and Muller, 1958)."""
     return mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
 
 
-# Arguments: both ends of the range, or mean and standard deviation; then two uniform numbers in
-# [0, 1).
+# The arguments of a distribution are both ends of the range, or mean and standard deviation, and
+# two uniform numbers in [0, 1).
 _DISTRIBUTIONS: dict[str, Callable[[float, float, float, float], float]] = {
     "uniform": lambda low, high, u, _: (1.0 - u) * low + u * high,
     "log_uniform": lambda low, high, u, _: math.exp((1.0 - u) * math.log(low) + u * math.log(high)),

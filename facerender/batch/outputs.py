@@ -55,7 +55,7 @@ class Drawn:
     facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" from
         :func:`camera_facts`. With output depth, "depth_scale": mesh units per step of the 16-bit
         depth. With output parts or layers, "parts": the number of parts. For a planned scene,
-        "planned": whether the plan covers this size and number of samples; only then it is applied
+        "planned": whether the plan covers this size and number of samples, and was therefore used
     """
 
     files: dict[str, bytes]
@@ -73,7 +73,7 @@ def draw(
     Parameters
     ----------
     mesh : the result of ``job.mesh.load()``
-    renderer : made for the job's image settings
+    renderer : renderer with the job's image settings
     outputs : names from OUTPUTS
     exposure : exposure of image.png, specular.png and diffuse.png, in stops
 
@@ -158,7 +158,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
     -------
     "width", "height" : image size in pixels
     "K" : 3 x 3 intrinsic matrix from :meth:`View.intrinsics`
-    "Rt" : 3 x 4 matrix from :meth:`View.extrinsics`: from mesh space to OpenCV's camera space
+    "Rt" : 3 x 4 matrix of :meth:`View.extrinsics`, from mesh space to OpenCV's camera space
         (x right, y down, z forward)
     "transform_matrix" : 4 x 4 matrix from the camera space of OpenGL and NeRF (x right, y up,
         z backward) to mesh space
@@ -201,8 +201,8 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
 def _depth_scale(view: View, mesh: Mesh) -> float:
     """Return the mesh units per step of a 16-bit depth value.
 
-    The largest value stands for the far side of the bounding sphere. The scale depends only on the
-    camera's distance, not on the visible surface or the driver.
+    The value 65535 stands for the far side of the bounding sphere. The scale depends only on the
+    camera and this sphere, not on the visible surface or the driver.
     """
     farthest = 1.0 - float(view.position @ view.forward)
     return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # 1 if the mesh is behind the camera

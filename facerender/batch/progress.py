@@ -53,7 +53,7 @@ class Progress(ExitStack):
         self.enter_context(if_ended(self._ended))
 
     def report(self, worker: str, step: str, job: str) -> None:
-        """Show the step of a local worker. The thread of its supervisor calls this method."""
+        """Show the step of a local worker. The thread of the worker's supervisor calls this."""
         if step in ("done", "kept", "failed"):
             self._bar.update()
         thread = threading.get_ident()

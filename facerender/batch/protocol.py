@@ -15,7 +15,7 @@ class Order:
 
     Attributes
     ----------
-    left : positions of the remaining jobs in the chunk
+    left : indices of the remaining jobs in the chunk
     tar, size : see :class:`facerender.batch.records.Writer`
     """
 
@@ -36,10 +36,10 @@ class Message:
         job is drawn; "kept": the files of an earlier run are reused; "failed": the job failed;
         "cannot": no job can be drawn; "end": the chunk is finished. "starts" is never sent: it is
         the supervisor's value until the first message arrives
-    position : position of the job in the chunk
+    position : index of the job in the chunk
     record : record of the job in the steps "done", "kept" and "failed"; otherwise None
     size : size of the tar in bytes after this step
-    text : the reason why no job can be drawn, in step "cannot"
+    text : in the step "cannot", the reason why no job can be drawn
     """
 
     step: Literal["starts", "loads", "draws", "done", "kept", "failed", "cannot", "end"]

@@ -1,4 +1,4 @@
-"""Files of a chunk: the outputs of the jobs, separate or in one tar, and the chunk's record.
+"""Files of a chunk: the outputs of its jobs as separate files or one tar, and the chunk's record.
 
 The record is written last: its presence marks a finished chunk.
 """
@@ -39,7 +39,7 @@ class Writer:
         self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
         self.size = size
         self._tar = tar
-        self._get = lru_cache(1)(self.storage.get)  # Neighbouring jobs are mostly in the same tar.
+        self._get = lru_cache(1)(self.storage.get)  # Consecutive jobs mostly share a tar.
         if tar is not None:
             with tar.open("r+b" if size else "wb") as file:
                 file.truncate(size)
@@ -97,7 +97,7 @@ class Superseded(OSError):
 def _check_run(storage: Storage, run: str) -> None:
     try:
         about = json.loads(storage.get(ABOUT))
-    except FileNotFoundError:  # Only a coordinator writes this file, and a caller may have none.
+    except FileNotFoundError:  # batch.json exists only if a coordinator runs the batch.
         return
     if about["run"] != run:
         raise Superseded("another run of the batch has started")

@@ -1,4 +1,4 @@
-"""Builds the JSON Schema of a row of a job table from dataclasses, ranges and the registry."""
+"""Builds the JSON Schema of a job table's rows from dataclasses, ranges and registered terms."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _lights(table: Schema) -> Schema:
 
 def _shading() -> Schema:
     terms = _fields("shading", Term)
-    # Without defaults: a value that a light lacks is the value of the shading of all lights.
+    # Without defaults: if a light lacks a value, the value for all lights is used.
     lights = _object(
         {name: {key: each[key] for key in each if key != "default"} for name, each in terms.items()}
     )

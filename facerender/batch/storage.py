@@ -77,7 +77,7 @@ class Storage:
         return folder / uuid4().hex
 
     def get(self, name: str, most: int | None = None) -> bytes:
-        """Return a file, or its first `most` bytes; raise FileNotFoundError if it is missing."""
+        """Return a file's content, or its first `most` bytes; raise FileNotFoundError if absent."""
         if self.remote:
             return bytes(self._system.cat_file(f"{self._path}/{name}", end=most))
         with open(f"{self.root}/{name}", "rb") as file:

@@ -1,4 +1,4 @@
-"""The supervisor of a worker process, which the engines call.
+"""The supervisor of a worker process; the engines call this supervisor.
 
 The supervisor restarts a worker that crashes or hangs, identifies the responsible job, and commits
 the chunk. It does not use OpenGL.
@@ -31,7 +31,7 @@ from facerender.system.signals import hold
 
 Report = Callable[[str, str, str], None]  # Worker, step, job id.
 
-# One thread per worker: a process per core is faster than threads, and pixels are identical.
+# One thread per worker: one process per core is faster than threads, and gives the same pixels.
 _ALONE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _THREAD = threading.local()
 _NO_JOB = -1
@@ -98,7 +98,7 @@ class Supervisor:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
-        self._patience = 0.0  # Least time limit of the next message, in seconds.
+        self._patience = 0.0  # Minimum time limit of the next message, in seconds.
 
     def __del__(self) -> None:
         self.stop()
@@ -245,9 +245,9 @@ def _renderer(record: Record) -> str:
 
 
 def _at_fault(chunk: Chunk, last: Message) -> set[int]:
-    """Return the jobs that may have ended the worker.
+    """Return the indices of the jobs that may have ended the worker.
 
-    This is the job that was being drawn, or all jobs of the mesh that was being loaded.
+    These are the job that was being drawn, or all jobs with the mesh that was being loaded.
     """
     if last.step != "loads":
         return {last.position}

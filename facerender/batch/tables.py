@@ -1,4 +1,4 @@
-"""Converts rows of a table of jobs to nested plain data: dotted keys, shorthands, merging.
+"""Converts rows of a job table to nested plain data: expands keys and shorthands, merges tables.
 
 ``formats.py`` reads the files; ``jobs.py`` makes jobs from the rows.
 """
@@ -161,7 +161,12 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
 
 
 def _joined(one: Any, other: Any, name: str) -> Any:
-    """Add the values of table `other` to table `one`, and return `one`; no value may be in both."""
+    """Add the values of table `other` to table `one`, and return `one`.
+
+    Raises
+    ------
+    InputError : both tables define the same value
+    """
     if type(one) is not dict or type(other) is not dict:
         raise InputError(f"{clipped(name)} is given twice, or as a whole and in parts: remove one")
     for key, value in other.items():

@@ -19,7 +19,7 @@ from facerender.batch.records import BEGUN, STALE, read_head, record_names, reco
 from facerender.batch.storage import Storage
 from facerender.errors import FacerenderError, InputError, reason
 
-_IN_MEMORY = 1 << 20  # bytes of the temporary file that stay in memory; a larger file is on disk
+_IN_MEMORY = 1 << 20  # maximum bytes of a temporary file in memory; a larger file is on disk
 
 
 class Spool:
@@ -34,10 +34,10 @@ class Spool:
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._of: dict[str, tuple[int, int]] = {}  # by chunk name: number of jobs, file offset
+        self._of: dict[str, tuple[int, int]] = {}  # keyed by chunk name: number of jobs, offset
 
     def add(self, chunk: Chunk) -> None:
-        """Write a chunk."""
+        """Append a chunk to the temporary file."""
         self._of[chunk.name] = len(chunk.rows), self._file.tell()
         pickle.dump(chunk, self._file, protocol=pickle.HIGHEST_PROTOCOL)
 
@@ -59,7 +59,7 @@ class Spool:
 
 @contextmanager
 def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterator[Spool]:
-    """Read all rows and store them as chunks of `size` jobs; None as in :func:`chunks`.
+    """Read all rows and store them as chunks; `size` as in :func:`chunks`.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
 def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
     """Yield the chunks to draw, each with the records of its jobs that are already drawn.
 
-    Such a record is stale, or it belongs to the same chunk if another job of the chunk failed.
+    The records come from stale chunks, or from the same chunk if another of its jobs failed.
     """
     known = _DrawnBefore(storage)
     names = record_names(storage)

@@ -29,13 +29,13 @@ from facerender.loading.references import named_files
 from facerender.scenes.mesh import Mesh
 from facerender.system.signals import heed_the_coordinator
 
-_MESHES = _RENDERERS = 2  # Meshes, and renderers, that each worker caches.
+_MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
 _NO_MEMORY = 9  # Exit status: out of memory.
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 def main(handle: int) -> None:
-    """Draw the chunks that arrive on the socket with descriptor `handle`, until it is closed."""
+    """Draw chunks from the socket with file descriptor `handle` until the socket is closed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     heed_the_coordinator()
@@ -121,7 +121,7 @@ def _no_context(backend: Backend) -> str:
 
 @lru_cache(_MESHES)
 def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
-    """Return a mesh, and the warnings of its loader.
+    """Return a mesh, and the warnings emitted while it was loaded.
 
     Only the worker's first mesh is written to the disk cache: all meshes of a large batch could
     fill the disk.

@@ -225,7 +225,7 @@ def check_outputs(
     Parameters
     ----------
     written : output files; None is ignored
-    read : input files; they are listed only if an output file already exists
+    read : input files; the iterable is used only if an output file already exists
 
     Raises
     ------
@@ -257,7 +257,7 @@ def _identity(name: str | Path) -> object:
 
 
 def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
-    """Yield the input files of a mesh, and all possible paths of files that these refer to."""
+    """Yield the input files of a mesh, and all possible paths of files that these may refer to."""
     yield from (getattr(mesh, name) for name in MESH_PATHS)
     if mesh.path is not None:
         for path in named_files(Path(mesh.path)):

@@ -11,7 +11,8 @@ from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 
-_FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")  # and metavars that begin with OUT
+# Metavars of files; metavars that begin with OUT are files too.
+_FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")
 
 
 def add(completion: argparse.ArgumentParser) -> None:

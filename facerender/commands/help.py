@@ -82,7 +82,7 @@ class Help(str):
 
 
 def groups_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[argparse.Action]]]:
-    """Yield the title and the options of each group of a parser, from private attributes."""
+    """Yield title and options of each group of a parser, read from private attributes."""
     for group in parser._action_groups:
         yield group.title or "", list(group._group_actions)
 

@@ -125,7 +125,7 @@ _PINNED = "# Written by facerender plan.\n"
 def _check_pinned(name: str | None) -> None:
     """Raise InputError if --scene would replace a file that facerender plan did not write.
 
-    Users may give an input file by mistake, because --scene names one in ``render``.
+    Users may give an input file by mistake, because --scene names an input file in ``render``.
     """
     if name is None or not os.path.isfile(name):
         return

@@ -304,8 +304,8 @@ def _cameras(
     options: argparse.Namespace, settings: dict[str, Any], size: tuple[int, int] | None
 ) -> tuple[Camera, dict[str, Camera]]:
     """Remove the cameras from the settings of a scene file; return the job's camera, and all
-    cameras, keyed by name. An orbiting camera of an option inherits fields that the option does not
-    set from the file's camera."""
+    cameras, keyed by name. If an option sets an orbiting camera, the fields that it does not
+    set come from the file's camera."""
     path = settings.pop("cameras", ())
     camera = settings.pop("camera", path[0] if path else Camera())
     changes = values_of(options, "fov", "frame")

@@ -22,7 +22,7 @@ from facerender.system.memory import MIB, limit
 STANDARD_OUTPUT = "-"
 FPS = 12.0  # default frame rate of animations
 _FIELDS = {"index", "name"}
-_PIXEL_BYTES = 32  # per pixel of a sheet: 16 for linear RGBA, and up to 16 to write the file
+_PIXEL_BYTES = 32  # memory per pixel of a sheet: 16 for linear RGBA, up to 16 to write the file
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,8 @@ class Destination:
 
 
 def _moves(path: str, count: int) -> bool:
-    """Return whether a file is an animation. A .gif and an .mp4 always are. A .webp is one if
-    there are several images, and its file name contains neither {index} nor {name}."""
+    """Return whether a file is an animation: any .gif or .mp4, or a .webp with several images
+    whose file name contains neither {index} nor {name}."""
     suffix = os.path.splitext(path)[1].lower()
     return suffix in (".gif", ".mp4") or (suffix == ".webp" and count > 1 and not _has_fields(path))
 
@@ -131,8 +131,8 @@ def _moves(path: str, count: int) -> bool:
 def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
     """Return the file name of each image.
 
-    {index} becomes the image's number with at least three digits, and {name} the image's name. If
-    out.png has neither of these fields, several images are named out_000.png and so on.
+    {index} becomes the image's index (from 000) in at least three digits, and {name} the image's
+    name. If out.png has neither of these fields, several images are named out_000.png and so on.
 
     Raises
     ------

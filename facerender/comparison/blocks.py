@@ -1,12 +1,12 @@
-"""Statistics of blocks, for small changes of many pixels by another lobe, weight or exposure.
+"""Statistics of pixel blocks, to detect small changes by another lobe, weight or exposure.
 
 The change of a block is the mean change of its 16 x 16 pixels; pixels in smooth areas weigh more
 than pixels at edges and in texture. The effect of a displacement of the whole image is subtracted.
 The change's standard error is estimated from the scatter of the block's cells of 4 x 4 pixels, and
 from the grain of the difference image. Drivers, cameras and codecs change neighbouring blocks at
 random. A changed lobe or weight changes neighbouring blocks alike. The trend is the mean product of
-the changes of two neighbouring blocks, in units of the blocks' standard errors. It is the statistic
-of Moran (1950) without the denominator.
+the changes of two neighbouring blocks, in units of the blocks' standard errors. The trend is the
+statistic of Moran (1950) without the denominator.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from facerender.comparison.neighbourhoods import Float, Mask, filtered
 
 BLOCK, _CELL = 16, 4  # width and height of a block and of a cell, in pixels
-LEAST = 48  # pixels that a block needs to be judged
+LEAST = 48  # smallest number of pixels of a judged block
 FLOOR = 0.01  # smallest radiance that relative differences are divided by
 MOVED = 0.25  # default limit of the whole image's displacement, in pixels
-_WILD = 1e3  # relative steps are clipped to this, since squares of larger steps may overflow
+_WILD = 1e3  # relative steps are clipped to this value, since squares of larger steps may overflow
 _SPREAD = 4.0  # blocks are judged if their weight is spread over more cells than this
 _FEW = 4  # grain and texture need at least this number of changed blocks
 _CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
@@ -38,11 +38,11 @@ class Scale:
     ----------
     noise : expected noise of a pixel in flat areas
     slope : fraction of the step to a neighbour that counts as noise, since edges move a little
-    edge : largest step to a neighbour of a pixel that counts
-    flat : largest step to a neighbour of a pixel that counts for the grain
+    edge : a pixel counts if all steps around the pixel are smaller
+    flat : a pixel counts for the grain if all steps around the pixel are smaller
     error : smallest standard error of a block's change
     grain : standard error of a block's mean per unit of the grain
-    drift : change of a block's mean by another driver's filter of 8-bit textures: 0.3 levels
+    drift : change of a block's mean by another driver's filtering of 8-bit textures: 0.3 levels
     """
 
     noise: float
@@ -87,7 +87,7 @@ class BlockSums:
     ----------
     weight : weights of the pixels, over cells
     change : weighted changes, over cells
-    across, down : weighted changes that a displacement of one pixel causes, over cells
+    across, down : weighted changes by a displacement of one pixel, over cells
     channels : (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
     pixels : (2, H, W) over blocks: number of pixels that count, and number of flat pixels
     grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas. First
@@ -178,7 +178,7 @@ class BlockStatistics:
     ----------
     sums, scale : the sums over the images, and the constants of the images' encoding
     foreign : whether another driver drew the image
-    moved : largest displacement of the whole image whose effect is subtracted, in pixels
+    moved : displacement of the whole image up to which its effect is subtracted, in pixels
     allowed : additional standard error of each block's change
     looser : additional standard error of each block's change for the trend only
     """
@@ -192,7 +192,7 @@ class BlockStatistics:
 
     @cached_property
     def shift(self) -> tuple[float, float]:
-        """Displacement of the image to the right and down, in pixels."""
+        """Displacement from reference to image, to the right and down, in pixels."""
         across, down, change = self.sums.normal.T
         normal = np.stack([across, down])
         ridge = 1e-6 * np.trace(normal) + 1e-12
@@ -277,7 +277,7 @@ class BlockStatistics:
 
     @property
     def grain(self) -> float:
-        """RMS of differences between adjacent pixels: image minus reference.
+        """RMS of differences between adjacent pixels: RMS of the image minus RMS of the reference.
 
         The value is at most the RMS for the difference image. For linear images it is the RMS of
         the noise that is independent in each channel, if this RMS is larger.
@@ -289,8 +289,8 @@ class BlockStatistics:
 
     @cached_property
     def texture(self) -> float:
-        """Variance between adjacent pixels: image minus reference, divided by the sum of the two
-        variances; the median over blocks."""
+        """Variance between adjacent pixels: image's variance minus reference's, divided by the sum
+        of both; the median over blocks."""
         if self.changed.sum() < _FEW:
             return 0.0
         one, other = self.sums.texture[:, self.changed]
@@ -346,7 +346,7 @@ def _steps(x: Float) -> Float:
 
 
 def _slope(x: Float, axis: int) -> Float:
-    """Return the central difference, 0 at the border."""
+    """Return the central difference along an axis; 0 at the border."""
     result = np.zeros_like(x)
     along, of = np.moveaxis(result, axis, 0), np.moveaxis(x, axis, 0)
     along[1:-1] = np.float32(0.5) * (of[2:] - of[:-2])
@@ -354,7 +354,7 @@ def _slope(x: Float, axis: int) -> Float:
 
 
 def _fine(x: Float) -> Float:
-    """Return each pixel less the mean of its left and right neighbours; 0 at the border."""
+    """Return each pixel minus the mean of its left and right neighbours; 0 at the border."""
     result = np.zeros_like(x)
     result[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])
     return result

@@ -39,13 +39,13 @@ NAMES = tuple(each.name for each in fields(Limits))
 PREFIX = "facerender_"
 _MOST = 1 << 20  # largest size of a file of limits, in bytes
 MARGIN = 1.5
-# Smallest limits: narrower ones would fail images that differ by rounding to half floats or 8-bit
+# Smallest limits: narrower limits would fail images that differ by rounding to half floats or 8-bit
 # levels, or by a movement of the camera or the samples by 0.1 pixels.
 LEAST: dict[Encoding, Limits] = {
     "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=2e-3, shift=0.15),
     "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=2e-3, shift=0.15),
 }
-# The change that each limit must detect, as text that an amount follows. The two pixels of "point"
+# The change that each limit must detect, as the text before the amount. The two pixels of "point"
 # are adjacent and lie in a smooth area.
 CHANGES = {
     "point": "2 pixels brightened by",
@@ -63,7 +63,7 @@ STATED: dict[Encoding, dict[str, float]] = {
     "srgb8": {"point": 32.0, **_FRACTIONS},
 }
 ALTERED = 3  # largest number of pairs to which changes are applied
-_EXACT = 1.05  # a bisection ends when the ratio of its bounds is below this
+_EXACT = 1.05  # a bisection ends when the ratio of its bounds is below this value
 _AROUND = 3  # flat pixels on each side of the brightened pixels
 _OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
 
@@ -80,9 +80,9 @@ class Calibration:
     pairs : number of compared pairs
     limits : limits that all pairs pass
     least : the same limits without the margin
-    needed : the pair that needs each limit, keyed by the limit's name; without limits that only
-        rounding needs
-    sees : amount of the smallest of :data:`CHANGES` that each limit detects in every altered pair,
+    needed : the pair that needs each limit, keyed by the limit's name; limits that only rounding
+        needs are absent
+    sees : smallest amount of each of :data:`CHANGES` that its limit detects in all altered pairs,
         keyed by the limit's name; infinite if it detects none. The unit is radiance or 8-bit levels
         for point, otherwise a fraction. The amounts for coverage and shift are the limits
     """
@@ -136,7 +136,7 @@ class Calibration:
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of every pair of equally named images in two subfolders.
+    """Return name, reference and image of each pair of equally named images in any two subfolders.
 
     Each subfolder of ``folder`` contains the images of one run or driver.
 
@@ -194,7 +194,7 @@ def calibration_of(
 
 @dataclass
 class _Pairs:
-    """Pairs of one encoding, the smallest limits that all pass, and the pairs that need these."""
+    """Pairs of one encoding, the smallest limits that all pass, and the pair that needs each."""
 
     least: Limits
     needed: dict[str, str] = field(default_factory=dict)
@@ -218,7 +218,7 @@ def _calibration(
 def _needed(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the limits that a pair needs wider than ``limits``, each as narrow as possible."""
+    """Return the smallest passing value of each limit in ``limits`` that fails a pair."""
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
@@ -277,7 +277,7 @@ def _rounded(limit: float) -> float:
 def _smallest_changes(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the smallest amount of each of the changes of image B that its limit detects."""
+    """Return the smallest amount of each change of image B that the change's limit detects."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
     radiance: NDArray[np.floating] = srgb_to_linear(color / 255.0) if encoded else color
@@ -410,7 +410,7 @@ def _parsed(path: Path) -> dict[str, Any]:
 
 
 def _sections(path: Path, data: Mapping[str, Any]) -> dict[Encoding, tuple[str, ...]]:
-    """Return the path of the section with the limits of each encoding, in a file with ``data``."""
+    """Return the section path of each encoding's limits, in a file with content ``data``."""
     if path.suffix == ".toml":
         own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # pytest 9 and later
         inner = () if own else ("ini_options",)

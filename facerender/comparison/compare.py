@@ -34,9 +34,9 @@ from facerender.errors import InputError, warn
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
 from facerender.images.read import SUFFIXES, read_image
 
-MARGIN = 2  # pixels along the edge of the coverage that blocks ignore
+MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
-FULL = 0.99  # coverage of a pixel inside the mesh: half floats and filters do not reach 1
+FULL = 0.99  # least coverage of a pixel inside the mesh: half floats and filters do not reach 1
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
 _HALO = 8  # rows above and below a strip that the strip's pixels are compared with
@@ -64,8 +64,8 @@ def compare(
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4) of linear float or 8-bit sRGB with
         coverage as fourth channel; or the path of a .exr, .npz, .npy, .png or .jpg file
     point, block, trend, grain, texture, coverage, shift : limits of the checks, see
-        :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Two images of one driver
-        with float textures pass a block limit of 1e-3
+        :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Two images that one
+        driver drew with float textures pass a block limit of 1e-3
     mask : (H, W), nonzero for pixels that count; default: all pixels count
 
     Raises
@@ -228,7 +228,7 @@ class _Strip:
     sums : sums over blocks
     over : (H, W), class of each pixel, see :func:`verdict.reasons_of`
     worst : the largest unexplained difference of a pixel, minus the effect of a sliver
-    excess, at : difference of this pixel as reported, and position (x, y) of this pixel
+    excess, at : reported difference of the worst pixel, and its position (x, y)
     holes : number of dark pixels with bright neighbours in the other image
     faded : number of pixels whose coverage changed
     largest, total : maximum and sum of the pixels' absolute differences, in the worst channel

@@ -27,7 +27,7 @@ from facerender.errors import InputError, reason
 from facerender.images.exr import save_exr
 from facerender.images.image import ImageData, PixelRange
 
-FARTHEST = 0.1  # pixels
+FARTHEST = 0.1  # largest shift, in pixels
 # Shifts in pixels to the right and down, on circles of several radii: fine detail may appear at
 # some radii only.
 SHIFTS = tuple(
@@ -179,7 +179,7 @@ def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
 
 
 def range_of(images: Sequence[ImageData]) -> PixelRange:
-    """Return the range of each pixel over linear images of one size, without uncovered colours."""
+    """Return the range of each pixel over linear images of one size; ignore uncovered colours."""
     each = []
     for image in images:
         color, alpha = image.rows(slice(None))

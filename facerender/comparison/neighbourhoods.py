@@ -63,7 +63,7 @@ class Excess(NamedTuple):
 
 
 def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) -> Excess:
-    """Return the differences that the neighbourhoods of pixels in the other image do not explain.
+    """Return how far each pixel leaves the range of its neighbourhood in the other image.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class Entry:
     Attributes
     ----------
     name, status : name and status of the pair
-    row : HTML of the pair's table row; the placeholder INDEX stands for the entry's number
+    row : HTML of the pair's table row; the placeholder INDEX stands for the entry's index
     section : HTML of the pair's section, also with INDEX. IMAGE and a letter stand for the image of
         that letter; IMAGE alone stands for "exact" or "compressed"
     images : images A and B as data URLs, keyed by "a" and "b"
@@ -143,7 +143,7 @@ def _page(entries: Sequence[Entry]) -> str:
 
 
 def _to_compress(entries: Sequence[Entry]) -> set[int]:
-    """Return the numbers of the entries whose images are compressed.
+    """Return the indices of the entries whose images are compressed.
 
     The entries with the largest images are chosen, until the rest has at most EXACT characters.
     """
@@ -168,7 +168,7 @@ def _with_images(entry: Entry, compressed: bool) -> str:
 
 
 def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
-    """Return HTML of a lossily compressed image under exact crops of the areas around places."""
+    """Return HTML of a lossily compressed image, covered by exact crops around the places."""
     pixels = visualization.decoded(b64decode(source.partition(",")[2]))
     height, width = pixels.shape[:2]
     images = _image(image_source(visualization.lossy(pixels), "webp"), letter)
@@ -287,7 +287,7 @@ def _fact(image: ImageData) -> dict[str, str]:
 
 
 def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
-    """Return the viewer of the available images and, if they were compared, their differences."""
+    """Return HTML of the available images and, if both were compared, their differences."""
     if large:
         most = visualization.MAX_PIXELS
         return f'<p class="note">Images of more than {most} pixels are not shown.</p>'
@@ -373,7 +373,7 @@ def _figure(
 
 
 def _box(*fractions: float) -> str:
-    """Return a CSS style from left, top and optionally width and height, as image fractions."""
+    """Return CSS for left, top and optionally width and height, given as image fractions."""
     names = ("left", "top", "width", "height")
     return ";".join(
         f"{name}:{100 * each:.4f}%" for name, each in zip(names, fractions, strict=False)

@@ -28,11 +28,11 @@ class Limits:
     ----------
     point : difference of a pixel beyond the range that its neighbourhood explains. Linear:
         radiance; sRGB: 8-bit levels
-    block : change of a block's mean, after removing the effect of a shift. Linear: fraction of that
-        mean (at least 0.01); sRGB: 8-bit levels
+    block : change of a block's mean, after removing the effect of a shift. Linear: fraction of the
+        mean, or of 0.01 if larger; sRGB: 8-bit levels
     trend : mean product of the changes of two neighbouring blocks, in units of the blocks' standard
-        errors; 0 without a change. A wider block limit reduces the measured trend, so that the
-        trend check passes such blocks too
+        errors; 0 without a change. A wider block limit reduces the measured trend, so the trend
+        check passes more blocks too
     grain : increase of the RMS of differences between adjacent pixels. ``BLUR`` widens the limit of
         a decrease. Linear: fraction of the pixel's level; sRGB: 8-bit levels
     texture : fraction of the variance between adjacent pixels that was added or lost, in [0, 1]
@@ -70,7 +70,7 @@ class Comparison:
     reasons : reasons of a difference, as text; empty if the images are the same
     encoding : "linear" or "srgb8"; it determines the units, see :class:`Limits`
     limits : the limits of the checks
-    foreign : whether another driver drew the image, as the files' metadata state. Drivers may
+    foreign : whether the files' metadata name another driver for the image. Drivers may
         filter 8-bit textures differently, so the limits of trend, grain and texture are then wider
     point : unexplained difference of the worst pixel, negative if the image is darker; reduced by
         the effect of a sliver if no pixel exceeds the limit

@@ -15,12 +15,12 @@ SHAPE = "another shape, texture or light"
 LOBE = "a lobe or weight change"
 EXPOSURE = "exposure, light or colour space"
 
-# Largest unexplained difference of a tolerable single pixel: in smooth areas, in texture, at edges.
+# A single pixel passes up to this unexplained difference: in a smooth area, in texture, at an edge.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
 _WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
 _BRIGHTER = 5e-5  # smallest gain that is reported
 _SHIFTED = 0.01  # smallest shift that is reported, in pixels
-_HOLES = 2  # number of holes that cracks and hairs may cause
+_HOLES = 2  # largest number of holes that passes, since cracks and hairs cause some
 
 
 def reasons_of(
@@ -63,7 +63,10 @@ def reasons_of(
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
-    """Return a mask of the wrong pixels, without a single tolerable pixel or a few slivers."""
+    """Return a mask of the pixels that fail: clearly different pixels, or too many slivers.
+
+    A single clearly different pixel fails only if its difference exceeds _LONE.
+    """
     place = np.abs(over)
     if result.points > 1:
         return place > 1
@@ -142,7 +145,7 @@ def _likeness(
 
 
 def _at_edge(over: NDArray[np.int8]) -> bool:
-    """Return whether most of these pixels lie at edges."""
+    """Return whether most pixels lie at edges; ``over`` has their classes."""
     return bool((np.abs(over) == 4).mean() > 0.5)
 
 

@@ -45,7 +45,7 @@ REMEDIES = {
 SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
 _GL_VERSION = 330
 
-# Drivers that this process or its ancestors have opened; the value is True for software drivers.
+# Drivers that this process or its ancestors have opened, keyed by name; True: software driver.
 # A fork does not copy a driver's threads, so _lost names the drivers opened before the last fork.
 _opened: dict[str, bool] = {}
 _lost: dict[str, bool] = {}
@@ -71,7 +71,7 @@ class _Loader(Protocol):
 
 
 class ForeignContext:
-    """Access to the OpenGL functions of the host's current context. Only the host frees it."""
+    """Access to the OpenGL functions of the host's current context, which only the host frees."""
 
     def __init__(self, get_proc_address: Any) -> None:
         get_proc_address.restype = ctypes.c_void_p
@@ -139,7 +139,7 @@ class _OSMesaContext(ForeignContext):
 
 
 class _SurfacelessContext(ForeignContext):
-    """A context of Mesa's surfaceless display, for processes that were forked after EGL was opened.
+    """A context on Mesa's surfaceless display, for processes that were forked after EGL was opened.
 
     Other EGL contexts do not use this display, so the display starts a separate software driver
     with running threads.
@@ -380,8 +380,8 @@ def _open(name: str, host: HostContext | None) -> Context:
     restore = save_state(loader.load) if guest else None
     try:
         gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
-        # Python may free an object while another context is current, and would delete the object
-        # with the same number in that context. context_gc delays deletions until gl.gc().
+        # If Python freed a GPU object while another context was current, OpenGL would delete that
+        # context's object with the same number. context_gc delays deletions until gl.gc().
         gl.gc_mode = "context_gc"
         info = gl.info
     finally:

@@ -1,4 +1,4 @@
-"""Results of a renderer: the classes Frame, an image to show or save, and GBuffer. No OpenGL."""
+"""Results of a renderer: Frame is an image, and GBuffer has values per pixel. No OpenGL."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Frame:
         - cosines: N.L in red, N.V in green and N.H in blue, for the first light
         - visibility: visible fraction of the first light that casts shadows, in all three channels
         - mask: 1 where the mesh is visible, in all three channels
-        - parts: number of the part, counted from 1, in all three channels
+        - parts: index of the part plus 1, in all three channels
     only : the term that the image shows; None for the whole image
     transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
     metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, format of albedo maps; for
@@ -69,7 +69,7 @@ class Frame:
 
         Radiance and albedo are encoded as sRGB, normals as 0.5 n + 0.5. Cosines, visibility and
         mask are clamped to [0, 1]. Depth is white at the nearest point and dark at the farthest.
-        The colour of a part depends on the part's number.
+        The colour of a part depends on the part's index.
 
         exposure : exposure of radiance and albedo, in stops; default 0
         """
@@ -156,8 +156,8 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a colour (..., 3) for each part number; 0 is black. The hue advances by the golden
-    ratio, so that consecutive numbers have very different hues."""
+    """Return a colour (..., 3) for each number (part index plus 1); 0 is black. The hue advances by
+    the golden ratio, so that consecutive numbers have very different hues."""
     thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
     hue = numbers[..., None] * np.float32(0.618034) + thirds
     wave = np.abs(6.0 * (hue % 1.0) - 3.0) - 1.0
@@ -188,7 +188,7 @@ class GBuffer:
     albedo : (H, W, 3) float32, linear
     m, specular_weight, occlusion : (H, W) float32
     uv : (H, W, 2) float32
-    visibility : (H, W, lights) float32, fraction of each light that is not in shadow
+    visibility : (H, W, lights) float32, visible fraction of each light
     view : the camera
     second_m : (H, W) float32, m of the second lobe; None if no material has two lobes
     lobe_weight : (H, W) float32, weight of the first lobe; None if no material has two lobes
@@ -197,8 +197,8 @@ class GBuffer:
     emission : (H, W, 3) float32, emitted radiance; None if no material emits light
     opacity : (H, W) float32, opacity of a blended part, 0 elsewhere; None in the G-buffer of parts
         that are not blended
-    transparent_layers : G-buffers of the layers of blended parts in front of the other parts. The
-        layers are sorted at each pixel in drawing order
+    transparent_layers : one G-buffer for each layer of the blended parts; layers behind parts
+        that are not blended are left out. The layers at each pixel are in drawing order
     """
 
     part: NDArray[np.int64]
@@ -220,8 +220,8 @@ class GBuffer:
 
     @property
     def coverage(self) -> NDArray[np.float64]:
-        """(H, W): 1 on opaque and masked parts, elsewhere the combined opacity of blended parts, 0
-        on the background."""
+        """(H, W): 1 on parts that are not blended, elsewhere the combined opacity of blended
+        parts; 0 on the background."""
         clear = (self.part < 0).astype(np.float64)
         for layer in self.transparent_layers:
             clear = clear * (1.0 - layer.opacity) if layer.opacity is not None else clear
@@ -236,8 +236,8 @@ class GBuffer:
 def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GBuffer]:
     """Return the layers with each pixel's values sorted across layers.
 
-    numbers : (layers, H, W) sort keys, ascending in the result. Layers that do not cover the pixel
-        come last
+    numbers : (layers, H, W) sort keys, ascending in the result. Layers that do not cover a pixel
+        come last there
     """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")

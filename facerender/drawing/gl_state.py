@@ -56,9 +56,9 @@ _libraries: dict[str, ctypes.CDLL] = {}
 
 
 def _loaded(*names: str) -> ctypes.CDLL | None:
-    """Return the first of these libraries that the process has already loaded, or None.
+    """Return the first library in `names` that the process has already loaded, or None.
 
-    A library that is not loaded has no current context. Windows has none of these libraries.
+    A library that is not loaded has no current context. On Windows the result is None.
     """
     for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
@@ -175,8 +175,8 @@ CAPABILITIES = {
     "SAMPLE_SHADING": (0x8C36, False),
 }
 
-# Integer state: (setter, leading arguments of the setter, queries of its other arguments, values of
-# these arguments that drawing needs). A query is (OpenGL constant, number of values). None: the
+# Integer state: (setter, its leading arguments, queries for its other arguments, values that
+# drawing needs for the other arguments). A query is (OpenGL constant, number of values). None: the
 # drawing code sets the values. Setters that the driver lacks are skipped.
 STATE: tuple[tuple[str, tuple[int, ...], tuple[tuple[int, int], ...], tuple[int, ...] | None], ...]
 STATE = (
@@ -214,7 +214,7 @@ _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 # (texture target, query of the bound texture) for 2D textures and 2D multisample textures.
 _TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))
 _SAMPLER_BINDING = 0x8919
-# Number of texture units for maps, triangle setup, images of passes, shadow maps and environment.
+# Number of texture units for drawing: maps, triangle setup, passes, shadow maps, environment.
 _UNITS = 12
 
 
@@ -268,7 +268,7 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     for name, kind, query, count, needed_floats in _FLOATS:
         change(name, floats(query, count), needed_floats, kind)
     active = integers(_ACTIVE_TEXTURE)
-    # moderngl binds textures to the last unit when it creates them.
+    # moderngl binds each new texture to the last unit.
     for unit in (*range(_UNITS), integers(_MOST_UNITS)[0] - 1):
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
         for target, binding in _TEXTURES:

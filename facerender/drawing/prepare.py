@@ -19,8 +19,8 @@ from facerender.scenes.view import View, levels_to_spare
 from facerender.shading import Shading
 from facerender.system.memory import MIB, limit
 
-_MOST_SIMPLIFIED = 64  # variants of one mesh in the cache
-# Bytes measured on llvmpipe: package and context, all programs, each triangle, pixel and sample.
+_MOST_SIMPLIFIED = 64  # largest number of cached variants of one mesh
+# Measured on llvmpipe, in bytes: package and context, all programs; per triangle, pixel, sample.
 _ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
 _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
@@ -65,7 +65,7 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
 
 
 def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh]) -> Scene:
-    """Return a scene with a changed mesh, which is cached under the original mesh and `key`."""
+    """Return a scene with a changed mesh, from a cache keyed by the original mesh and `key`."""
     known = _simplified.setdefault(scene.mesh, {})
     if key not in known:
         if len(known) >= _MOST_SIMPLIFIED:
@@ -75,8 +75,8 @@ def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh])
 
 
 def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
-    """Return a scene whose large maps (more than LARGE texels) lack all mip levels that are finer
-    than the image reads. The reduced mesh is cached.
+    """Return a scene whose large maps (more than LARGE texels) begin with the finest mip level that
+    the image reads. The mesh with these maps is cached.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
 def part_maps(
     part: Part, material: Material, albedo: Kind, slope_filter: bool
 ) -> list[tuple[str, Texture, Kind]]:
-    """Return uniform name, texture and kind of mip chain of each map that a part is drawn with.
+    """Return the uniform name, the texture and the kind of mip chain for each map of a part.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def check_memory(
     ----------
     scene : simplified scene, with reduced maps
     size : width and height of the image in pixels
-    samples : samples per pixel in one pass of the driver
+    samples : samples per pixel that the driver draws at once
     albedo : kind of mip chain of albedo maps: "color" or "linear-color"
     most : limit of the process's memory in MiB; None for the free memory of the system
     """

@@ -105,7 +105,7 @@ class Program:
 
 
 def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
-    """Return the features of a part's geometry and material, without features of lights."""
+    """Return the feature macros for a part's geometry and material, without those for lights."""
     alpha = drawn_alpha(part, material)
     maps = part_maps(part, material, "color", shading.slope_filter)
     names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
@@ -185,7 +185,7 @@ def light_visibility_program(
 
 
 def shadow_features(lighting: Lighting) -> tuple[str, ...]:
-    """Return the features of lights that cast shadows."""
+    """Return the feature macros for lights that cast shadows."""
     shadowed = [light for light in lighting.lights if light.shadow]
     if not shadowed:
         return ()

@@ -36,7 +36,7 @@ class Layers:
     specular : (lights, H, W, 3) float64, specular radiance from each light
     environment : (H, W, 3) float64, diffuse and specular radiance from the environment map
     emission : (H, W, 3) float32, emitted radiance; None if no material emits light
-    light : (H, W, 3) float64, irradiance of the diffuse and ambient terms; None if no material
+    light : (H, W, 3) float64, summed irradiance of diffuse and ambient terms; None if no material
         scatters
     albedo : (H, W, 3) float64, diffuse BRDF: diffuse radiance divided by ``light``; None if no
         material scatters
@@ -133,7 +133,8 @@ class _Pixels:
     n : (N, 3) unit normal
     v : (N, 3) unit vector to the camera
     m : (N,) m of the first lobe; ignored by a light's term with a constant m
-    second_m : (N,) m of the second lobe, used in the same way; None for materials with one lobe
+    second_m : (N,) m of the second lobe, ignored by a light's term with a constant m; None for
+        materials with one lobe
     lobe_weight : (N,) weight of the first lobe; None for materials with one lobe
     weight : (N,) specular weight
     occlusion : (N,) ambient occlusion
@@ -251,7 +252,7 @@ def _lit(
     """Return three arrays (N, 3): the direction to a light, the irradiance of the diffuse term, and
     the specular radiance.
 
-    visible : (N, 1) fraction of the light that is not in shadow; None for lights without shadows
+    visible : (N, 1) visible fraction of the light; None for lights without shadows
     """
     n, v, m = pixels.n, pixels.v, pixels.m
     l, irradiance = source.kind.lighting(source, scene.mesh, pixels.position)
@@ -276,7 +277,8 @@ def _lit(
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
     """Return the radiance from the environment, (H, W, 3) float64; see also :func:`shade`.
 
-    The lights, the lobe and ``small_slope`` have no effect: reflections use the exact lobe.
+    The lights, the lobe and ``small_slope`` have no effect: the environment's reflections use the
+    exact lobe.
     """
     scene = simplify(scene, shading)
     image = np.zeros(gbuffer.position.shape)
@@ -327,7 +329,7 @@ class _Coupling:
     mean: Float
 
     def towards(self, cosine: Float) -> Float:
-        """Return the specular albedo (N,) in directions with these cosines to the normal."""
+        """Return the specular albedo (N,) in each direction, given its cosine to the normal."""
         each = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
         return np.asarray(np.sum([*each], axis=0))
 

@@ -204,8 +204,8 @@ class Renderer:
 
         Parameters
         ----------
-        only : term to draw instead of the whole image. All terms except specular and diffuse have
-            one sample per pixel and ignore blended parts
+        only : term to draw instead of the whole image. All terms except specular and diffuse are
+            drawn with one sample per pixel and without blended parts
         samples : samples per pixel; default: the renderer's samples
         cull_back_faces : whether to omit back faces, which are visible where a mesh is open or
             folded; default false
@@ -294,7 +294,7 @@ class Renderer:
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
     ) -> list[GBuffer]:
-        """Find all layers of a blended part by depth peeling; sort each pixel in drawing order."""
+        """Return all layers of a blended part by depth peeling, in drawing order at each pixel."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
@@ -310,8 +310,8 @@ class Renderer:
     ) -> tuple[GBuffer, NDArray[np.float32]]:
         """Return the G-buffer of all parts that are not blended, or of one layer of a blended part.
 
-        For a layer, the second result holds the number of each pixel's triangle in drawing order.
-        Otherwise it is empty.
+        For a layer, the second result holds the index of each pixel's triangle in drawing order.
+        Without a layer, the second result is empty.
         """
         scene, lighting = resolved.scene, resolved.lighting
         visibility = self._visibility(scene, view, 1)

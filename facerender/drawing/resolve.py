@@ -1,6 +1,6 @@
-"""Resolution of a scene with a shading: lights in the order in which programs loop over them, and
-specular terms of each part for its range of m. The renderer, the reference and ``pricing`` use the
-same result.
+"""Resolution of a scene with a shading: the lights in the order in which programs loop over them,
+and each part's specular terms for the part's range of m. The renderer, the reference and
+``pricing`` use the same result.
 
 m is the first of these values that exists: the constant m of a light's term (``Term.m``), then
 (roughness factor times roughness map)^2, then ``Material.m``. ``prepare.simplify`` replaces the
@@ -38,7 +38,7 @@ class LightGroup:
     kind : see ``scenes.light.LIGHT_KINDS``
     term : index of the specular term in ``Lighting.terms``, -1 for none
     count : number of lights, at least one
-    shadows : index of the shadow map of the group's first light; None if no light casts shadows
+    shadows : index of the shadow map of the group's first light; None for lights without shadows
     """
 
     kind: str
@@ -51,12 +51,12 @@ class LightGroup:
 class Lighting:
     """The lights of a scene in the order in which programs loop over them.
 
-    They are sorted by kind. Lights of one kind are sorted by term (lights without a term last), and
-    lights of one term by shadow (lights without shadows first).
+    Lights are sorted by kind. Lights of one kind are sorted by term (lights without a term last),
+    and lights of one term by shadow (lights without shadows first).
 
     Attributes
     ----------
-    order : index of each light in the scene
+    order : for each sorted light, its index in the scene
     lights : the sorted lights
     groups : groups of the sorted lights
     terms : specular terms; ``LightGroup.term`` is an index into them
@@ -69,7 +69,7 @@ class Lighting:
 
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
-        """Sort the lights of a scene. The shading's own term, if a light has it, gets index 0."""
+        """Sort the lights of a scene. If a light uses ``shading.term``, this term gets index 0."""
         own = [shading.of(light) for light in range(len(scene.lights))]
         first = [shading.term] if shading.term in own else []
         terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
@@ -144,7 +144,7 @@ class ResolvedScene:
     def slopes(self) -> list[tuple[float, float]]:
         """The smallest and the largest m of each part, for terms without a constant m.
 
-        The largest m includes the largest increase by slope filter, curvature and area lights.
+        The largest m includes the largest amounts that slope filter, curvature and area lights add.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class ResolvedScene:
         return ranges
 
     def allowed(self, term: Term) -> list[Term]:
-        """Return a term for each part, with the exact lobe if m lies outside the lobe's domain.
+        """Return a term for each part, with the exact lobe if m is outside the domain of `term`.
 
         Raises
         ------

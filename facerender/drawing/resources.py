@@ -129,8 +129,8 @@ class Resources:
         """Drop unused programs beyond MOST_PROGRAMS, and release freed memory to the system.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
-        head). It is released once after frames that created GPU objects. The context must be
-        current.
+        head). After a frame that created GPU objects, this memory is released. The context must
+        be current.
         """
         unused = [source for source in self.programs if source not in self._drawn]
         for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
@@ -193,7 +193,7 @@ class Resources:
 
     @contextmanager
     def _to_coverage(self, on: bool) -> Iterator[None]:
-        """Within the context, if `on`, convert alpha to sample coverage and replace alpha by 1."""
+        """If `on`, convert alpha to sample coverage and replace alpha by 1 in the with block."""
         gl = self.context.gl
         for each in _TO_COVERAGE * on:
             gl.enable_direct(each)
@@ -361,8 +361,8 @@ class Resources:
             texels = np.ascontiguousarray(level)
             place = 0, 0, level.shape[1], level.shape[0]
             upload(_TEXTURE_2D, number, *place, layout, data_type, texels.ctypes.data)
-        # Properties vary slowly, so a step between two mip levels is invisible. Blending two mip
-        # levels would take 5 % of the frame time on a software driver.
+        # The values of a property map vary slowly, so a step between mip levels is invisible.
+        # Blending two levels would take 5 % of the frame time on a software driver.
         step = name == "property_map"
         smaller = moderngl.LINEAR_MIPMAP_NEAREST if step else moderngl.LINEAR_MIPMAP_LINEAR
         if len(levels) == 1:

@@ -60,8 +60,8 @@ class TriangleSetup:
         """Return the texture of all triangles, (rows, IN_ROW * texels, 4) float32.
 
         The first texel of a triangle holds the unit normal of its plane and the plane's distance
-        from the origin. Each further texel holds an attribute's gradient and its value
-        at the origin.
+        from the origin. Each further texel holds an attribute's gradient, and the
+        attribute's value at the origin.
 
         A triangle may be narrower than the rounding error, for example in a filled T-junction. Then
         its attributes vary only along its length, and its first vertex determines the normal.

@@ -141,8 +141,8 @@ def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 def _planes(values: NDArray[np.int64]) -> bytes:
     """Encode integers (N, K) so that deflate compresses them well.
 
-    The result contains the differences of successive rows, with the sign in the lowest bit. Each of
-    the four bytes of a difference is in a plane of its own.
+    The result contains the differences of successive rows, with the sign in the lowest bit. The
+    four bytes of each difference are stored in four separate planes.
     """
     steps = np.diff(values, axis=0, prepend=0)
     folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")

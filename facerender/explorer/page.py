@@ -38,7 +38,7 @@ _SCRIPTS = (
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 _CAMERA = ("azimuth", "elevation", "zoom", "fov")
-_G_POWER = GPower(8, 0.25, 0.5)  # a placeholder: the page replaces these numbers
+_G_POWER = GPower(8, 0.25, 0.5)  # placeholders: the page replaces these numbers
 
 
 def explorer_page(job: Job, mesh: Mesh) -> str:
@@ -152,7 +152,8 @@ def _sources() -> dict[str, Any]:
 
 
 def _terms() -> dict[str, tuple[Term, float]]:
-    """Return every term and the smallest m that its GLSL supports, keyed by the term's words."""
+    """Return every term and the smallest m that its GLSL supports, keyed by the term's names,
+    such as "ward exact"."""
     lobes: dict[str, AnyLobe] = {name: name for name in LOBES} | {"g-power": _G_POWER}
     terms = {}
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):

@@ -21,8 +21,8 @@ def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
 
 
 def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
-    """Return the macros that configure the model's short function, such as ``fr_cook_torrance``,
-    for a term.
+    """Return the macros that make the function of a model, such as ``fr_cook_torrance``, compute a
+    term.
 
     smallest_m : lowest m of the material, for terms without a constant m
     """
@@ -49,15 +49,15 @@ def prelude(terms: Sequence[Term], smallest_m: float, two_lobes: bool = False) -
 
 
 def file_of(term: Term, two_lobes: bool) -> str:
-    """Return the file of the library that a term needs."""
+    """Return the name of the library file that a term needs, such as "ward"."""
     return term.entry.two.file if two_lobes and term.entry.two else term.entry.file
 
 
 def call(term: Term, second_slope: float | None = None) -> str:
-    """Return the GLSL expression of a term, in 1/sr, a function of vec3 n, l, v and float m, f0.
+    """Return the GLSL expression of a term in 1/sr. It uses vec3 n, l, v and float m, f0.
 
-    second_slope : ratio of the second lobe's m to the first, for materials with two lobes; the
-        expression then also uses float second_m and lobe_weight. None for one lobe
+    second_slope : ratio of the second lobe's m to the first lobe's m; the expression then also
+        uses float second_m and lobe_weight. None for materials with one lobe
     """
     macros = {
         "lobe": lobe_entry(term.lobe).macro,
@@ -109,8 +109,8 @@ def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:
     """Return the macros that the terms of a program share.
 
-    The macros select the lobe (all lobes, if the terms have different lobes) and the parameters of
-    the g-power. FR_SMALL_SLOPE is 0 if there are exact lobes and none needs accurate small angles.
+    The macros select the lobe (all lobes, if the terms have different lobes) and the parameters
+    of the g-power. FR_SMALL_SLOPE is 0 if exact lobes exist and none needs accurate small angles.
     """
     lobes = {term: lobe_entry(term.lobe) for term in terms}
     names = {lobe.macro for lobe in lobes.values()}

@@ -1,5 +1,5 @@
 """Resolution of GLSL ``#include`` lines. Conditions remain in the text for the compiler;
-``preprocessor.py`` evaluates them instead. This module is independent of the shader library."""
+``preprocessor.py`` evaluates conditions. This module is independent of the shader library."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Includes:
         self._root = os.path.realpath(root)
         self._chain: list[tuple[_Identity, str]] = []  # Files being read, outermost first.
         # The first set holds the files included outside all conditions. Each further set holds the
-        # files included in an open branch.
+        # files included in one open branch.
         self._scopes: list[set[_Identity]] = [set()]
 
     @property
@@ -255,7 +255,7 @@ def _identity(status: os.stat_result) -> _Identity:
 
 
 def _first(name: str, folders: Sequence[str]) -> tuple[str, _Identity] | None:
-    """Return path and identity of the first file with this name, or None."""
+    """Return path and identity of the first file with this name in these folders, or None."""
     for folder in folders:
         path = os.path.join(folder, name)
         try:

@@ -1,4 +1,4 @@
-"""The GLSL library: its directory, and its files as flat text for a target, with macros resolved.
+"""The GLSL library: its directory, and its files as flat text for a GLSL version or language.
 ``catalogue.py`` lists the functions."""
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ LANGUAGES: tuple[Language, ...] = ("hlsl", "msl", "wgsl")
 def shader_dir() -> Path:
     """Return the include directory of the library.
 
-    A host adds it to its include path and writes ``#include "facerender/cook_torrance.glsl"``.
+    A host adds this directory to its include path and writes
+    ``#include "facerender/cook_torrance.glsl"``.
     """
     return data_dir("shaders")
 
@@ -59,7 +60,7 @@ def shader_source(
     """Return a library file, or a GLSL file that includes library files, as flat text.
 
     Each file is inserted once, except that a file included within a condition may be inserted again
-    outside it. The text begins with a comment on licence and origin.
+    after this condition. The text begins with a comment on licence and origin.
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ def term_source(
 ) -> str:
     """Return the file of a term's model as flat text, configured for the term.
 
-    target : see :func:`shader_source`, also for errors
+    target : see :func:`shader_source`, which also lists the errors
     smallest_m : lowest m of the material, for terms without a constant m
     two_lobes : whether to return the function with two lobes; both slopes remain parameters
     """
@@ -160,7 +161,7 @@ def resolve_includes(text: str) -> str:
     """Resolve the ``#include`` lines in GLSL text that includes files below :func:`shader_dir`.
 
     ``"file"`` and ``<file>`` are accepted. Each file is inserted once, except that a file included
-    within a condition may be inserted again outside it. Conditions remain for the compiler.
+    within a condition may be inserted again after it. Conditions remain for the compiler.
     ``#line`` directives preserve line numbers in compiler messages: your text is source string 0,
     and included files are numbered from 1.
 
@@ -175,7 +176,7 @@ def resolve_includes(text: str) -> str:
 
 
 def translated(text: str, language: Language) -> str:
-    """Translate functions and constants in GLSL, which may include files of the library.
+    """Translate GLSL functions and constants. The text may include files of the library.
 
     Macros that neither the text nor the library defines count as undefined. For errors see
     :func:`shader_source`.

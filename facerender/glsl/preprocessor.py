@@ -1,5 +1,5 @@
-"""A partial GLSL preprocessor for flat files, which evaluates conditions that depend on known
-macros."""
+"""A GLSL preprocessor that returns flat text. It evaluates only the conditions that known macros
+decide, and leaves all other conditions in the text."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class _Conditional:
 
 
 class Preprocessor(Includes):
-    """Flat text from files that include each other, without ``#line`` directives.
+    """Flat text, without ``#line`` directives, from files that include each other.
 
-    Conditions that known macros decide are removed, with the branches not taken. Such conditions
-    consist of comparisons, ``defined`` and names, with ``!``, ``&&`` and ``||``. All other
-    conditions remain in the text.
+    Conditions that known macros decide are removed, with the branches not taken. All other
+    conditions remain in the text. A condition can be decided if it consists only of comparisons,
+    ``defined`` and names, with ``!``, ``&&`` and ``||``.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Preprocessor(Includes):
         self._check_closed(len(self._conditionals) == depth, path)
 
     def _directive(self, each: Directive, line: str, text: str, path: str) -> None:
-        """Process a directive that is not a condition, in a branch that may be taken."""
+        """Process a directive, other than #if to #endif, in a branch that may be taken."""
         if each.name == "include":
             self._scopes[1:] = [each.included for each in self._conditionals if each.open]
             if found := self._found(each, text, path):
@@ -183,7 +183,7 @@ class Preprocessor(Includes):
         return None if left is None or right is None else bool(_COMPARE[sign](left, right))
 
     def _undefined(self, truth: bool) -> bool | None:
-        """Return `truth`, the value of a condition on an undefined macro, or None if the host may
+        """Return the value of a condition on an undefined macro: `truth`, or None if the host may
         still define the macro."""
         return truth if self._closed else None
 
@@ -195,7 +195,7 @@ class Preprocessor(Includes):
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
     def _store(self, each: Directive, text: str, path: str) -> None:
-        """Store a macro's value, if no condition that remains in the text encloses the line."""
+        """Store a macro's value, unless a condition that remains in the text encloses the line."""
         match = _MACRO.match(each.rest)
         if match and match[1] in self._chosen:
             message = f"defines {match[1]}, which lobe or m sets: remove the line or the argument"

@@ -201,8 +201,8 @@ def _with(code: Sequence[Token], place: Token) -> list[Token]:
 
 
 def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
-    """Return a macro's arguments, and the index of the token after them; at : index of the
-    opening parenthesis."""
+    """Return the arguments of a macro call, and the index of the token after the call; at : index
+    of the opening parenthesis."""
     arguments: list[list[Token]] = [[]]
     depth = 0
     while at < len(code):
@@ -388,8 +388,8 @@ class Parser:
     def _changed(self) -> Node:
         """Parse an expression that is a statement.
 
-        Only such an expression may assign: WGSL allows no other assignments, and HLSL evaluates
-        both operands of ``&&`` and ``||``.
+        Other expressions may not assign: WGSL allows no such assignments, and HLSL evaluates both
+        operands of ``&&`` and ``||``.
         """
         if self._next.text in _STEP:
             sign, operand = self._take(), self._unary()
@@ -404,7 +404,7 @@ class Parser:
         return left
 
     def _expression(self) -> Node:
-        """Parse an expression that contains no assignments, except through calls of functions."""
+        """Parse an expression that itself assigns nothing; functions that it calls may assign."""
         expression = self._ternary()
         if self._next.text in _ASSIGN | _STEP:
             raise self._within(self._next.text)

@@ -67,7 +67,7 @@ class Writer:
     ----------
     head : first lines of a file
     types, functions : names of types and of functions in the target language, keyed by the GLSL
-        name; types and functions with equal names may be missing
+        name; entries with the same name in both languages may be missing
     """
 
     head = ""
@@ -95,7 +95,7 @@ class Writer:
         return [part for part in node.parts if isinstance(part, Node)]
 
     def splat(self, type_: str, text: str) -> str:
-        """Return a vector whose components all have the same value."""
+        """Return the text of a vector whose components all have the same value."""
         return f"{self.types[type_]}({text})"
 
     def write_built_in(self, node: Node) -> str:

@@ -151,14 +151,14 @@ def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], 
 
 
 def _has_index(name: str) -> bool:
-    """Return whether a file is a complete MP4, with the last box "moov". Needed because the
-    function write_frames ignores the exit status of ffmpeg."""
+    """Return whether a file is a complete MP4, with the box "moov", which ffmpeg writes last.
+    imageio_ffmpeg.write_frames ignores ffmpeg's exit status, so this check is needed."""
     with suppress(OSError), open(name, "rb") as file:
         while len(head := file.read(16)) >= 8:
             size, kind = struct.unpack_from(">I4s", head)
             if kind == b"moov":
                 return True
-            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 64-bit size size
+            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 64-bit size
             if size < 8:
                 return False
             file.seek(size - len(head), os.SEEK_CUR)
@@ -167,8 +167,8 @@ def _has_index(name: str) -> bool:
 
 @contextmanager
 def _sigpipe_ignored() -> Iterator[None]:
-    """Make a write to a closed pipe raise BrokenPipeError if ffmpeg ends early. Otherwise SIGPIPE
-    would end the process: the command line enables SIGPIPE for standard output."""
+    """Ignore SIGPIPE, so that a write to ffmpeg raises BrokenPipeError if ffmpeg has ended early.
+    Otherwise SIGPIPE would end the process: the command line enables it for standard output."""
     if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -15,12 +15,12 @@ from facerender.system.files import check_downloaded
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MAX_SIDE = 16384  # pixels
-MAX_PIXELS = 178_956_970  # above this, Pillow raises DecompressionBombError
+MAX_SIDE = 16384  # largest width or height in pixels
+MAX_PIXELS = 178_956_970  # above this number, Pillow raises DecompressionBombError
 MAX_BYTES = 1 << 31  # largest size of a decoded image, in bytes
 _UNSUSPECTED = 64 << 20  # decoded bytes; up to this size the compression ratio is not checked
 _MOST_PACKED = 2000  # largest compression ratio; deflate reaches 1032
-_STRIP = 256  # rows that are converted at once
+_STRIP = 256  # number of rows that are converted at once
 
 
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
@@ -28,7 +28,7 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float)
 
     Parameters
     ----------
-    bytes_each : bytes of a decoded pixel
+    bytes_each : number of bytes of a decoded pixel
     of : size of the file in bytes; infinite for an image that is not from a file
 
     Raises
@@ -84,7 +84,7 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:
     """Return the pixels of a Pillow image, converted to a mode, as an array (H, W, channels).
-    The image is converted in strips to avoid a second full copy. Pillow's exceptions pass through.
+    The image is converted in strips to avoid a second full copy. Pillow's errors are not caught.
     """
     image.load()
     pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""OpenEXR files, read and written by the package OpenEXR (the extra ``exr``)."""
+"""Reading and writing of OpenEXR files with the package OpenEXR (the extra ``exr``)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _MAGIC = b"v/1\x01"
 _MULTIPART = 0x10  # bit in byte 5 of an EXR file, set if the file has several parts
 _HALF = 1  # EXR's number for the pixel type HALF
-_PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers of the lossy compressions
-# Largest values of ImageData.noise for images of the built-in head with 256 to 1024 pixels a side.
+_PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers for lossy compressions
+# Largest measured ImageData.noise for images of the built-in head with 256 to 1024 pixels a side.
 _B44_LOSS, _DWA_LOSS = 0.012, 0.015
 _MOVED = ("moved_least", "moved_most")  # layers of a golden image that store its shift_range
 _DWA_LEVEL = 45.0  # default of the EXR attribute dwaCompressionLevel

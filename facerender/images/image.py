@@ -17,8 +17,8 @@ HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 
 
 class PixelRange(NamedTuple):
-    """Smallest and largest values of each pixel's colours, and of its coverage if present. Both
-    arrays are (H, W, C)."""
+    """Smallest and largest value of each pixel's channels (colour, and coverage if present) over
+    shifts of an image. Both arrays are (H, W, C)."""
 
     low: NDArray[np.float16]
     high: NDArray[np.float16]
@@ -33,7 +33,7 @@ class ImageData:
     pixels : (H, W, 1 to 4), row 0 on top; linear float32 (float16 if read from a half-float EXR) or
         sRGB uint8. If there are 2 or 4 channels, the last channel is alpha
     encoding : "linear" or "srgb8"
-    name : name for messages
+    name : name for messages, such as the file name
     metadata : texts stored in the file
     color_space : colour space that the file specifies; "" for sRGB or if the file specifies none
     profile : name of the ICC profile from which the colours were converted to sRGB, "" for none

@@ -20,8 +20,8 @@ from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
-SRGB_GAMMA = 0.45455  # gAMA chunk of an sRGB PNG
-_CONVERTED = 0.5  # RMS error of a colour conversion that reads and returns 8-bit levels, in levels
+SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
+_CONVERTED = 0.5  # RMS error of a colour conversion from 8 bits to 8 bits, in 8-bit levels
 _NPY = b"\x93NUMPY"
 _LONGEST_HEADER = 1 << 16  # largest header of a NumPy array, in bytes
 _LONGEST_EXR = 1 << 24  # largest header of an EXR file, in bytes

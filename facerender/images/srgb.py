@@ -36,7 +36,7 @@ def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[
 
     Parameters
     ----------
-    linear : any shape
+    linear : linear radiance, any shape
     exposure : exposure in stops, in [-100, 100]; the radiance is multiplied by 2**exposure
 
     Raises

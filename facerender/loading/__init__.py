@@ -1,5 +1,5 @@
 """Load meshes with their materials and maps: read, check and repair files, and place mesh instances
-by the scene graph. This package does not use OpenGL."""
+with the transforms of the scene graph. This package does not use OpenGL."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
 
 
 def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
-    """Split maps into image files and textures, keyed by the field of :class:`Material`."""
+    """Split maps into image files and textures, both keyed by the field of :class:`Material`."""
     paths: dict[str, Path] = {}
     textures: dict[str, Texture] = {}
     for name, value in sources.items():
@@ -159,7 +159,7 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
 
 
 def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
-    """Return the mesh of a file, and the files that this file refers to."""
+    """Return the mesh of a mesh file, and the files to which the mesh file refers."""
     source = files.source
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
@@ -191,7 +191,7 @@ def _assembled(
 
 def _override(pieces: Sequence[Piece], maps: Mapping[str, Texture], name: str) -> None:
     """Replace maps of every piece that has texture coordinates. A new map takes the wrapping
-    and filtering of the map that it replaces or, without one, of the albedo map."""
+    and filtering of the replaced map or, if there was no such map, of the albedo map."""
     if all(piece.uv is None for piece in pieces):
         raise InputError(
             f"{name} has no texture coordinates, which {next(iter(maps.values())).name} "

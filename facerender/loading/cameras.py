@@ -23,14 +23,14 @@ from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file
 
-_IGNORED = ("name", "transform_matrix")  # keys that Camera lacks; transform_matrix repeats Rt
+_IGNORED = ("name", "transform_matrix")  # not fields of Camera; both matrix and Rt hold the pose
 
 
 def load_cameras(
     path: str | os.PathLike[str], size: tuple[int, int] | None = None
 ) -> dict[str, Camera]:
-    """Return the cameras of a file, keyed by their names. The key of a camera without a name is the
-    name of the file (for glTF "camera") and a number.
+    """Return the cameras of a file, keyed by their names. A camera without a name gets a key such
+    as "rig_000": the file name without suffix (for glTF "camera") and the camera's index.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def load_cameras(
         - .json: one table, a list of tables, or the key "cameras" with a list of tables. A table
           has the fields of :class:`Camera`, or intrinsics "K" (3 x 3), a pose ("Rt", 3 x 4 or
           4 x 4, or "R" and "t"), "width" and "height". The key "name" is optional
-        - .npz: arrays with the names of these keys; several cameras need an additional first axis
+        - .npz: arrays named like the keys of a .json table; a first axis may number the cameras
         - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
     size : width and height of the images in pixels; used if the file has intrinsics without a size
 
@@ -103,7 +103,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
 
 
 def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
-    """Return the camera of a node. It looks along -z of the node, and y of the node is up."""
+    """Return the camera of a node. The camera looks along the node's -z axis; its y axis is up."""
     axes = world[:3, :3] * (1.0, -1.0, -1.0)
     with np.errstate(all="ignore"):
         turn = (axes / np.linalg.norm(axes, axis=0)).T
@@ -112,7 +112,7 @@ def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
 
 
 def _named(found: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
-    """Return cameras keyed by unique names; a missing or repeated name gets a number."""
+    """Return cameras keyed by unique names; a missing or repeated name is replaced."""
     cameras: dict[str, Camera] = {}
     for number, (name, camera) in enumerate(found):
         own = name if name and name not in cameras else f"{name or stem}_{number:03d}"

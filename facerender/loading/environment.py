@@ -1,4 +1,4 @@
-"""Load environment maps from .hdr, .exr and NumPy files, or generate the studio."""
+"""Load environment maps from .hdr, .exr and NumPy files, or generate the map "studio"."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from facerender.system.files import read_file
 
 
 def load_environment(file: EnvironmentFile) -> Environment:
-    """Load an environment map. The panoramas of the last two files are cached, with all data
-    derived from these panoramas. All environments of one file share its panorama.
+    """Load an environment map. The panoramas of the two files used last are cached, with all data
+    derived from these panoramas. All environments loaded from one file share its panorama.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def load_environment(file: EnvironmentFile) -> Environment:
 
 
 def _state(path: str) -> tuple[int, int]:
-    """Return the modification time in ns and the size in bytes, to detect a changed file."""
+    """Return a file's modification time in ns and its size in bytes, to detect a change."""
     try:
         found = Path(path).stat()
     except (OSError, ValueError):

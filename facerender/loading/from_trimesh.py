@@ -1,4 +1,4 @@
-"""Convert meshes and scenes of trimesh, from files or from programs, to pieces."""
+"""Convert trimesh meshes and scenes, which come from files or user programs, to pieces."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
 
 
 def name_of(source: trimesh.Trimesh | trimesh.Scene) -> str:
-    """Return a name for messages: the name in the metadata of the source, or else its type."""
+    """Return a name for messages: the name in the source's metadata, or else the source's type."""
     facts = source.metadata
     found = facts.get("name") or facts.get("file_name")
     return clipped(found, 80) if isinstance(found, str) else f"a trimesh.{type(source).__name__}"
@@ -87,7 +87,7 @@ def _instances(source: trimesh.Trimesh | trimesh.Scene) -> Iterator[Instance]:
 
 def has_normals(geometry: trimesh.Trimesh) -> bool:
     """Return whether a geometry has stored normals."""
-    # Reading vertex_normals computes missing normals. trimesh has no public check for normals.
+    # Reading vertex_normals computes missing normals. No public function of trimesh checks this.
     return "vertex_normals" in geometry._cache.cache
 
 
@@ -98,14 +98,14 @@ def piece_of(
     lost_images: bool,
     library: Library | None = None,
 ) -> Piece:
-    """Return a geometry as a piece.
+    """Return a trimesh geometry as a piece.
 
     Parameters
     ----------
     name : name of the file, for messages
     textures : textures of earlier pieces, keyed by the ``id`` of the image. Pieces share a texture
         because Pillow decodes an image in one thread only
-    lost_images : whether an image of the file is missing
+    lost_images : whether an image that the file names is missing
     library : the materials of an OBJ file, or None
     """
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
@@ -113,7 +113,7 @@ def piece_of(
         raise ValueError("its vertices do not have three coordinates")
     faces = np.asarray(geometry.faces, dtype=np.int64)
     known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-    if not known.all():  # drop the faces in trimesh, which later converts face colours
+    if not known.all():  # also drop the colours of these faces, which trimesh converts later
         geometry.update_faces(known)
         faces = np.asarray(geometry.faces, dtype=np.int64)
     normals = None
@@ -139,7 +139,7 @@ def piece_of(
             uv2 = None if look.second is None else look.second.applied(uv)
             uv = look.first.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
-        material = replace(material, albedo=SKIN_ALBEDO)  # this white only multiplies the lost map
+        material = replace(material, albedo=SKIN_ALBEDO)  # white is only the missing map's factor
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
     return Piece(
@@ -159,7 +159,7 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
     if hasattr(source, "baseColorFactor"):
         return _of_gltf(source, file, textures)
     image = None if source is None else source.image
-    # trimesh inserts a 2 x 2 image if the MTL file is missing: ignore this image and the colour.
+    # trimesh inserts a 2 x 2 image if the MTL file is missing: ignore it and the diffuse colour.
     stub = image is not None and image.size == (2, 2) and not getattr(image, "format", None)
     if image is None or stub:
         if has_colors:
@@ -173,7 +173,7 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
 
 
 def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
-    """Convert a PBR material of trimesh. It has the factors of glTF; its colours are bytes."""
+    """Convert a trimesh PBR material, which has glTF's factors and 8-bit colours."""
 
     def texture(name: str, what: str) -> Texture | None:
         if (image := getattr(source, name)) is None:

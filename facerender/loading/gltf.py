@@ -1,4 +1,4 @@
-"""Read every instance of a triangle mesh in a .gltf or .glb file, in the stored pose."""
+"""Read all mesh instances with triangles from a .gltf or .glb file, in the stored pose."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from facerender.loading.references import References
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.repair import Piece, check_count, placed
 
-_TRIANGLES, _FAN = 4, 6  # primitive modes; 5 is a strip
+_TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
 _DRACO = "KHR_draco_mesh_compression"
-_AT_ONCE = 1 << 16  # vertices per block: each vertex needs a 4 x 4 matrix
+_AT_ONCE = 1 << 16  # vertices skinned at a time: each vertex needs a 4 x 4 matrix
 
 Float = NDArray[np.float64]
 
 
 class Primitive:
-    """The triangles of a primitive. Methods raise ValueError if the data are damaged.
+    """The triangles of a glTF primitive. Methods raise ValueError if the data are damaged.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Primitive:
     positions : (N, 3), all vertices
     vertices : indices of the vertices that the faces use, or the slice of all vertices
     faces : (F, 3), indices into ``positions[vertices]``
-    corner_count : number of vertex indices in the file
+    corner_count : number of the primitive's vertex indices in the file
     out_of_range : number of faces that were dropped because they use a missing vertex
     """
 
@@ -92,7 +92,7 @@ class Primitive:
         return None if uv is None else transform.applied(uv)
 
     def influences(self) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        """Return joints and weights of ``vertices``, (N, 4) or (N, 8) each; None without joints."""
+        """Return joint indices and weights, (N, 4 or 8), of ``vertices``; None without joints."""
         accessors = self.properties["attributes"]
         sets = [i for i in (0, 1) if f"JOINTS_{i}" in accessors and f"WEIGHTS_{i}" in accessors]
         if not sets:
@@ -106,7 +106,7 @@ class Primitive:
         return joints, weights
 
     def _draco(self, draco: Doc) -> dict[str, NDArray[Any]]:
-        """Decompress the primitive. Return its attributes, and its faces if any, keyed by name."""
+        """Return the decompressed attributes, keyed by name; key "faces" holds any faces."""
         try:
             import DracoPy
         except ImportError:
@@ -141,8 +141,8 @@ def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
 def _compact(
     faces: NDArray[np.int64], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64] | slice, int]:
-    """Return the valid faces as indices into the vertices to keep, these vertices, and the number
-    of dropped faces.
+    """Return the valid faces as indices into the kept vertices, the indices of the kept vertices,
+    and the number of dropped faces.
 
     Primitives may share a vertex array, so most of its vertices may belong to other primitives.
     """
@@ -175,8 +175,8 @@ def skinned(
     Parameters
     ----------
     joints, weights : (N, K), indices and weights of K joints per vertex
-    matrices : (J, 4, 4), joint matrix times inverse bind matrix; they transform column vectors from
-        mesh space to scene space
+    matrices : (J, 4, 4), a joint's world matrix times its inverse bind matrix; transforms column
+        vectors from mesh space to scene space
 
     Raises
     ------
@@ -205,20 +205,20 @@ def skinned(
     return moved, turned, 2 * mirrored > len(positions)
 
 
-# The limit of drawn vertices plus faces is 8 times the number of stored elements, plus 2^20.
+# Limit of the drawn vertices plus faces: 8 times the number of stored elements, plus 2^20.
 _TIMES, _MOST_REPEATED = 8, 1 << 20
 
 
 def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[Piece]:
-    """Return a piece for every instance of a primitive that has triangles.
+    """Return a piece for every primitive instance with triangles.
 
     referred : reader of the buffers and images that are separate files
     without_albedo : whether to skip the albedo maps of the file
 
     Raises
     ------
-    InputError : the file is damaged, has no mesh, requires an unsupported extension, or draws more
-        than the limits allow
+    InputError : the file is damaged, has no mesh, requires an unsupported extension, or has too
+        many pieces, vertices or faces
     """
     name = referred.name
     text, binary = chunks(data, name)
@@ -267,9 +267,9 @@ class _File:
         self.buffers = Buffers(name, document, binary, referred)
         self.materials = Materials(self.buffers, without_albedo)
         self.warn = self.materials.warn
-        self.worlds: dict[int, NDArray[np.float64]] = {}  # keyed by the node's index
+        self.worlds: dict[int, NDArray[np.float64]] = {}  # matrices, keyed by the node's index
         self.skins: dict[int, NDArray[np.float64] | None] = {}
-        self.own: dict[int, int] = {}  # number of elements, keyed by the accessor's index
+        self.own: dict[int, int] = {}  # number of stored elements, keyed by the accessor's index
         self.drawn = 0  # number of drawn vertices and faces
 
     def pieces(self) -> list[Piece]:
@@ -311,8 +311,8 @@ class _File:
     # --- nodes -----------------------------------------------------------------------------------
 
     def _instances(self) -> list[_Instance]:
-        """Return every visible instance of a mesh. An instance has the name of its node or, if the
-        node has no name, of its mesh."""
+        """Return all visible mesh instances. An instance is named after its node or, if the node
+        has no name, after its mesh."""
         found: list[_Instance] = []
         count = 0
         for index, node, world, visible in scene_nodes(self.document):
@@ -389,8 +389,8 @@ class _File:
         weights: Sequence[float],
         matrices: NDArray[np.float64] | None,
     ) -> Piece | None:
-        """Return a primitive in mesh space, or in scene space if it is skinned. Return None for a
-        primitive without triangles.
+        """Return a primitive as a piece in mesh space, or in scene space if it is skinned. Return
+        None for a primitive without triangles.
 
         Parameters
         ----------

@@ -13,10 +13,10 @@ from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc
 from facerender.loading.references import References, inline
 from facerender.system.meshoptimizer import library
 
-# A decompressed view has at most _MOST bytes. If it has more than _SMALL bytes, it has at most
-# _TIMES times the bytes of the compressed view.
+# A decompressed view has at most _MOST bytes. A decompressed view of more than _SMALL bytes has at
+# most _TIMES times the bytes of the compressed view.
 _MOST, _SMALL, _TIMES = 1 << 30, 1 << 26, 256
-# Keyed by mode: decoder, allowed bytes per element, divisor of the number of elements.
+# Keyed by compression mode: decoder, allowed bytes per element, divisor of the element count.
 _MODES = {
     "ATTRIBUTES": ("decodeVertexBuffer", range(4, 257, 4), 1),
     "TRIANGLES": ("decodeIndexBuffer", (2, 4), 3),
@@ -31,7 +31,7 @@ _FILTERS = {
 
 
 def decoded(content: bytes, view: Doc, name: str) -> memoryview:
-    """Decompress a view that uses EXT_meshopt_compression.
+    """Decompress a buffer view that uses EXT_meshopt_compression.
 
     view : the extension's JSON object
     name : name of the file, for messages
@@ -131,7 +131,7 @@ class Buffers:
         return memoryview(content)
 
     def view(self, index: int) -> memoryview:
-        """Return the bytes of a view, decompressed."""
+        """Return the bytes of a view, after decompression if the view is compressed."""
         view = self.document["bufferViews"][index]
         for packed in view.get("extensions", {}).values():
             if index not in self.unpacked:

@@ -15,13 +15,13 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
 Doc = dict[str, Any]
 
 MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
-MOST_ENTRIES = 1 << 17  # entries per list of the document, such as nodes or accessors
+MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 
 # The properties of each JSON object and their types; ! marks required properties. Type "#nodes" is
-# an index into the list "nodes", "[x]" a list of values of type x, "{x}" an object with any keys
-# and values of type x, "3 x" a list of three values of type x. A type is an object of this table or
-# a key of _VALUES.
-# "presence" accepts any value and is replaced by bool(value).
+# an index into the list "nodes"; "[x]" is a list of values of type x; "3 x" is a list of three
+# values of type x. Type "{x}" is an object with any keys and values of type x. All other types are
+# objects of this table or keys of _VALUES.
+# Type "presence" accepts any value and converts it to bool(value).
 _OBJECTS: dict[str, dict[str, Any]] = {
     "document": {
         "extensionsRequired": "[text]",
@@ -179,7 +179,7 @@ def _is_number(value: Any) -> bool:
     return number and -1e300 < value < 1e300
 
 
-# Keyed by type: check of a value, description for messages. An integer may be written as 3.0.
+# Keyed by type: check of a value, description for messages. A size such as 3 may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (lambda value: isinstance(value, str), "text"),
     "name": (lambda value: True, "text"),  # only for display: values of other types become ""
@@ -224,8 +224,8 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
 
 
 def document_of(text: bytes, name: str) -> Doc:
-    """Parse and check the JSON of a glTF file. Return only the properties of the table. Missing
-    lists of the document become empty.
+    """Parse and check the JSON of a glTF file. Return only the properties listed in _OBJECTS.
+    Missing lists of the document become empty.
 
     Raises
     ------
@@ -263,7 +263,7 @@ def damaged(name: str, what: str) -> InputError:
 
 
 def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[str, int]) -> Any:
-    """Convert a value to the type ``shape`` of _OBJECTS; raise ValueError for another type."""
+    """Convert a value to the type ``shape`` of _OBJECTS; raise ValueError if this fails."""
     if isinstance(shape, dict) or shape in _OBJECTS:
         _expect(isinstance(value, dict), value, where, "an object")
         result = {}

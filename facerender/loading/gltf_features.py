@@ -1,4 +1,4 @@
-"""The supported features and extensions of glTF 2.0, for the reader and for docs/formats.md."""
+"""The features and extensions of glTF 2.0, and their support; docs/formats.md lists them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Feature:
     fate : "drawn": supported; "warned": ignored with a warning; "refused": an error if the file
         requires the feature, otherwise ignored with a warning; "ignored": ignored silently
     how : details for users
-    factor : property of a material's extension; 0 disables the extension
+    factor : property of a material's extension; a value of 0 disables the extension
     """
 
     name: str

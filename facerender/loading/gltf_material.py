@@ -34,14 +34,14 @@ _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
 _NEAREST = 9728
 _ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
 _INSTEAD = ("EXT_texture_avif", "MSFT_texture_dds")  # used if a texture has no other image
-_F0 = 0.028  # default for materials without KHR_materials_ior
+_F0 = 0.028  # f0 of materials without KHR_materials_ior
 _MOST_LOOKED_AT = 1 << 22  # texels; larger metallic maps are not tested
 _METAL = 0.1  # lower metallic values may be JPEG noise in a map without metal
 
 
 @dataclass(frozen=True)
 class TextureTransform:
-    """The number of a set of texture coordinates, and the transform of these coordinates."""
+    """The index of a set of texture coordinates, and the transform of these coordinates."""
 
     texcoord: int = 0
     offset: tuple[float, ...] = (0.0, 0.0)
@@ -70,7 +70,7 @@ class TextureTransform:
 
 
 class Materials:
-    """The materials of a checked document. Methods raise ValueError if the data are damaged."""
+    """The materials of a checked glTF file. Methods raise ValueError if the data are damaged."""
 
     def __init__(self, buffers: Buffers, without_albedo: bool) -> None:
         self.name = buffers.name
@@ -84,7 +84,7 @@ class Materials:
         self.warn = WarnOnce()
 
     def look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
-        """Return the look of a primitive; ``has_colors``: the primitive has vertex colours."""
+        """Return the look of a material; ``has_colors``: its primitive has vertex colours."""
         if (index, has_colors) not in self.looks:
             self.looks[index, has_colors] = self._look(index, has_colors)
         return self.looks[index, has_colors]
@@ -124,10 +124,10 @@ class Materials:
         albedo = (red, green, blue)
         lost = self.lost_images and maps.get("albedo_map") is None
         if lost and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # this white only multiplies the lost map
+            albedo = SKIN_ALBEDO  # white is only the missing map's factor
         material = Material(
             albedo=albedo,
-            # The factor is used only with a map, because exporters write 1 or 0.5 by default.
+            # Material uses it only with a roughness map: exporters write 1 or 0.5 by default.
             roughness_factor=self._factor("roughness", metallic.get("roughnessFactor", 1.0)),
             f0=self._f0(extensions),
             ks=self._factor("specular", specular.get("specularFactor", 1.0)),
@@ -204,7 +204,7 @@ class Materials:
         return min(f0 * grey, 0.999)
 
     def _look_for_metal(self, metallic: Doc) -> None:
-        """Warn of a metallic material. Its map is decoded for this check unless it is large."""
+        """Warn of a metallic material. This check decodes the metallic map unless it is large."""
         use = metallic.get("metallicRoughnessTexture")
         factor = metallic.get("metallicFactor", 0.0 if use is None else 1.0)
         if factor <= 0.0:
@@ -302,7 +302,7 @@ class Materials:
         return image, Texture.of(content, name), alpha
 
 
-# The image channel that each of these maps uses. All other maps use the colours.
+# Keyed by map: the image channel that the map uses. All other maps use the colours.
 _CHANNELS: dict[str, int | Literal["alpha"]] = {
     "opacity_map": "alpha",
     "specular_map": "alpha",

@@ -30,7 +30,7 @@ class Node(NamedTuple):
 
 
 def scene_nodes(document: Doc) -> Iterator[Node]:
-    """Yield the nodes of the scene of a checked document, parents first; all nodes without a scene.
+    """Yield the nodes of a checked document's scene, parents first; without a scene, all nodes.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """The cache of loaded meshes with the mip chains of their maps. The name of a cache
-entry is a digest of the files and of the code that reads files. Reading an entry imports neither
-trimesh nor Pillow."""
+entry is a digest of the mesh's files and of the code that reads them. Reading an entry imports
+neither trimesh nor Pillow."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class MeshFiles:
         if not cache.limit():
             return
         if None in referred.values() and "albedo_map" not in self.maps:
-            return  # the warning of a missing image depends on the other files in the folder
+            return  # the warning of a missing image depends on other files in the mesh's folder
         if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
             return  # storing the mesh would decode large maps at full resolution
         files = {each: None if data is None else digest_of(data) for each, data in referred.items()}
@@ -137,8 +137,8 @@ class MeshFiles:
 
 
 def _code() -> list[tuple[str, int, int]]:
-    """Return path, size and modification time of the modules that read meshes and decode images, in
-    this package and in libraries."""
+    """Return path, size and modification time of each module, of this package or of a library, that
+    reads meshes or decodes images."""
     specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
     found = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "scenes"):

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 # for a map that wraps once around a head of 500 mm circumference. MTL defines no unit of height.
 DEPTH = 0.005
 _LOOKED_AT = 64  # side in texels of the thumbnail whose colours are tested
-_GREY = 8.0  # 8-bit levels; the channels of a grey image differ less, on average
-_STRIP = 256  # rows per block
+_GREY = 8.0  # 8-bit levels; in a grey image, a texel's channels differ less, on average
+_STRIP = 256  # rows of a bump map converted at a time
 
 
 class Bump(Texture):
@@ -83,7 +83,7 @@ def _normals(image: Image) -> Image:
         start, end = max(top - 1, 0), min(top + _STRIP + 1, height)
         own = slice(top - start, min(top + _STRIP, height) - start)
         rows = heights[start:end].astype(np.float32) * np.float32(DEPTH / scale)
-        # Rows run down, but green points up, and normals lean against the slope: two minus signs.
+        # A normal leans against the slope: minus. But rows run down, and green points up: plus.
         slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[own]
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
@@ -112,7 +112,7 @@ _MAPS = {
     "map_ke": ("emissive_map", "emission"),
     "map_pr": ("roughness_map", "roughness"),
 }
-# Keyed by option of a map: number of words that follow it. The last numbers may be missing.
+# Keyed by option of a map: number of words after the option; the last of several may be missing.
 _OPTIONS = {
     **dict.fromkeys(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"), 1),
     **dict.fromkeys(("-bm", "-boost", "-texres"), 1),
@@ -125,7 +125,7 @@ _CHANNELS = {"r": 0, "g": 1, "b": 2}
 # Statements ignored without a warning: they have no effect or only colour the ambient light.
 _IGNORED = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
 _READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
-_LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; 0 disables them
+_LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; no effect if 0
 
 
 class UvSpread(NamedTuple):
@@ -184,8 +184,8 @@ class Library:
         self.text = "".join(f"newmtl {each}\n" for each in self.materials).encode()
 
     def _contents(self, line: str) -> Iterator[str]:
-        """Yield the MTL file that the whole line names. If this file is missing, yield the files
-        that the words of the line name."""
+        """Yield the content of the MTL file with the name ``line``. If this file is missing, yield
+        the contents of the files with the words of ``line`` as names."""
         try:
             yield _decoded(self.referred.read(line, "an MTL file"))
             return
@@ -295,8 +295,8 @@ class Library:
         has_map = "map_kd" in statements
         albedo = self._color(statements, "kd") or white
         if has_map and maps.get("albedo_map") is None and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # this white only multiplies the lost map
-        # With a map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
+            albedo = SKIN_ALBEDO  # white is only the missing map's factor
+        # With an albedo map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
         changes["albedo"] = white if maps.get("albedo_map") or has_colors else albedo
         emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)
         changes["emissive"] = emissive if any(emissive) or "map_ke" not in statements else white

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 
 from facerender.errors import warn
 
-# A face with a reference below 1. A negative reference counts back from the line of the face; the
-# reference 0 is invalid.
+# A face with a reference below 1. The reference -1 means the last element defined before the face;
+# the reference 0 is invalid.
 _RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
@@ -72,10 +72,10 @@ Owners = tuple[bytes, ...]  # names of object, group and material
 
 def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
     """Return an OBJ file with one numbered object for each combination of object, group and
-    material that has faces, and the part names in the order of the numbers.
+    material that has faces, and the part names in the order of the object numbers.
 
-    A part is named after its group, or else its object, or else its material. Parts that share a
-    name are renamed to group.material, or to object.group.material if they share that name, too.
+    A part is named after its group, or else its object, or else its material. Parts with the same
+    name are renamed to group.material or, if they share this name, too, to object.group.material.
 
     file : name of the file, for the warning about too many groups
     """

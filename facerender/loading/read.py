@@ -83,8 +83,8 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
 
 
 def _least_bytes(words: list[str], is_text: bool) -> int:
-    """Return the fewest bytes of a property's value; the vertex list of a face has at least 3
-    entries."""
+    """Return the minimum size of a property's value in bytes; the vertex list of a face has at
+    least 3 entries."""
     if words[1] != "list":
         return 2 if is_text else _BYTES[words[1]]
     entries = 3 if words[4] in _INDICES else 0
@@ -92,14 +92,14 @@ def _least_bytes(words: list[str], is_text: bool) -> int:
 
 
 def check_faces(metadata: Mapping[str, Any]) -> None:
-    """Check the faces that trimesh read from a file, before trimesh split them into triangles.
+    """Check the faces of a PLY file as trimesh stores them before it splits them into triangles.
 
     Raises
     ------
     ValueError : faces have different numbers of corners, or a face has texture coordinates and a
         negative vertex index
     """
-    # "_ply_raw" is private to trimesh, but it alone stores the faces before the split.
+    # "_ply_raw" is private to trimesh, but only this entry stores the faces before the split.
     elements = metadata.get("_ply_raw", {})
     faces = elements.get("face", {}).get("data")
     if isinstance(faces, np.ndarray) and faces.dtype.names:
@@ -130,7 +130,7 @@ _TRIANGLE = 50  # bytes per triangle of a binary STL file, after a header of 84 
 def read(
     source: Source, without_albedo: bool, allow_outside: bool
 ) -> tuple[list[Piece], References]:
-    """Return a piece for every geometry instance with faces, and the files that the source names.
+    """Return a piece for every geometry with faces, and the files to which the source refers.
 
     without_albedo : whether to skip the albedo maps of the file
 

@@ -32,7 +32,8 @@ class References:
     ----------
     name : name of the mesh file, for messages
     folder : folder of the mesh file; None for a mesh in memory: its referenced files are not opened
-    files : contents, keyed by the name in the mesh file; None for a file that was not read
+    files : contents of the referenced files, keyed by the name in the mesh file; None for a file
+        that was not read
     """
 
     def __init__(self, name: str, folder: Path | None, allow_outside: bool) -> None:
@@ -76,7 +77,7 @@ class References:
 
 
 def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
-    """Return the content of the file to which a mesh file in ``folder`` refers, or None."""
+    """Return the content of a file ``name`` to which a mesh file in ``folder`` refers, or None."""
     found = _place(folder, name, allow_outside)
     try:
         return None if found is None else read_file(found, "a file")
@@ -102,8 +103,8 @@ def inline(uri: str) -> bytes | None:
 
 
 def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
-    """Return the path of a referenced file, relative to ``folder`` or else directly in ``folder``.
-    Return None if the file does not exist or is not allowed."""
+    """Find a referenced file at its path relative to ``folder``, or else by its file name in
+    ``folder``. Return its path, or None if it does not exist or is not allowed."""
     for each in _spellings(name):
         if allow_outside or _is_inside(folder, each):
             try:
@@ -131,8 +132,8 @@ def _is_inside(folder: Path, name: str) -> bool:
 
 
 def named_files(path: Path) -> list[Path]:
-    """Return the paths of the files to which a mesh file refers, whether they exist or not; none if
-    the mesh file cannot be read."""
+    """Return the paths of the files to which a mesh file refers, whether they exist or not. The
+    list is empty if the mesh file cannot be read."""
     suffix = path.suffix.lower()
     try:
         if suffix in (".gltf", ".glb"):

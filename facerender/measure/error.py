@@ -1,4 +1,4 @@
-"""Errors of approximated lobes against the exact lobe in float64: of lobe, BRDF and image."""
+"""Errors of approximated lobes, and of their BRDFs and images, against exact float64 values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) -> Array:
-    """Return the lobe minus the exact lobe at angles γ of the half vector; the exact peak is 1.
+    """Return a lobe minus the exact lobe (peak 1), at angles γ between normal and half vector.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ def printed_error(m: float, k: int, g: int) -> Array:
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
     """Return the largest error of f N.L over all directions, relative to the largest exact f N.L.
 
-    f is the BRDF. Light and camera take `count` polar angles from 0 to 89 degrees; the light takes
-    2 `count` azimuths from 0 to 180 degrees.
+    f is the BRDF. Light and camera each take `count` polar angles from 0 to 89 degrees; the light
+    also takes 2 `count` azimuths from 0 to 180 degrees.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def image_errors(
 ) -> Renderings:
     """Draw a scene with each shading, one sample per pixel, and compare the images with float64.
 
-    The reference uses the first shading with the exact lobe.
+    The float64 reference uses `shadings[0]`, but with the exact lobe.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def image_error(
 
 
 def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Return how far a pixel is at most outside the range of 3 x 3 pixels of the other image.
+    """Return by how much pixels leave the range of the 3 x 3 pixels around them in the other image.
 
     Image a is compared with b, and b with a; both are (H, W, 3).
     """
@@ -153,7 +153,7 @@ def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
 def block_error(
     a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
 ) -> float:
-    """Return the largest change of a block's mean, relative to max(mean of the reference, 0.01).
+    """Return the largest error of a block's mean, relative to max(mean of the reference, 0.01).
 
     A block has 16 x 16 pixels.
 

@@ -72,9 +72,9 @@ class ImageError:
     ----------
     point : radiance by which a pixel of the image or the reference is at most outside the range of
         3 x 3 pixels of the other one, see ``error.point_error``
-    block : largest error of the mean over 16 x 16 pixels, relative to max(mean, 0.01)
+    block : largest error of the mean over 16 x 16 pixels, relative to max(reference mean, 0.01)
     largest : largest error of linear radiance, relative to max(reference, 0.01)
-    percentile : 99.9th percentile of the same error over the covered pixels
+    percentile : 99.9th percentile, over the covered pixels, of the error in ``largest``
     steps : largest error of the displayed image, in 8-bit levels
     steps_percentile : 99.9th percentile of the displayed image's error, in 8-bit levels
     flip : mean FLIP error of the image (Andersson et al. 2020); None without flip-evaluator

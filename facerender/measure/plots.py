@@ -42,11 +42,11 @@ def check() -> None:
 
 
 def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
-    """Plot error over cost, one panel per model, with the line of variants that are not dominated.
+    """Plot error over cost, one panel per model, with a line through non-dominated variants.
 
     Parameters
     ----------
-    panels : rows, and label of the error axis, of each panel; keyed by the panel's title
+    panels : for each panel, keyed by title: the rows, and the label of the error axis
     cost : label of the cost axis
     """
     from matplotlib.lines import Line2D
@@ -123,7 +123,7 @@ def _figure(height: float) -> Iterator[Any]:
 
 
 def _lay_out(figure: Any) -> None:
-    """Lay out the axes once: otherwise every draw repeats the layout, which doubles its time."""
+    """Lay out the axes once: repeating the layout in every draw would double the time."""
     figure.get_layout_engine().execute(figure)
     figure.set_layout_engine("none")
 
@@ -135,7 +135,7 @@ def _png(figure: Any) -> bytes:
 
 
 def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
-    """Draw each row's point and cost interval, and the line of the rows that are not dominated.
+    """Draw each row's point and cost interval, and a line through the non-dominated rows.
 
     Return cost, plotted error and row of each point.
     """

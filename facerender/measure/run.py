@@ -116,7 +116,7 @@ def _model(
     if not settings.quick:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     rendered = [variant for variant in _standard(model) if _inside(variant, m)]
-    # No slope filter: it may raise m above the lobe's domain.
+    # The slope filter is off, since it may raise m above the lobe's domain.
     shadings = [replace(variant.shading, slope_filter=False) for variant in rendered]
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
@@ -184,7 +184,7 @@ def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None)
 def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
     """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain.
 
-    The BRDF of unclamped forms has no error: some of its values are NaN.
+    The BRDF error of unclamped forms is None, because some of their values are NaN.
     """
     if variant.unclamped:
         return _percent(error.printed_error(m, variant.k, 16)), None

@@ -117,7 +117,7 @@ def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
-    """Return three tables per model: errors of the image at one m, of the lobe and BRDF over m."""
+    """Return three tables per model: image errors at one m; lobe errors and BRDF errors by m."""
     tables = []
     for model, title in MODELS.items():
         errors = {
@@ -179,7 +179,7 @@ def skin_table(measurement: Measurement) -> Table:
 
 
 def _levels(error: DisplayError) -> tuple[float, float]:
-    """Return the mean error and the error's percentile in 8-bit levels."""
+    """Return the mean and the 99th percentile of an error, in 8-bit levels."""
     return 255.0 * error.mean, 255.0 * error.percentile
 
 

@@ -1,4 +1,4 @@
-// Viewer that shows two images side by side, in turns, with a slider, or as a difference, and zooms.
+// Viewer with zoom. It shows two images side by side, in turns, with a slider, or as a difference.
 const PIXEL = 8;  // least size of an enlarged pixel, in CSS pixels
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 for (const viewer of document.querySelectorAll(".viewer")) {

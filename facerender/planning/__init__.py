@@ -1,1 +1,1 @@
-"""Planning: find a frame of a scene that costs less to draw, within an error budget."""
+"""Planning: find a cheaper frame of a scene within an error budget."""

@@ -1,4 +1,4 @@
-"""The error budget of a plan: parsing, measuring and formatting of errors. No OpenGL here."""
+"""The error budget of a plan: parse budgets, measure and format errors. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Budget:
     ----------
     limit : largest error, >= 0, expressed in ``unit``
     unit : "display": fraction of the range from black to white in sRGB encoding, before rounding
-        to 8-bit levels. "relative": fraction of the linear radiance, or of 0.01 if 0.01 is larger.
+        to 8-bit levels. "relative": fraction of the reference's linear radiance (at least 0.01).
         "flip": FLIP (Andersson et al. 2020) of the displayed image
     exposure : exposure of the displayed image, in stops
     within : fraction of each image's covered pixels that must meet the limit, in (0, 1]
@@ -127,7 +127,7 @@ class Budget:
 
 
 def highest_but(errors: Float, spared: int) -> float:
-    """Return the largest error except the ``spared`` largest errors; 0 if no error is left.
+    """Return the largest error without the ``spared`` largest errors; 0 if no error is left.
 
     NaN counts as the largest error.
     """

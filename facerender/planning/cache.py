@@ -1,4 +1,4 @@
-"""Cache of plans on disk. A plan's key is a digest of scene, budget, renderer and prices."""
+"""Disk cache of plans, keyed by a digest of scene, budget, full shading, renderer and prices."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def cached_plan(
 ) -> dict[str, Any]:
     """Return a plan in the form of :meth:`facerender.Plan.as_dict`, from the cache if possible.
 
-    ``cache`` enables use of the cache. The other parameters and the errors are the same as in
+    ``cache`` enables the cache. The other parameters and the errors are the same as in
     :func:`facerender.plan`.
     """
     allowed = Budget.parse(budget, exposure, within)

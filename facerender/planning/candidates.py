@@ -43,21 +43,22 @@ DECISIONS = {
     "small slopes": "term.small_slope",
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
-SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs another slope than two
+SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs another slope than two lobes
 ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
 @dataclass(frozen=True)
 class Constants:
-    """Constants that may replace maps on the whole mesh, and the order in which lights are dropped.
+    """Constants that may replace maps, and orders in which lights may lose terms or shadows.
 
     Attributes
     ----------
     m, ks : mean slope and mean specular weight of the visible pixels
-    faintest : indices of the lights, sorted by the brightness of their highlights, faintest first
-    frontal : indices of the lights, sorted by the error that the frontal term causes, smallest
-        first
+    faintest : indices of the lights, in the order in which they lose their specular terms: the
+        light with the faintest highlight first
+    frontal : indices of the lights, sorted by the error that Fresnel f0 without masking causes,
+        smallest first
     shadows : indices of the lights with shadows, sorted by how much the shadow darkens the image,
         weakest first
     single : slopes of a single lobe that may replace two lobes
@@ -106,7 +107,7 @@ def candidates(
 def _surfaces(
     scene: Scene, full: Shading, constants: Constants, fits: Callable[[Shading], bool]
 ) -> Iterator[Shading]:
-    """Yield variants of the full shading; the specular terms keep all properties but m."""
+    """Yield variants of the full shading; the specular terms keep all properties except m."""
     materials = scene.mesh.materials
     normal_maps, specular_maps = (
         any(getattr(each, name) is not None for each in materials)
@@ -194,7 +195,7 @@ def changed(shading: Shading, full: Shading) -> list[str]:
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
     """Return groups of decisions in which two shadings differ, keyed by the main decision's name.
 
-    The model's group has all decisions of the term; the group of a single lobe includes the slope.
+    The group "model" has all decisions of TERM; the group "two lobes" includes the slope.
     """
     differs = changed(shading, full)
     together = {"two lobes": SINGLE, "model": TERM}
@@ -220,7 +221,7 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 
 
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
-    """Return the full shading, in which the named decisions of ``shading`` replace its own."""
+    """Return the full shading with only the named decisions taken from ``shading``."""
     # A g-power lobe is fitted to the chosen slope and is invalid for other slopes.
     base = with_decisions(full, shading, SINGLE) if "lobe" in names else full
     return with_decisions(base, shading, names)

@@ -1,4 +1,4 @@
-"""Decisions of a plan as text: their error and saving, or why a cheaper choice was rejected."""
+"""Decisions of a plan as text: error and saving of each change, or of a rejected change."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Decision:
     error : error of this change alone; without a change, error of ``other``
     saving : fraction of the full shading's cost that the change saves, or that ``other`` would save
     text : line of :meth:`Plan.explain`
-    values : the cheaper of both values, keyed by attribute of the shading, such as "term.lobe";
+    values : the cheaper of the two values, keyed by attribute of the shading, such as "term.lobe";
         empty if the decision is not about the shading
     """
 
@@ -65,7 +65,7 @@ def decisions(
     Parameters
     ----------
     error : function that returns the error of a shading
-    otherwise : function that returns a lower bound of the error of a shading
+    otherwise : function that returns a lower bound of a shading's error
     """
     made = groups(shading, choice.full)
     for name in DECISIONS:

@@ -18,11 +18,11 @@ _VIEWPOINTS, _REPEATS, _VERIFY = 3, 5, 15
 
 
 def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
-    """Measure a few frames and return a linear model of the times of all other frames.
+    """Measure a few frames, and return frame time as a linear function of the fragment price.
 
-    The measured frames are the full frame and a frame for each change of the level of detail. The
-    full and the final level of detail are also measured with the cheapest shading. The time of
-    another shading is interpolated from the price of its fragment.
+    With the full shading, the full frame and a frame for each change of the level of detail are
+    measured. The full and the final level of detail are also measured with the cheapest shading.
+    The line through these two shadings gives the time of every other shading.
     """
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}

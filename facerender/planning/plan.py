@@ -89,7 +89,8 @@ class Plan:
     detail : level of detail of the chosen frame; None if only fragments are priced
     measured : time of the chosen frame divided by the time of the full frame; None without
         ``verify_cost``
-    constants : constants that could replace maps, and the order in which lights could be dropped
+    constants : constants that could replace maps, and orders in which lights could lose terms or
+        shadows
     candidates : number of shadings that cost less than the full shading
     tried : number of shadings that were evaluated at every pixel
     error_map : (H, W), error of each pixel in the image with the largest error; measured in the
@@ -170,7 +171,7 @@ class Plan:
 
     @property
     def planned(self) -> Planned | None:
-        """Image sizes, samples and level of detail of the plan; None if it is the full frame."""
+        """Image sizes, samples and level of detail of the plan; None for the full frame."""
         if self._is_full:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
@@ -270,10 +271,10 @@ def plan(
     renderer: Renderer | None = None,
     progress: Progress = no_progress,
 ) -> Plan:
-    """Find a frame of a scene that costs less to draw, with an error within a budget.
+    """Find a cheaper frame of a scene, with an error within a budget.
 
-    The order of choices is: culled back faces, the fewest samples, per-pixel shading, the fewest
-    triangles, and the cheapest shading. Each choice is made with all earlier choices in effect.
+    The choices are made in this order: culled back faces, the fewest samples, per-pixel shading,
+    the fewest triangles, the cheapest shading. Each choice is made with all earlier ones in effect.
 
     Parameters
     ----------
@@ -355,7 +356,7 @@ def _checked(scene: Scene, full: Shading) -> Shading:
 def _renderers(
     renderer: Renderer | None, sizes: Sequence[tuple[int, int]] | None, stack: ExitStack
 ) -> list[Renderer]:
-    """Return a renderer for each size with the same options; ``stack`` closes new renderers."""
+    """Return one renderer per size, all with the same options; ``stack`` closes new renderers."""
     if sizes is not None:
         sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
     first = renderer or stack.enter_context(Renderer())

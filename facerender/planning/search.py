@@ -41,10 +41,10 @@ from facerender.system.progress import Progress
 
 Float = NDArray[np.float64]
 
-# Number of random pixels of a region; and number of pixels with the largest errors, in addition to
-# the number of pixels that may exceed the budget.
+# A region of few pixels has up to _SPREAD random pixels, and the worst pixels of an image: _WORST
+# more than may exceed the budget.
 _SPREAD, _WORST = 256, 64
-_KEPT = 2**18  # largest number of pixels in all cached terms of a region
+_KEPT = 2**18  # largest product of a region's pixels and cached terms
 # Largest number of cached environment layers per cached term: most terms share one such layer.
 _ENVIRONMENTS = 8
 
@@ -56,7 +56,7 @@ class Cost:
     Attributes
     ----------
     total, specular : cost of the whole fragment program or frame, and cost of its specular terms
-    full_total, full_specular : the same two costs with the full shading and level of detail
+    full_total, full_specular : the same two costs with full shading and full level of detail
     unit, source : unit and origin of the prices
     """
 
@@ -86,7 +86,7 @@ class Choice:
     ----------
     ordered : shadings that cost less than the full shading, cheapest first, then the full shading
     count : number of shadings that cost less than the full shading
-    refused : variants of the full shading with one change, which exceed the limit
+    refused : variants of the full shading with one change and an error above the limit
     limit : limit of the error in float64; the budget is this limit plus the error of rounding
     frames : frame times as functions of fragment prices; None if only fragments are priced
     """
@@ -144,7 +144,7 @@ class Choice:
         return self.costs[shading]
 
     def cost(self, shading: Shading) -> Cost:
-        """Return the cost of a fragment or a frame, with the shading and with the full one."""
+        """Return the cost of a fragment or a frame, with a shading and with the full shading."""
         own, full = (self.prices.cost(self.scene, each) for each in (shading, self.full))
         if self.frames is None:
             return Cost(*own, *full, f"{self.prices.unit} a fragment", self.prices.source)
@@ -171,7 +171,7 @@ class Choice:
 
 
 class Witnesses:
-    """Pixels at which earlier shadings exceeded the limit, and the test of further shadings.
+    """Test of shadings, first at the pixels at which earlier shadings exceeded the limit.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ class Witnesses:
 
 
 class Region:
-    """Pixels of one camera with G-buffers, evaluated terms, and radiance of the full shading."""
+    """Pixels of one camera: G-buffers, evaluated terms, and radiance with the full shading."""
 
     def __init__(
         self,
@@ -240,7 +240,7 @@ class Region:
         mapped, plain : G-buffers with and without the normal map
         counted : (H, W), mask of the pixels whose errors count
         spared : number of pixels of the whole image that may exceed the budget
-        most_known : largest number of shadings whose terms are cached; the first is the full one
+        most_known : largest number of shadings with cached terms; the first is the full shading
         scattered : function that returns the change of the pixels' radiance by scattering; None if
             no material scatters
         """
@@ -345,7 +345,7 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 
 
 def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
-    """Return constants that may replace maps, and the order in which lights are dropped.
+    """Return constants that may replace maps, and orders in which lights may lose terms or shadows.
 
     The constants are means over pixels, weighted by the specular radiance of each pixel.
     """
@@ -380,7 +380,7 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
 def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
     """Return slopes of a single lobe that may replace two lobes.
 
-    The smallest slope gives the peak of the two lobes, and the largest gives their slope variance.
+    The smallest slope gives the same peak as the two lobes, the largest the same slope variance.
     ``weights`` (one per counted pixel) weight the means over pixels.
     """
     if any(view.mapped.second_m is None for view in views):

@@ -40,14 +40,14 @@ def draw(viewpoint: Viewpoint, shading: Shading, detail: LevelOfDetail) -> NDArr
 
 
 def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
-    """Return whether per-pixel shading is possible, and known to be cheaper from measurements."""
+    """Return whether per-pixel shading is possible, and cheaper according to measurements."""
     scene, renderer = viewpoint.scene, viewpoint.renderer
     known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
     return known and renderer.can_shade_per_pixel(scene, samples)
 
 
 class ScatteredLight:
-    """The change of a viewpoint's pixels by subsurface scattering, drawn with OpenGL.
+    """Changes of a viewpoint's radiance that scattering causes, drawn with OpenGL.
 
     A pixel's scattered light depends on other pixels; float64 would take seconds to compute it.
     """
@@ -57,9 +57,9 @@ class ScatteredLight:
         self.known: dict[Shading, Float] = {}
 
     def __call__(self, shading: Shading) -> Float:
-        """Return the change of the radiance by scattering, (H, W, 3)."""
+        """Return the change of each pixel's radiance that scattering causes, (H, W, 3)."""
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
-        if shading.diffuse == "coupled":  # the coupled albedo depends only on m and these
+        if shading.diffuse == "coupled":  # its albedo also depends on m and the added names
             names, m = [*names, "ks", "two_lobes", "slope_filter", "curvature"], shading.term.m
         light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
         if light not in self.known:
@@ -143,7 +143,7 @@ class DrawnViews:
     def errors(
         self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
-        """Yield for each image the largest error, and the largest without the spared pixels.
+        """Yield two errors per image: the largest, and the largest without the spared pixels.
 
         Pixels that the full frame does not cover count too, since FLIP compares neighbourhoods.
 

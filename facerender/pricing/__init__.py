@@ -1,1 +1,1 @@
-"""Cost of shading: measured on this machine, or read from a table that includes other GPUs."""
+"""Cost of shading: measured on this machine, or read from a table of drivers and GPUs."""

@@ -1,6 +1,6 @@
 """Costs measured on this machine: nanoseconds per evaluation of a term, milliseconds per frame.
 
-``benchmarks/prices`` estimates costs on other GPUs by their compilers.
+``benchmarks/prices`` estimates costs on other GPUs with their compilers.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ void main() {
     }
 }
 """
-# Expressions with the same inputs as a measured term; their cost is subtracted from its cost.
+# Expressions with the same inputs as a term. Their cost is subtracted from the term's cost.
 OF_VECTORS = "(l.x + v.y) * m + f0"
 OF_COSINE = "c + m"
 
@@ -70,17 +70,18 @@ def by_slope(
     backend: Backend = "auto",
     progress: Callable[[float], object] = lambda done: None,
 ) -> dict[str, Interval]:
-    """Measure the cost of terms: the slope of time over evaluations, minus that of an empty loop.
+    """Measure the time per evaluation of each term, minus the time per turn of an empty loop.
 
-    A fragment evaluates the term n times, for three values of n. The terms are measured
-    alternately, so that a slow phase of the machine affects all of them. On a GPU, timer queries
-    measure the time. On a CPU, the processor time of this process up to ``glFinish`` is divided by
-    the number of drawing threads; the quotient is close to the wall time of an idle machine.
+    A fragment evaluates the term n times, for three values of n. The gradient of a line through the
+    three times is the time per evaluation. The terms are measured alternately, so that a slow phase
+    of the machine affects all of them. On a GPU, timer queries measure the time. On a CPU, the
+    processor time of this process up to ``glFinish`` is divided by the number of drawing threads;
+    the quotient is close to the wall time of an idle machine.
 
     Parameters
     ----------
-    terms : keyed by name: prelude (with includes of the library), and float expression of vec3 n,
-        l, v and float c (cosine of the angle between normal and half vector), m, f0
+    terms : GLSL prelude (may include library files) and float expression, keyed by name; variables:
+        vec3 n, l, v and float c (cosine of the angle between normal and half vector), m, f0
     empty : expression whose cost is subtracted: OF_VECTORS for whole terms, OF_COSINE for lobes
     repeats : number of measurements
     progress : called with the completed fraction
@@ -131,13 +132,13 @@ def slopes(
     repeats: int,
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
-    """Return weighted sums of slopes, one slope of seconds over count per run; the runs alternate.
+    """Return weighted sums of the runs' seconds per unit of count; the runs alternate.
 
     Parameters
     ----------
     runs : functions that draw a given number of times and return the seconds
     first : the smallest count; it is doubled while the times are too short for the clock
-    weights : weight of each run's slope in each sum, (N, runs)
+    weights : weight of each run in each sum, (N, runs)
     repeats : number of measurements
     progress : called with the completed fraction
     """
@@ -181,7 +182,7 @@ def frames(
 def clock_of(
     context: Context,
 ) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
-    """Return a function that makes timers: context managers with a list of seconds after exit."""
+    """Return a function that makes timers: contexts that append the seconds to a list at exit."""
     if context.software:
         return partial(_cpu_clock, threads=_threads(context.renderer))
     return _gpu_clock
@@ -192,7 +193,7 @@ def _threads(renderer: str) -> int:
     if "softpipe" in renderer.lower():
         return 1
     cores = len(os.sched_getaffinity(0))
-    wanted = os.environ.get("LP_NUM_THREADS", "")  # llvmpipe reads it; 0: only one thread
+    wanted = os.environ.get("LP_NUM_THREADS", "")  # read by llvmpipe; 0: only one thread
     return max(1, min(cores, int(wanted))) if wanted.isdecimal() else cores
 
 

@@ -1,6 +1,6 @@
 """Cost of the parts of the renderer's fragment program, without the specular terms.
 
-``by_slope`` measures them on this machine, in the programs that ``samples`` returns.
+``by_slope`` measures these parts on this machine, in the programs that ``samples`` returns.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def environment_samples(program: Program) -> int:
 
 
 def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
-    """Return one scene and program per part; their costs determine the costs of the parts.
+    """Return one scene and program per part; the programs' costs determine the parts' costs.
 
     Each part is measured in a program that uses it. Property maps need a specular and an ambient
     term, which read them. Other maps need an albedo map, whose cost includes the interpolation of
@@ -214,11 +214,11 @@ def by_slope(
     progress: Callable[[float], object] = lambda done: None,
     shading: Shading | None = None,
 ) -> dict[str, Interval]:
-    """Measure the parts on this machine by the slope of time over the number of fragments.
+    """Measure the time per fragment of each part on this machine.
 
     Every program fills the target n times, for three values of n; ``cost.by_slope`` describes the
-    clocks. Additive blending prevents drivers from skipping fragments that later ones cover. The
-    cost of blending and of the rasteriser is measured with an empty program and subtracted.
+    method. Additive blending prevents drivers from skipping fragments that later fragments cover.
+    The cost of blending and of the rasteriser is measured with an empty program and subtracted.
 
     Parameters
     ----------

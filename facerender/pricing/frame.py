@@ -20,7 +20,7 @@ def seconds(
 ) -> NDArray[np.float64]:
     """Return the duration of each draw, (repeats, draws) in seconds.
 
-    The draws alternate. A previous round, which compiles and uploads, is not measured.
+    The draws alternate. A first round, which compiles and uploads, is not measured.
     ``progress`` is called with the completed fraction.
     """
     for draw in draws:
@@ -63,7 +63,7 @@ class Line:
 
     @classmethod
     def through(cls, full: tuple[float, float], cheap: tuple[float, float]) -> Line:
-        """Return the line through two frames' fragment prices and milliseconds.
+        """Return the line through two frames, each given by its fragment price and milliseconds.
 
         The slope is 0 if the cheaper frame was not faster.
         """
@@ -83,10 +83,10 @@ class Frames:
 
     Attributes
     ----------
-    full, own : time as a function of the fragment price, with the full level of detail and with the
-        chosen one
+    full, own : time as a function of the fragment price, with the full and with the chosen
+        level of detail
     taken : milliseconds of frames with the full shading, keyed by "full", "cull_back_faces",
-        "samples", "shading_rate" and "triangles"; each frame has this choice and all earlier ones
+        "samples", "shading_rate" and "triangles"; a frame has this choice and all earlier choices
     source : origin of the times, as text
     """
 

@@ -21,7 +21,7 @@ class Interval:
 def bootstrap(
     estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
 ) -> list[Interval]:
-    """Return estimates (N,) with 95 % intervals; ``estimate`` computes them from given repeats."""
+    """Return estimates (N,) with 95 % intervals; ``estimate`` takes indices of repeats."""
     draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
     low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
     value = estimate(np.arange(repeats))

@@ -40,6 +40,6 @@ def by_frames(repeats: int = 9) -> dict[str, float]:
 
 
 def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
-    """Return the cost of PARTS from the costs at two numbers of subsurface samples."""
+    """Return the costs of PARTS from the costs of scattering with two numbers of samples."""
     each = (costs[1] - costs[0]) / (samples[1] - samples[0])
     return dict(zip(PARTS, (max(costs[0] - samples[0] * each, 0.0), each), strict=True))

@@ -60,7 +60,7 @@ class Prices:
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
         """Return the cost of a fragment of the scene, and the specular part of this cost.
 
-        With several mesh parts, return the mean weighted by their numbers of faces.
+        With several mesh parts, return the mean weighted by the parts' numbers of faces.
 
         Raises
         ------
@@ -208,7 +208,7 @@ def shipped() -> dict[str, Prices]:
 
 
 def term_name(term: Term, smallest_m: float) -> str:
-    """Return the name under which a specular term is priced; terms of equal cost share a name."""
+    """Return the key of a specular term in :attr:`Prices.terms`; terms of equal cost share it."""
     lobe = lobe_entry(term.lobe)
     words = [term.model, lobe.price]
     if term.entry.factors:
@@ -221,9 +221,9 @@ def term_name(term: Term, smallest_m: float) -> str:
 
 
 def second_name(term: Term, smallest_m: float) -> str:
-    """Return the name under which a term's second lobe is priced.
+    """Return the key of a term's second lobe in :attr:`Prices.terms`.
 
-    Both lobes of a term share its Fresnel and masking terms, so the name excludes these.
+    Both lobes of a term share its Fresnel and masking terms, so the key excludes these.
     """
     return f"second lobe of {term_name(_unfactored(term), smallest_m)}"
 
@@ -233,8 +233,8 @@ def _unfactored(term: Term) -> Term:
 
 
 def variants(term: Term) -> dict[str, Term]:
-    """Return variants of a term, keyed by name: with and without a constant m. Variants with the
-    exact lobe also differ in the support of small slopes."""
+    """Return variants of a term with and without a constant m, keyed by :func:`term_name`. Variants
+    with the exact lobe also differ in ``small_slope``."""
     small = (True, False) if lobe_entry(term.lobe).of_tan2 else (None,)
     terms = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
     return {term_name(each, SLOPE): each for each in terms}
@@ -242,12 +242,12 @@ def variants(term: Term) -> dict[str, Term]:
 
 def second_variants(term: Term) -> dict[str, Term]:
     """Return terms whose second lobes cost the same as the second lobes of a term's variants,
-    keyed by name."""
+    keyed by :func:`second_name`."""
     return {second_name(each, SLOPE): _unfactored(each) for each in variants(term).values()}
 
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
-    """Return the cost of each second lobe: a term's cost with two lobes less its cost with one."""
+    """Return the cost of each second lobe: a term's cost with two lobes minus the cost with one."""
     added = {}
     for name, term in seconds.items():
         first, further = one[term_name(term, SLOPE)]
@@ -256,20 +256,20 @@ def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[st
 
 
 def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
-    """Return the costs of the parts, except specular parts: the terms' prices include these."""
+    """Return the costs of the parts without specular parts, which the terms' prices include."""
     return {name: cost for name, cost in parts.items() if name not in _SPECULAR}
 
 
 def measured(
     terms: Mapping[str, Term], repeats: int = 7, seconds: Mapping[str, Term] | None = None
 ) -> Prices:
-    """Measure every part and term on this machine, by the slope of time over repetitions.
+    """Measure the price of every part and every specular term on this machine.
 
     Parameters
     ----------
     terms : terms, keyed by :func:`term_name`
-    seconds : terms whose second lobes are priced, keyed by :func:`second_name`; ``terms`` has each
-        of them too
+    seconds : terms whose second lobes are priced, keyed by :func:`second_name`; ``terms`` also
+        contains each of these
 
     Raises
     ------

@@ -13,9 +13,10 @@ SLOPE = 0.3  # slope m of the priced terms
 # A sum of the inputs of a term; the cost of this sum is subtracted from the cost of the term.
 INPUTS = "dot(l, v) + n.x + m * f0"
 
-# Titles of the models that the paper contains, keyed by the model's name.
+# Titles of the models in Romanyuk et al. (2020), keyed by the model's name.
 PRINTED = {model.name: model.title for model in MODELS.values() if model.printed}
-# Exact lobes of these models as published, with E = exp(-tan² γ / m²): E/c^4, and E from γ.
+# Exact lobes as published by Romanyuk et al. (2020), with E = exp(-tan² γ / m²) and c = cos γ:
+# E/c^4 computed from c, and E computed from γ.
 _PRINTED_EXACT = {
     "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
     "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
@@ -31,8 +32,8 @@ class Variant:
     ----------
     model, lobe : name of the model, and name of the lobe
     printed : whether this is the form as published, not the library's form
-    plain : whether the extra precision at small angles is omitted, which the exact lobe does not
-        need for m >= SMALL_SLOPE
+    plain : whether the exact lobe omits the extra precision at small angles, which is needed only
+        for m < SMALL_SLOPE
     """
 
     model: str
@@ -49,7 +50,7 @@ class Variant:
 
     @property
     def standard(self) -> bool:
-        """Whether a renderer draws this variant for its shading."""
+        """Whether the renderer draws this variant for :attr:`shading`."""
         return not (self.printed or self.plain)
 
     @property

@@ -19,7 +19,7 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
-_NOT_ROTATED = 1e-3  # largest element of |R R^T - I|; not 0, because users may round a rotation R
+_NOT_ROTATED = 1e-3  # largest accepted element of |R R^T - I|; not 0, because users may round R
 # Fields that must keep their defaults if extrinsics are given.
 _PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
 
@@ -30,8 +30,8 @@ class Camera:
 
     Parameters
     ----------
-    azimuth, elevation : direction from the target to the camera in degrees. A camera at azimuth 0
-        and elevation 0 sees the face, a camera at azimuth 90 the side at +x
+    azimuth, elevation : direction from the target to the camera, in degrees. At azimuth 0 and
+        elevation 0 the camera sees the face; at azimuth 90 it sees the side at +x
     fov : vertical field of view, degrees in [1, 150]
     zoom : magnification; at 1, the framed region fits into the image at every azimuth
     target : point at the centre of the image; None for the centre of the framed region
@@ -42,8 +42,8 @@ class Camera:
         to the right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target,
         position and frame
     intrinsics : matrix K, (3, 3), that maps camera space to pixels of an image of ``size``;
-        replaces fov. The top left pixel has its corner at (0, 0) and its centre at (0.5, 0.5). Add
-        0.5 to the principal point if a calibration, such as OpenCV's, has that centre at (0, 0)
+        replaces fov. The image's top left corner is (0, 0); its first pixel's centre is (0.5, 0.5).
+        Add 0.5 to cx and cy if a calibration, such as OpenCV's, has that centre at (0, 0)
     size : width and height of the image that intrinsics refer to; rendered images need the same
         aspect ratio
     """
@@ -128,7 +128,7 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
 
 
 def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
-    """Return cameras at equal angles around the mesh, at the elevation of the given camera.
+    """Return cameras at equal steps of azimuth around the mesh, at the given camera's elevation.
 
     The first camera has the azimuth of the given camera. Position, extrinsics and intrinsics of the
     given camera are not used.

@@ -1,5 +1,5 @@
 """Environment maps: a panorama, its octahedral mip levels and irradiance coefficients for shading,
-and a procedural studio. ``loading/environment.py`` reads image files."""
+and a procedural studio panorama. ``loading/environment.py`` reads image files."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from facerender.terms.ranges import Range, check_fields, ranged
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-SIDE = 256  # side of the map's first mip level in texels; the last level has a side of 4 texels
+SIDE = 256  # side of the octahedral map's first mip level, in texels; 4 texels in the last level
 LEVELS = 7
-_INSIDE = 4  # each texel of the map averages 4 x 4 samples of the panorama
+_INSIDE = 4  # each texel of the octahedral map averages 4 x 4 samples of the panorama
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Panorama:
     ----------
     name : file or "studio", for messages and scene files
     radiance : (H, 2 H, 3), linear RGB. The top row is the direction straight up. The middle column
-        is +z, the direction in which the face looks. Columns run from the face's left to its right
+        is +z, the direction in which the face looks. Columns left of the middle have x > 0
 
     Raises
     ------
@@ -78,7 +78,7 @@ class Panorama:
     @cached_property
     def map(self) -> Float32:
         """Mip levels of the octahedral map side by side, (SIDE + 2, W, 3). Each level has half the
-        side of the previous level, and a border of one texel from across the level's edges."""
+        side of the previous level, and a border of one texel for filtering at its edges."""
         level, solid_angle = self._octahedron()
         levels = [_bordered(level)]
         for _ in range(LEVELS - 1):
@@ -103,7 +103,7 @@ class Panorama:
         return radiance, _directions(rows), solid_angle
 
     def _octahedron(self) -> tuple[Float, Float]:
-        """Return the map's first mip level (SIDE, SIDE, 3) and the solid angle of each texel."""
+        """Return the first mip level (SIDE, SIDE, 3) of the map, and each texel's solid angle."""
         radiance = np.pad(self._resampled[0], ((1, 1), (0, 0), (0, 0)), "edge")
         rows = len(radiance) - 2
         radiance = np.pad(radiance, ((0, 0), (1, 1), (0, 0)), "wrap")
@@ -125,7 +125,7 @@ class Environment:
 
     Parameters
     ----------
-    panorama : the image
+    panorama : image of the radiance
     rotation : rotation about the vertical axis in degrees; added to the panorama's azimuths
     scale : factor on the radiance; a uniform radiance of 1 shows a white diffuse surface as 1
 
@@ -151,8 +151,8 @@ class Environment:
 
 @lru_cache(maxsize=1)
 def studio() -> Panorama:
-    """Return a procedural studio: a dim room with three lights. For a camera in front of the face,
-    a large soft box is at the upper left, a strip light at the right, a rim light behind the face.
+    """Return the panorama of a dim room with three lights. For a camera in front of the face, a
+    large soft box is at the upper left, a strip light at the right, a rim light behind the face.
     """
     directions = _directions(128)
     room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
@@ -184,8 +184,8 @@ def _directions(rows: int) -> Float:
 
 
 def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
-    """Return x, y, z of unit directions at points x, z of an octahedral map in [-1, 1]. Also return
-    the distance from the octahedron's centre to its surface in each direction."""
+    """Return the unit directions x, y, z of points x, z in [-1, 1] on an octahedral map. Also
+    return the distance from the octahedron's centre to its surface in each direction."""
     y = 1.0 - np.abs(x) - np.abs(z)
     folded = y < 0.0
     x, z = (
@@ -197,8 +197,8 @@ def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
 
 
 def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
-    """Return the mean row of values over each interval [ends[j], ends[j + 1]]. Row i of values
-    holds from own[i] to own[i + 1]."""
+    """Return the mean of the rows of ``values`` over each interval [ends[j], ends[j + 1]]. Row i
+    spans the interval [own[i], own[i + 1]]."""
     if len(ends) == len(own):
         return values.astype(np.float64)
     means = np.empty((len(ends) - 1, *values.shape[1:]))
@@ -224,7 +224,7 @@ def _blocks(values: Float) -> Float:
 
 
 def _bordered(level: Float) -> Float:
-    """Add a border of one texel. Each edge of a level adjoins its own mirror image on the sphere,
-    because the map is an unfolded octahedron."""
+    """Add a border of one texel to a mip level: copies of its edges in reverse order. On the sphere
+    the two halves of each edge of an octahedral map coincide."""
     beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
     return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])

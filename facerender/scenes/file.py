@@ -1,4 +1,4 @@
-"""Scene files in TOML. They contain no mesh and no maps."""
+"""Scene files in TOML, which contain neither a mesh nor its maps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KEYS = (
     *("ambient", "background"),
 )
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
-STUDIO = "studio"  # name of the procedural environment
+STUDIO = "studio"  # name of the procedural environment map
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class EnvironmentFile:
 
     Parameters
     ----------
-    file : .hdr, .exr, .npy or .npz, or "studio" for the procedural environment
+    file : path of a .hdr, .exr, .npy or .npz, or "studio" for the procedural environment map
     rotation : rotation about the vertical axis in degrees; added to the map's azimuths
     scale : factor on the radiance
     """
@@ -56,7 +56,7 @@ class EnvironmentFile:
 
 
 def parse_environment(text: str) -> EnvironmentFile:
-    """Parse an environment from ``FILE[,ROTATION[,SCALE]]``.
+    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def scene_value(key: str, value: Any) -> Any:
 
 
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
-    """Return a scene as TOML for :func:`load_scene`, without mesh and maps.
+    """Return a scene, without its mesh and maps, as TOML text that :func:`load_scene` parses.
 
     The table ``material`` contains the factors that are equal for all parts. The table ``planned``
     contains the fields of :class:`Planned`.
@@ -155,7 +155,7 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
 
 
 def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """Return the TOML text of tables, which are pairs of header and values. Omit None values."""
+    """Return (header, values) tables as TOML text, without the keys whose value is None."""
     blocks = []
     for head, table in tables:
         lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]

@@ -1,12 +1,14 @@
-"""Detection of head and face from the geometry of a mesh, which must have y up and look along +z.
+"""Detection of head and face from the geometry of a mesh.
+
+The mesh must have y up, and its face must look along +z.
 
 The algorithm scans rows of a front view from the top down. The head ends at the neck: the narrowest
-row between the head's widest row and the shoulders, at a plausible height of a head. If hair hides
-the neck, the head ends at the shoulders. A mesh without neck and shoulders is a head as a whole. If
-the part above a neck is small and has no nose, that part is a hair bun. The head then ends at the
-next neck.
+row between the head's widest row and the shoulders, if the head's height is then plausible. If hair
+hides the neck, the head ends at the shoulders. Without neck and shoulders, the whole mesh is the
+head. If the part above a neck is small and has no nose, that part is a hair bun, and the head ends
+at the next neck below.
 
-The nose is the row in which the middle protrudes most from the nose's sides. The chin is the row
+The nose is the row whose middle protrudes most beyond the points on both sides. The chin is the row
 below which the front of the face recedes. Nose and chin determine the hairline and the sides of the
 face by the proportions of faces (Farkas (1994), "Anthropometry of the head and face"). If nose or
 chin is not found, as on an egg, the row at the usual height is used."""
@@ -23,35 +25,35 @@ from facerender.scenes.mesh import Mesh, Region
 
 Float = NDArray[np.float64]
 
-_SAMPLES = 300_000  # points on the surface
-_ROWS, _FACE_ROWS = 256, 96  # number of rows of the whole mesh and of its head
+_SAMPLES = 300_000  # approximate number of points on the surface
+_ROWS, _FACE_ROWS = 256, 96  # number of rows for the whole mesh, and for its head
 # Ratios of lengths. The size of a row is the geometric mean of its width and depth.
 _SHOULDERS = 1.55  # minimum: width of the shoulders / width of the head
 # Maximum: size of the neck / size of the head. Minimum: size below the neck / size of the neck.
 _NECK, _WIDENED = 0.88, 1.2
 _HEAD = (0.8, 2.0)  # range: height of the head / size of the head
-_BREADTH = 0.75  # maximum: width of the head / height of the head; hair may be wider
+_BREADTH = 0.75  # maximum: width of the head / height of the head; wider hair is ignored
 _NOSE = (0.3, 0.82)  # range: distance from the top of the head to the nose / height of the head
 _USUAL_NOSE = 0.6
 _RIDGE = 0.16  # distance from the middle to the nose's sides / width of the head
 # Range: protrusion of the nose / distance from the middle to the nose's sides.
 _RIDGE_LEAST, _RIDGE_MOST = 0.35, 1.0
-_CHIN = (0.3, 0.95)  # range: distance from nose to chin / distance from top to nose
+_CHIN = (0.3, 0.95)  # range: distance from nose to chin / from the top of the head to the nose
 _USUAL_CHIN = 0.52
-# Minimum: recession in three rows below the chin / distance from the middle to the nose's sides.
+# Minimum: recession within three rows below the chin / distance from middle to nose's sides.
 _FALL = 0.4
-# Distance from nose to hairline, and from the middle to the face's sides / from nose to chin.
+# Distances from nose to hairline and from middle to face's sides, both / from nose to chin.
 _HAIRLINE, _SIDE = 1.35, 0.95
 _MARGIN = 1.1
-_MOST_HEADS = 2  # a hair bun, and the head below the bun
+_MOST_HEADS = 2  # candidates for the head: a hair bun, and the head below the bun
 _BUN = 0.35  # maximum: height of a hair bun / height of bun and head
 
 _known: WeakKeyDictionary[Mesh, Mapping[str, Region]] = WeakKeyDictionary()
 
 
 def find_regions(mesh: Mesh) -> Mapping[str, Region]:
-    """Return the regions "head" and "face" of a mesh; results are cached. Both regions of a mesh
-    without height are the whole mesh."""
+    """Return the regions "head" and "face" of a mesh; results are cached. If the mesh has
+    no height, both regions are the whole mesh."""
     if mesh.regions is not None:
         return mesh.regions
     if mesh not in _known:
@@ -69,7 +71,7 @@ def _surface(mesh: Mesh) -> Float:
     counts = 1 + (areas * (_SAMPLES / total if total > 0.0 else 0.0)).astype(np.int64)
     triangle = np.repeat(np.arange(len(corners)), counts)
     index = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
-    # Roberts' sequence fills a square evenly. The square's upper half is folded onto the lower.
+    # Roberts' sequence fills a square evenly. The half with u + v > 1 is folded onto the other.
     u, v = np.modf((index[:, None] + 0.5) * (0.7548776662466927, 0.5698402909980532))[0].T
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u)[:, None], np.where(over, 1.0 - v, v)[:, None]
@@ -90,14 +92,14 @@ def _found(points: Float) -> dict[str, Region]:
 
 
 def _rows(y: Float, count: int) -> tuple[NDArray[np.int64], float]:
-    """Return the row number of each height, counted from the top, and the height of a row."""
+    """Return the row index of each height y, from 0 at the top, and the height of one row."""
     step = float(np.ptp(y)) / count or 1.0
     return ((y.max() - y) / step).astype(np.int64).clip(0, count - 1), step
 
 
 def _region(points: Float) -> Region:
     """Return the upright cylinder that bounds points."""
-    # Takes the minimum of each column, because numpy's minimum over rows takes 80 times as long.
+    # Reduces each column separately, because numpy's reduction over axis 0 takes 80 times as long.
     low, high = (np.array([end(column) for column in points.T]) for end in (np.min, np.max))
     center = (low + high) / 2.0
     radius = float(np.hypot(*(points - center)[:, [0, 2]].T).max())
@@ -105,7 +107,7 @@ def _region(points: Float) -> Region:
 
 
 def _ends(points: Float) -> Iterator[tuple[float, float]]:
-    """Yield the height of each candidate for the head's lower end, and the head's middle in x."""
+    """Yield, for each possible head, the height of its lower end and the x of its middle."""
     rows, step = _rows(points[:, 1], _ROWS)
     low, high = np.full((2, _ROWS), np.inf), np.full((2, _ROWS), -np.inf)
     for axis, column in enumerate((0, 2)):
@@ -126,9 +128,9 @@ def _ends(points: Float) -> Iterator[tuple[float, float]]:
 
 
 def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the points that connect to the middle of their row without a gap. The mask
+    """Return a mask of the points that no gap separates from the middle of their row. The mask
     excludes hands and other parts at the side of the body."""
-    cells = 64  # per half of a row
+    cells = 64  # number of cells in each half of a row
     extent = float(np.abs(x).max()) or 1.0
     place = (np.abs(x) * (cells / extent)).astype(np.int64).clip(0, cells - 1)
     side = (x > 0.0).astype(np.int64)
@@ -141,7 +143,7 @@ def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _neck(wide: Float, size: Float, step: float) -> int:
-    """Return the row at which the head ends.
+    """Return the index of the row at which the head ends.
 
     wide : width of each row, from the top down
     size : geometric mean of each row's width and depth
@@ -164,7 +166,7 @@ def _neck(wide: Float, size: Float, step: float) -> int:
 
 
 def _face(body: Float, neck: float, middle: float) -> tuple[Region, float, bool]:
-    """Return the face of a head, the height of its chin, and whether a nose was found.
+    """Return the region of a head's face, the height of the chin, and whether a nose was found.
 
     neck : height of the lower end of the head
     """
@@ -190,12 +192,12 @@ def _face(body: Float, neck: float, middle: float) -> tuple[Region, float, bool]
 
 
 def _front(body: Float, middle: float, top: float, step: float, side: float) -> tuple[Float, Float]:
-    """Return the depth of the face in each row from the top down, also below the head.
+    """Return two depth profiles of a face: a value per row from the top down, also below the head.
 
     Returns
     -------
     front : largest z near the middle
-    ridge : protrusion of the middle from points at the distance ``side``, divided by ``side``
+    ridge : protrusion of the middle beyond points at the distance ``side``, divided by ``side``
     """
     count = 2 * _FACE_ROWS
     rows = ((top - body[:, 1]) / step).astype(np.int64)
@@ -216,8 +218,8 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
 
 
 def _chin(front: Float, nose: int, fall: float) -> int:
-    """Return the row of the chin: in a range of rows below the nose, the first row below which the
-    front recedes by ``fall`` within three rows. Return the usual row if there is no such row."""
+    """Return the index of the chin's row: the first row, in a range below the nose, from which the
+    front recedes by ``fall`` within three rows. Return the usual row if there is none."""
     usual, first, last = (
         min(nose + round(fraction * nose), len(front) - 1) for fraction in (_USUAL_CHIN, *_CHIN)
     )

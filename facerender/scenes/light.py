@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 
-NEAREST = 1.05  # smallest distance from a point light with a shadow to the centre, in mesh radii
+NEAREST = 1.05  # smallest distance of a shadow-casting point light from the centre, in mesh radii
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,14 @@ class Light:
 
     Parameters
     ----------
-    azimuth, elevation : direction to a distant light in degrees, as for the camera
+    azimuth, elevation : direction to a distant light in degrees, defined as in Camera
     irradiance : irradiance of a surface that faces the light, one number or linear RGB in [0, 1e9].
-        A point light's irradiance is at the mesh's centre. pi shows a white diffuse surface as 1.
+        For a point light, the surface is at the mesh's centre. An irradiance of pi shows a white
+        diffuse surface as 1.
     position : position of a point light in mesh units; replaces azimuth and elevation
     radius : angular radius in degrees, in [0, 20]; for a point light, as seen from the mesh's
         centre. A light of radius 0 has no area.
-    shadow : whether the mesh casts shadows. Shadows of area lights are soft.
+    shadow : whether the mesh casts shadows in this light. Area lights have soft shadows.
     """
 
     azimuth: float = ranged(AZIMUTHS, 0.0)
@@ -78,15 +79,15 @@ class LightKind:
 
     Attributes
     ----------
-    name : name of the file, such as "point"
+    name : name of the kind and of its file, such as "point"
     example : light that cost measurements use
     matches : function that returns whether a light can be of this kind; the first kind in
         LIGHT_KINDS that matches a light is the light's kind
     arrays : names of the uniform arrays
     elements : function that returns a light's element of each uniform array, (1,) to (3,), in the
         renderer's space
-    lighting : function that returns unit vectors to a light and the light's irradiance at positions
-        (..., 3) in the renderer's space, in float64
+    lighting : function that returns, for positions (..., 3) in the renderer's space, unit vectors
+        to a light and the light's irradiance, in float64
     sine : function that returns the sine of a light's angular radius, seen from positions (..., 3),
         as (..., 1) or one value for all positions; None for kinds without area
     """
@@ -107,17 +108,17 @@ class LightKind:
 
     @property
     def price(self) -> str:
-        """Name of the light's cost in price tables."""
+        """Key of this light kind's cost in price tables."""
         return f"{self.name} light"
 
     @property
     def shadow_price(self) -> str:
-        """Name of the cost of the light's shadow in price tables."""
+        """Key of the cost of this light kind's shadow in price tables."""
         return "hard shadow" if self.sine is None else "soft shadow"
 
 
 def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
-    """Return position and intensity in the renderer's space, (3,) each.
+    """Return a point light's position and intensity in the renderer's space, (3,) each.
 
     The intensity is the irradiance at the mesh's centre times the squared distance to that centre.
 
@@ -141,7 +142,7 @@ def _point_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, F
 
 
 def half_sum(sine: Float) -> Float:
-    """Return k = (1 + cos R)/2 of ``slope_variance.glsl`` from the sine of the angular radius R."""
+    """Return (1 + cos R)/2, k in ``slope_variance.glsl``, from the sine of the angular radius R."""
     return np.asarray(0.5 + 0.5 * np.sqrt(1.0 - sine**2))
 
 
@@ -231,9 +232,10 @@ LIGHTS: Mapping[str, Light] = {
 
 
 def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
-    """Return sin R and (1 + cos R)/2, where R is the largest angular radius of a light, seen from
-    the mesh's bounding sphere. These values are s and k in ``slope_variance.glsl``. Return None for
-    a light without area. Raises the same errors as drawing the light."""
+    """Return sin R and (1 + cos R)/2, where R is a light's largest angular radius, as seen from
+    any point in the mesh's bounding sphere. These values are s and k in
+    ``slope_variance.glsl``. Return None for a light without area. Raises the errors that drawing
+    the light raises."""
     if light.kind.sine is None:
         return None
     nearest = np.zeros(3)
@@ -246,7 +248,7 @@ def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, eq=False)
 class LightSpace:
-    """Projection of the renderer's space for a light's shadow map. The mesh is in the unit sphere.
+    """Projection from the renderer's space, with the mesh in the unit sphere, to a shadow map.
 
     Attributes
     ----------
@@ -289,8 +291,8 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
 
 
 def light_axes(light: Light, mesh: Mesh) -> Float:
-    """Return an orthonormal basis as columns (3, 3). The third column is the direction from the
-    centre of the mesh to the light."""
+    """Return an orthonormal basis for a light as columns (3, 3). The third column points from the
+    mesh's centre to the light."""
     towards = light.direction if light.position is None else mesh.normalised(light.position)
     towards = towards / np.linalg.norm(towards)
     across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)

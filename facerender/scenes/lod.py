@@ -1,4 +1,4 @@
-"""Levels of detail: simplified meshes, and the images for which a scene's shading was planned."""
+"""Levels of detail: simplified meshes, and the images that a scene's plan covers."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
 
-# Weights of attribute errors. A position error, in extents of the mesh, has the weight 1. _PLACE is
-# for texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR is for linear
+# Weights of attribute errors relative to position errors, which are in extents of the mesh. _PLACE
+# weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights linear
 # colours and occlusion. The weights are chosen by comparison of images, as in
 # docs/measurements/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
@@ -34,9 +34,9 @@ _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
-    """Return the mesh with at most the given number of triangles, if possible.
+    """Return a simplified mesh with at most the given number of triangles, if possible.
 
-    Edges collapse in the order of their quadric error (Garland and Heckbert 1997), which includes
+    Edges collapse in increasing order of quadric error (Garland and Heckbert 1997), which includes
     normals, texture coordinates, colours and occlusion (Hoppe 1999). Remaining vertices do not
     move. Edges on mesh borders, seams and borders between parts collapse only along these lines, on
     both sides together, so that no cracks open. Materials, number of parts, bounds, radius,
@@ -50,7 +50,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     Parameters
     ----------
     mesh : from :func:`facerender.load_mesh`
-    triangles : limit for all parts together, at least 1; a smaller mesh is returned unchanged
+    triangles : triangle limit of the whole mesh, at least 1; a smaller mesh is returned unchanged
 
     Raises
     ------
@@ -111,9 +111,9 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
 
 
 def _vertices(mesh: Mesh, index: int) -> Float:
-    """Return the vertex attributes of a part as rows.
+    """Return the attributes of a part's vertices, one row per vertex.
 
-    The first 12 columns are part number, position, normal, scaled texture coordinates and colour.
+    The first 12 columns are part index, position, normal, scaled texture coordinates and colour.
     If any part has occlusion or second texture coordinates, column 13 is the occlusion. If any part
     has second texture coordinates, columns 14 and 15 are the scaled second texture coordinates.
     """
@@ -135,7 +135,7 @@ def _vertices(mesh: Mesh, index: int) -> Float:
 
 
 def _on_surface(mesh: Mesh, part: Part, uv: Float | None) -> Float:
-    """Return texture coordinates (N, 2), scaled to lengths on the surface in radii of the mesh."""
+    """Return texture coordinates (N, 2), scaled to lengths on the surface in mesh radii."""
     if uv is None:
         return np.zeros((len(part.positions), 2))
     flat = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
@@ -153,12 +153,12 @@ def _double_areas(corners: Float) -> Float:
 
 @dataclass(frozen=True)
 class LevelOfDetail:
-    """Samples and triangles of a rendered frame.
+    """Settings that determine a frame's samples and triangles.
 
     Attributes
     ----------
     samples : samples per pixel
-    triangles : largest number of triangles of the mesh; None for all triangles
+    triangles : triangle limit of the simplified mesh; None for all triangles
     cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
     """
 
@@ -173,7 +173,7 @@ class LevelOfDetail:
         return {name: value for name, value in vars(self).items() if name != "triangles"}
 
     def of(self, scene: Scene) -> Scene:
-        """Return a scene with the simplified mesh; raises the errors of :func:`simplified`."""
+        """Return the scene with its mesh simplified; raises the errors of :func:`simplified`."""
         if self.triangles is None:
             return scene
         return replace(scene, mesh=simplified(scene.mesh, self.triangles))
@@ -186,7 +186,7 @@ class Planned:
     Parameters
     ----------
     sizes : width and height of each image in pixels
-    samples : samples per pixel of the images without the plan
+    samples : samples per pixel of these images if drawn without the plan
     drawn_samples : samples per pixel that the plan draws; None for the number in ``samples``
     triangles : largest number of triangles that the plan draws; None for all
     cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
@@ -224,7 +224,7 @@ class Planned:
 
         The samples per pixel must be the planned number; size and aspect ratio must be in the
         planned ranges. One sample per pixel is also covered if the plan draws all triangles and
-        back faces: that sample is at the pixel's centre, where every plan is measured.
+        back faces: that sample is at the pixel's centre, where every plan's error is measured.
         """
         centres = self.triangles is None and not self.cull_back_faces
         widths, heights = zip(*self.sizes, strict=True)
@@ -238,7 +238,7 @@ class Planned:
 
     @property
     def detail(self) -> LevelOfDetail:
-        """Samples and triangles that the plan draws for an image."""
+        """Level of detail that the plan draws for an image."""
         samples = self.drawn_samples or self.samples
         return LevelOfDetail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
 

@@ -44,17 +44,17 @@ class Material:
     f0 : Fresnel reflectance at normal incidence, in [0, 1)
     ks, kd : specular and diffuse weights, >= 0. A bare dielectric has ks = 1. For powdered skin,
         GPU Gems 3, chapter 14, gives ks = 0.18.
-    second_slope : factor on m for a second specular lobe, in [0.01, 100]; 1 for no second lobe
+    second_slope : second specular lobe's m / first lobe's m, in [0.01, 100]; 1 for no second lobe
     lobe_weight : fraction of ks that the first lobe gets, in [0, 1]; 1 for no second lobe
     albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Of these,
         only the albedo map is sRGB-encoded. The normal map has green pointing up. The occlusion
         map dims ambient light.
-    lobe_map : texture or None. The red channel multiplies 1 - lobe_weight, the fraction of the
-        second lobe: white for sweat or oil, black for dry skin.
+    lobe_map : texture or None. The red channel multiplies 1 - lobe_weight, the second lobe's
+        fraction of ks: white for sweat or oil, black for dry skin.
     scattering : subsurface scattering: "skin", Gaussians, or None or "none" for no scattering. A
-        Gaussian has a variance in mm^2 and weights of red, green and blue. For each colour the sum
+        Gaussian has a variance in mm^2 and weights of red, green and blue. For each channel the sum
         of all Gaussians' weights is at most 1; the remaining light leaves where it enters.
-    alpha : use of the opacity: "opaque" ignores it; "mask" discards fragments below
+    alpha : use of the opacity: "opaque" ignores it; "mask" discards fragments with an opacity below
         ``alpha_cutoff``; "blend" makes the part transparent. A transparent part is drawn after all
         other parts, casts no shadow and does not scatter.
     opacity : opacity of the part, in [0, 1]; 1 is opaque
@@ -127,7 +127,7 @@ class Material:
         return self.second_slope != 1.0 and self.lobe_weight < 1.0
 
     def with_second(self, low: float, high: float) -> tuple[float, float]:
-        """Return the range of m over both lobes, from the range [low, high] of the first lobe."""
+        """Return the range of m over both lobes, from the first lobe's range [low, high] of m."""
         if not self.two_lobes:
             return low, high
         second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
@@ -148,7 +148,7 @@ class Material:
     @cached_property
     def property_map(self) -> Texture | None:
         """Occlusion, roughness and specular map packed in one texture, to save texture fetches.
-        None without any of these maps, or if they differ in wrapping, filtering or coordinates."""
+        None without any of these maps, or if they differ in wrap mode, filtering or coordinates."""
         return pack(*self.properties) if self.packs else None
 
     @property

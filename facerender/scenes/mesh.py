@@ -19,7 +19,7 @@ from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
-TRIANGLES = IntegerRange(1, math.inf)  # range of the limit for a simplified mesh
+TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Part:
     colors : (N, 3) linear RGB, or None
     occlusion : (N,) in [0, 1], fraction of uniform ambient light that reaches a vertex, or None;
         see :func:`facerender.with_occlusion`
-    uv2 : (N, 2) float64, second texture coordinates for the maps in :attr:`Material.second_uv`, or
-        None
+    uv2 : (N, 2) float64, second texture coordinates for the maps that
+        :attr:`Material.second_uv` names, or None
     name : name from the file, or ""; see docs/formats.md
     """
 
@@ -83,7 +83,7 @@ class Region:
 
     @property
     def profile(self) -> NDArray[np.float64]:
-        """Outline of the cylinder; see the profile of :class:`Mesh`."""
+        """Outline of the cylinder, in the form of the profile of :class:`Mesh`."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])
 
 
@@ -96,11 +96,12 @@ class Mesh:
     name : file name, for messages
     parts : at least one part
     materials : one material for each part
-    bounds : (2, 3) float64, lowest and highest corner of the box around the vertices of all faces
+    bounds : (2, 3) float64, lowest and highest coordinates of the vertices that faces use
     radius : largest distance of a face's vertex from the centre of the bounds
-    profile : (K, 2) float64, outline of the mesh rotated about the vertical axis through the centre
-        of the bounds: distance from the axis and height, in the renderer's space
-    millimetres : millimetres per unit of mesh space; None if unknown, which rules out scattering
+    profile : (K, 2) float64, outline of the solid that the mesh sweeps when it rotates about the
+        vertical axis through the centre of the bounds: distance from the axis and height, in the
+        renderer's space
+    millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
     regions : for a simplified mesh, head and face of the original mesh; None to find both in this
         mesh, see :func:`facerender.scenes.framing.find_regions`
     """
@@ -150,7 +151,8 @@ class Mesh:
         materials: Sequence[Material],
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of parts with valid face indices. Computes bounds, radius and profile."""
+        """Return a mesh of parts and compute its bounds, radius and profile. The face indices must
+        be valid."""
         drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
@@ -161,8 +163,8 @@ class Mesh:
 
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
-        """Return a mesh of pieces that :func:`facerender.scenes.repair.clean` has repaired. If
-        there are several pieces, the third one is called ``part3`` unless it has a name."""
+        """Return a mesh of pieces that :func:`facerender.scenes.repair.clean` has repaired. A
+        piece without a name is numbered, unless it is the only one: the third is ``part3``."""
         several = len(pieces) > 1
         names = (each.name or f"part{i}" * several for i, each in enumerate(pieces, 1))
         parts = [
@@ -243,7 +245,7 @@ class Mesh:
             return self
         return Mesh.of(
             self.name,
-            [replace(self.parts[i]) for i in left],  # new objects: renderers cache parts per mesh
+            [replace(self.parts[i]) for i in left],  # copies: renderers cache parts per mesh
             [self.materials[i] for i in left],
             self.millimetres,
         )
@@ -290,8 +292,8 @@ class Mesh:
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
-    """Return the texture coordinates that a part has for the named map, or None. A map without
-    texture coordinates is ignored."""
+    """Return a part's texture coordinates for the named map. None means that the part has none;
+    the map is then ignored."""
     return part.uv2 if material.by_second(name) else part.uv
 
 
@@ -304,7 +306,7 @@ def drawn_alpha(part: Part, material: Material) -> Alpha:
 
 
 def base_slope(part: Part, material: Material) -> float:
-    """Return m of a part's first lobe; with a roughness map, the factor on its squared texels."""
+    """Return m of a part's first lobe, or the factor that maps squared roughness texels to m."""
     mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None
     return material.roughness_factor**2 if mapped else material.m
 
@@ -344,8 +346,8 @@ def _unique(names: Iterable[str]) -> Iterator[str]:
 
 
 def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
-    """Return a part with its vertices outside the bounds moved to the centre of the bounds. No face
-    uses these vertices, but they could overflow in float32."""
+    """Return a part whose vertices outside the bounds are moved to the bounds' centre. No face uses
+    these vertices, but they could overflow in float32."""
     inside = ((part.positions >= bounds[0]) & (part.positions <= bounds[1])).all(axis=1)
     if inside.all():
         return part
@@ -354,7 +356,7 @@ def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
 
 
 def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the profile of a mesh: distance from the axis and height of the outermost vertex in
+    """Return a mesh's profile: distance from the axis and height of the outermost vertex in
     each of at most 511 horizontal slices."""
     widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
     slices = np.round(heights * 255.0).astype(np.int64)
@@ -398,7 +400,7 @@ def _piece_of(
 def _rows(
     name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
 ) -> NDArray[np.float64]:
-    """Return a float64 copy of an array after checking its shape and that all numbers are finite.
+    """Return a float64 copy of an array. Check its shape, and that all its numbers are finite.
 
     widths : allowed numbers of columns
     count : required number of rows; None for any

@@ -21,11 +21,11 @@ Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
 Rows = Callable[[int, int], "Image"]  # returns rows [low, high) of an image; row 0 is the bottom
 
-_STRIP = 32  # rows that are reduced at once
+_STRIP = 32  # number of rows that are reduced at once
 
 
 def chain(kind: Kind, image: Image) -> Levels:
-    """Return all mip levels of an image in mode RGB with row 0 at the bottom. See
+    """Return all mip levels of an image, which has mode RGB and row 0 at the bottom. See
     :meth:`facerender.Texture.levels` for the kinds."""
     return _CHAINS[kind](image)
 
@@ -33,14 +33,14 @@ def chain(kind: Kind, image: Image) -> Levels:
 def coarse_base(
     kind: Literal["color", "normal", "data"], rows: Rows, size: tuple[int, int], drop: int
 ) -> NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return the base level from which :func:`coarse_chain` computes a chain.
+    """Return the base level from which :func:`coarse_chain` computes a mip chain.
 
-    The function needs memory for one strip and the result only.
+    The function needs memory only for one strip and the result.
 
     Parameters
     ----------
     size : width and height of the full image
-    drop : number of finest levels to skip, at least 1; the base level has at least 2 x 2 texels
+    drop : number of finest levels to skip, >= 1; the base level must have at least 2 x 2 texels
     """
     if kind == "data":
         return coarse_data(rows, size, drop)
@@ -70,8 +70,8 @@ def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float3
 
 
 def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
-    """Return the base level of "data", (H, W, 3), or (H, W) for grey rows. See :func:`coarse_base`
-    for the parameters."""
+    """Return the base level of kind "data", (H, W, 3), or (H, W) for grey rows. See
+    :func:`coarse_base` for the parameters."""
     width, height = (side >> drop for side in size)
     bands = len(rows(0, 1).getbands())
     finest = np.empty((height, width, bands)[: 2 + (bands > 1)], dtype=np.uint8)
@@ -119,8 +119,8 @@ def _even(texels: NDArray[Any]) -> NDArray[Any]:
 
 @lru_cache(maxsize=1)
 def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return two tables. The first maps an sRGB byte to a quarter of its linear value. The second
-    maps the sum of four quarters to an sRGB byte."""
+    """Return two tables to average sRGB bytes in linear light. The first maps a byte to a quarter
+    of its linear value. The second maps the sum of four quarters to a byte."""
     quarter = 16383
     decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
     encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
@@ -199,8 +199,8 @@ def _unit_planes(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the texels (H, W, 4) of a mip level: RGB is the direction of the mean vectors
-    (3, H, W), alpha is the slope deviation."""
+    """Return the texels (H, W, 4) of a normal map's mip level from its mean normals (3, H, W). RGB
+    is the direction of the mean, alpha is the slope deviation."""
     length = np.sqrt(means[0] ** 2 + means[1] ** 2 + means[2] ** 2).clip(1e-6, 1.0)
     texels = np.empty((*length.shape, 4), dtype=np.uint8)
     scale = np.float32(127.5) / length
@@ -212,7 +212,7 @@ def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _halved_normals(image: Image, times: int) -> NDArray[np.float32]:
-    """Return the mean normal vectors (3, H, W) of an image that is halved a number of times."""
+    """Return the mean normals (3, H, W) of a normal map whose sides are halved ``times`` times."""
     means = _halve_planes(_unit_planes(_even(texels(image, "RGB"))))
     for _ in range(times - 1):
         means = _halve_planes(_even_planes(means))

@@ -20,11 +20,11 @@ Numbers = NDArray[np.int64]
 DIRECTIONS = 512  # ray directions on the whole sphere; half of them are on a vertex's outer side
 # Distance of ray origins from the surface, in mesh radii; float32 resolves 1e-7 mesh radii.
 _OFFSET = 1e-4
-_AT_ONCE = 1 << 16  # rays that are traced at once
+_AT_ONCE = 1 << 16  # number of rays that are traced at once
 
 
 def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
-    """Return the mesh with baked ambient occlusion at vertices, for parts without an occlusion map.
+    """Return the mesh with ambient occlusion baked at vertices of parts without an occlusion map.
 
     The occlusion is the fraction of uniform ambient light that reaches a vertex. It dims ambient
     light and environment maps.
@@ -98,13 +98,13 @@ def _values(
 def _open_fraction(
     positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
 ) -> NDArray[np.float64]:
-    """Return the fraction of ambient light that reaches vertices, in [0, 1].
+    """Return the fraction of ambient light that reaches each vertex, in [0, 1].
 
     Parameters
     ----------
     positions, faces : triangles that block the light
     vertices : rows (N, 6) of position and normal
-    corners : (F, 3), index into ``vertices`` of each corner of ``faces``
+    corners : (F, 3), for each corner of ``faces`` its index into ``vertices``
     """
     try:
         from embreex.mesh_construction import TriangleMesh

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
 
-# Limits of coordinates and extents. Within these limits, areas, squared areas and products of areas
-# with positions neither overflow nor become 0 in float64.
+# Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
+# products of areas with positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
-_MOST_UV = 1e6  # far below this value, float32 already fails to resolve a texel
+_MOST_UV = 1e6  # largest texture coordinate; far below it, float32 already fails to resolve a texel
 _MOST_PIECES = 1024  # every part with its material needs a draw call in each pass
 _FAR = 32.0  # smallest distance of an outlier / distance that includes 90 % of the vertices
 
@@ -93,7 +93,7 @@ def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool
 
 
 def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit normals of triangles (F, 3, 3), multiplied by twice their areas."""
+    """Return normals of triangles (F, 3, 3). Each normal's length is twice the triangle's area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
@@ -110,8 +110,8 @@ def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def _outwardness(corners: NDArray[np.float64]) -> float:
     """Return the area-weighted mean cosine between face normals and directions from the mesh's
-    centre. The mean is near 1 for a closed head or an open mask, and near -1 if the mesh is inside
-    out."""
+    centre to the faces. The mean is near 1 for a closed head or an open mask, and near -1 if
+    the mesh is inside out."""
     normals = _face_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
@@ -193,7 +193,7 @@ def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
-    """Normalise the normals of each piece; compute them if they are missing or bad."""
+    """Normalise each piece's normals. Compute all normals of a piece if any is missing or bad."""
     without = []
     for piece in pieces:
         if piece.normals is not None:
@@ -210,7 +210,7 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _wind_by_normals(piece: Piece) -> None:
-    """Turn faces whose winding contradicts the normals of their vertices."""
+    """Reverse the winding of each face that faces away from the normals of its vertices."""
     a, b, c = (np.take(np.asarray(piece.normals), corner, axis=0) for corner in piece.faces.T)
     agreement = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1)
     piece.faces = np.where((agreement < 0.0)[:, None], piece.faces[:, ::-1], piece.faces)
@@ -246,7 +246,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
                 welded[faces[:, corner]], angle * unit[:, axis], len(normals)
             )
     length = np.linalg.norm(normals, axis=1)
-    # If the normals of opposite faces cancel out, any unit vector will do.
+    # If the normals of opposite faces cancel out, an arbitrary unit vector replaces the sum.
     normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
 
@@ -257,8 +257,8 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return a number for each position. Positions that are equal after rounding to about 2^-21 of
-    the mesh's extent share a number."""
+    """Return an index for each position. Positions that are equal after rounding to about 2^-21 of
+    the mesh's extent share an index."""
     low = positions.min(axis=0)
     extent = float((positions.max(axis=0) - low).max()) or 1.0
     # 2^21 - 2 is even, so that a plane of symmetry is rounded to the middle of a cell.
@@ -270,11 +270,12 @@ def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
 def _wind_consistently(
     faces: NDArray[np.int64], welded: NDArray[np.int64], positions: NDArray[np.float64], name: str
 ) -> NDArray[np.int64]:
-    """Return the faces with consistent winding in each connected surface, facing outwards.
+    """Return the faces, wound consistently and outwards in each connected surface.
 
-    Consistent neighbours traverse their common edge in opposite directions, so a directed edge that
-    occurs twice reveals a contradiction. In that case each face gets two graph nodes, one for
-    each winding. Graph edges connect the nodes of neighbouring faces with consistent windings. A
+    The windings of two neighbouring faces are consistent if the faces traverse their common edge in
+    opposite directions. If no directed edge occurs twice, all windings are already consistent.
+    Otherwise a graph gets two nodes for each face: its original and its reversed winding. A graph
+    edge joins two nodes if their faces are neighbours and their windings are consistent. Each
     connected component of the graph is then one possible winding of a surface.
     """
     first, second = welded[:, [0, 1, 2]].ravel(), welded[:, [1, 2, 0]].ravel()

@@ -24,10 +24,10 @@ class Scattering:
 
     Attributes
     ----------
-    profiles : different profiles, reduced to Gaussians that are wider than half a pixel
-    numbers : for each part the number of its profile, from 1; -1 for a part without scattering
+    profiles : distinct profiles of the parts, without Gaussians narrower than half a pixel
+    numbers : for each part the index of its profile, counted from 1; -1 for no scattering
     millimetres : millimetres per unit of the renderer's space
-    pixels : pixels that a vertical length of 1 covers in the image at depth 1, in the renderer's
+    pixels : height in pixels of an object with height 1 at depth 1, both in the renderer's
         space
     """
 

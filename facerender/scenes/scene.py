@@ -23,7 +23,7 @@ Only = Literal[
     "specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility", "mask", "parts"
 ]
 
-# A pixel is shaded at each of its samples ("sample"), or once per part ("pixel").
+# A pixel is shaded at each of its samples ("sample"), or once for each part in it ("pixel").
 ShadingRate = Literal["sample", "pixel"]
 SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
 

@@ -63,8 +63,8 @@ class Texture:
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     nearest: bool = False
     coarse: bool = False
-    _source: Texture | None = None  # texture with the same image and another sampling
-    _fine: tuple[Texture, int] | None = None  # full texture, and number of levels omitted here
+    _source: Texture | None = None  # texture whose image this one shares, with another sampling
+    _fine: tuple[Texture, int] | None = None  # full texture, and number of omitted finest levels
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class Texture:
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
-        """Return the alpha channel of an image file as a grey texture, or None if there is none.
+        """Return an image file's alpha channel as a grey texture, or None if it has no alpha.
         Raises the errors of :meth:`of`."""
         opened = _opened(content, name)
         if not opened.has_transparency_data:
@@ -208,7 +208,7 @@ class Texture:
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
-        """Return a texture with other sampling that shares the decoded image of this texture.
+        """Return a texture with other sampling, which shares this texture's decoded image.
 
         wrap, nearest : see the attributes of :class:`Texture`
 
@@ -256,7 +256,7 @@ class Texture:
             return image
 
     def band(self, index: int) -> Image:
-        """Return one channel of :meth:`rgb`, in mode L."""
+        """Return one channel of the image from :meth:`rgb`, in mode L."""
         if self._source:
             return self._source.band(index)
         if self._fine:
@@ -297,7 +297,7 @@ class Texture:
         return grey.sampled(*self.sampling) if self.sampling != grey.sampling else grey
 
     def coarser(self, levels: int) -> Texture:
-        """Return a texture of this texture's image without the finest mip levels.
+        """Return a texture of the same image without the finest mip levels.
 
         levels : number of levels to omit
 
@@ -360,8 +360,8 @@ class Texture:
                 self._levels.clear()
 
     def ends(self) -> NDArray[np.uint8]:
-        """Return the minimum and maximum of each channel over the texels of "data", (2, 3). Waits
-        until the mip chain "data" is computed."""
+        """Return the minimum and maximum of each channel over the image, (2, 3). Waits until
+        the mip chain "data" is computed."""
         if self._source:
             return self._source.ends()
         if self._ends is None:
@@ -370,7 +370,7 @@ class Texture:
         return self._ends
 
     def turned_green(self) -> Texture:
-        """Return a normal map with green pointing up, from this one with green pointing down."""
+        """Return this normal map, whose green points down, converted to green pointing up."""
         if self._source:
             return self._source.turned_green().sampled(*self.sampling)
 
@@ -387,7 +387,7 @@ class Texture:
         - "linear-color": linear float16 (H, W, 4), averaged in linear light, for exact comparisons
         - "normal": uint8 (H, W, 4), averaged as unit vectors. Alpha is the slope deviation within
           a texel (``fr_slope_variance_map``), and 0 in the finest level.
-        - "data": uint8 (H, W, 3), averaged without decoding
+        - "data": uint8 (H, W, 3), averaged as stored, without sRGB decoding
         """
         if self._source:
             return self._source.levels(kind)
@@ -397,7 +397,7 @@ class Texture:
                     future = _executor().submit(lambda: self._chain(kind))
                 self._levels[kind] = future
                 if kind != "linear-color":
-                    drop = WeakMethod(self._drop_image)  # a future keeps its callbacks alive
+                    drop = WeakMethod(self._drop_image)  # weak: futures keep callbacks alive
                     future.add_done_callback(lambda chain: (own := drop()) and own(chain))
             return self._levels[kind]
 
@@ -438,12 +438,13 @@ _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDic
 def pack(
     red: Texture | None, green: Texture | None, blue: Texture | None, known: Texture | None = None
 ) -> Texture:
-    """Merge three grey textures into one with the largest of their widths and heights.
+    """Merge three grey textures into the channels of one texture. Its width and height are the
+    largest width and the largest height of the three.
 
     Missing textures become white. The textures must have equal sampling, see
     :attr:`Material.property_map`; the result also has this sampling. Repeated calls with equal
-    arguments return one texture as long as it is in use, so that materials which differ only in
-    factors share the texture.
+    arguments return the same texture as long as it is in use, so that materials which differ only
+    in factors share the texture.
 
     known : packed texture from the cache, which is returned instead of a new texture
     """

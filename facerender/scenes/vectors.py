@@ -24,7 +24,7 @@ ELEVATIONS = Range(-90.0, 90.0, "degrees")
 
 
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a position (3,) in the renderer's space, after a check that float32 can resolve it.
+    """Check that float32 can resolve a position (3,) in the renderer's space, and return it.
 
     Raises
     ------

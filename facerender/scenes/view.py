@@ -20,7 +20,7 @@ from facerender.terms.ranges import range_of
 FRAMING_MARGIN = 1.04
 _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, for rounded sizes
 SIZES = range_of(Camera, "size")
-# Fraction of pixels to ignore, so that a few stretched triangles do not require finer mip levels.
+# Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
 _UNSEEN = 2e-4
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
@@ -34,7 +34,7 @@ class View:
     position : (3,) float64
     forward : (3,) float64, unit vector of the viewing direction
     matrix : (4, 4) float64, view matrix times projection matrix, for row vectors. Clip y = -1 is
-        the top of the image, so that the rows of a framebuffer are in image order
+        the top of the image, so that a framebuffer has its rows from the top down
     """
 
     position: NDArray[np.float64]
@@ -45,7 +45,6 @@ class View:
         """Return the view with its image moved right by x pixels and down by y pixels.
 
         pixels : x and y
-
         size : width and height of the image
         """
         move = np.eye(4)
@@ -53,11 +52,11 @@ class View:
         return replace(self, matrix=self.matrix @ move)
 
     def intrinsics(self, size: tuple[int, int]) -> NDArray[np.float64]:
-        """Return the matrix K, (3, 3), that maps camera space to pixels of an image of this size.
+        """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.
 
-        Pixel x points right, y down. The top left pixel has its corner at (0, 0) and its centre at
-        (0.5, 0.5). Values are rounded to 1e-9 pixels, so that a central principal point is exact.
-        See :meth:`extrinsics` for camera space.
+        Pixel x points right, y down. The image's top left corner is (0, 0); its first pixel's
+        centre is (0.5, 0.5). Values are rounded to 1e-9 pixels, so that a central principal point
+        is exact. See :meth:`extrinsics` for camera space.
         """
         width, height = np.divide(SIZES.check("size", size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
@@ -77,8 +76,8 @@ class View:
 
     @property
     def _lens(self) -> NDArray[np.float64]:
-        """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x and y are
-        x and y of camera space, scaled, plus a multiple of the depth."""
+        """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x is a
+        multiple of camera-space x plus a multiple of the depth; clip y likewise from y."""
         x, y, w = self.matrix[:3, _XYW].T
         lens = np.eye(3)
         for row, axis in enumerate((x, y)):
@@ -128,14 +127,14 @@ def view_of(scene: Scene, aspect: float) -> View:
         raise InputError(f"camera position {camera.position} is at its target; move one of them")
     forward = gaze / distance
     up = np.array([0.0, 1.0, 0.0])
-    if abs(forward[1]) > 0.9999:  # the view from above has the back of the head on top
+    if abs(forward[1]) > 0.9999:  # from above, the image's top shows the back of the head
         up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
     lens = _projection(camera.fov, aspect, eye, forward)
     return View(eye, forward, _look(eye, target, up) @ lens)
 
 
 def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
-    """Return the scene with its image of this size moved right by x pixels and down by y pixels.
+    """Return the scene with its image, of the given size, moved x pixels right and y pixels down.
 
     Raises
     ------
@@ -204,7 +203,7 @@ def _projection(
 
 
 def hidden(scene: Scene, size: tuple[int, ...]) -> str:
-    """Return the reason why an image of this size shows nothing of the mesh, with a remedy."""
+    """Return the reason why an image of the given size shows nothing of the mesh, and a remedy."""
     width, height = size
     view = view_of(scene, width / height)
     places = np.concatenate([scene.mesh.normalised(each.positions) for each in scene.mesh.parts])
@@ -283,7 +282,7 @@ def _framing_distance(
     """Return the camera distance at which a profile fits into the view at every azimuth.
 
     The distance includes FRAMING_MARGIN. As the camera orbits, a vertex at height y and distance r
-    from the axis moves on a circle in the view. top, bottom and side are the camera distances at
+    from the axis moves on a circle relative to it. top, bottom and side are the camera distances at
     which the circle touches the top, bottom and side edges of the view.
     """
     r, y = profile.T

@@ -13,7 +13,7 @@ from pathlib import Path
 from facerender.errors import InputError, reason
 from facerender.system.signals import if_ended
 
-ABANDONED = 3600.0  # seconds until a temporary file counts as abandoned
+ABANDONED = 3600.0  # age in seconds at which a temporary file counts as abandoned
 _UNFINISHED = ".facerender-"  # prefix of temporary files
 
 
@@ -57,8 +57,8 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
-    """Call ``write`` with a temporary path in the folder of ``path``, then rename the file to
-    ``path``.
+    """Call ``write`` with a temporary path in the folder of ``path``, then rename the temporary
+    file to ``path``.
 
     Raises
     ------

@@ -52,7 +52,8 @@ def size() -> int:
 
 
 def read(kind: str, name: str) -> memoryview | None:
-    """Return the content of a cache entry; None if missing or damaged, or if the cache is disabled.
+    """Return the content of a cache entry. Return None if the entry is missing or damaged, or the
+    cache is disabled.
 
     Raises
     ------
@@ -63,7 +64,7 @@ def read(kind: str, name: str) -> memoryview | None:
     path = folder() / kind / name
     try:
         with open_file(path, "an entry") as file:
-            data = np.fromfile(file, dtype=np.uint8).data  # a bytearray is first filled with 0
+            data = np.fromfile(file, dtype=np.uint8).data  # a bytearray would first be filled
     except InputError:
         return None
     with suppress(OSError):  # the file belongs to another user
@@ -76,8 +77,8 @@ def read(kind: str, name: str) -> memoryview | None:
 
 
 def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
-    """Write a cache entry of consecutive pieces, and remove old entries beyond the limit. An entry
-    that alone exceeds the limit is not written.
+    """Write a cache entry that consists of consecutive pieces, and remove the least recently used
+    entries beyond the limit. An entry that alone exceeds the limit is not written.
 
     Raises
     ------
@@ -110,7 +111,7 @@ def _entries() -> list[tuple[float, int, Path]]:
     for path in folder().glob("*/*"):
         try:
             facts = path.stat()
-        except OSError:  # another process removed it
+        except OSError:  # another process removed the entry
             continue
         found.append((facts.st_mtime, facts.st_size, path))
     return found

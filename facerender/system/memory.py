@@ -28,7 +28,7 @@ MIB = 1 << 20
 
 
 def limit(mebibytes: float | None) -> float:
-    """Return the memory limit in MiB: the argument, or resident plus available memory if None."""
+    """Return the memory limit in MiB: the argument or, if None, resident plus available memory."""
     return available() + resident() if mebibytes is None else mebibytes
 
 

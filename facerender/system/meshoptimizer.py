@@ -62,16 +62,16 @@ def collapsed(
     weights: NDArray[np.float32],
     triangles: int,
 ) -> NDArray[np.uint32]:
-    """Collapse edges until at most ``triangles`` faces remain, if possible, without an error limit.
+    """Collapse edges, without an error limit, until at most ``triangles`` faces remain if possible.
 
-    The result (F, 3) contains indices into the same vertices.
+    The result (F, 3) contains indices into ``positions``.
 
     Parameters
     ----------
     faces : (F, 3), indices into positions
     positions : (N, 3)
-    attributes : (N, K), values per vertex, for example the components of its normal
-    weights : (K,); a difference of 1 in an attribute counts as this distance in mesh extents
+    attributes : (N, K), values per vertex, for example the components of the normal
+    weights : (K,); a difference of 1 in an attribute counts as this multiple of the mesh extent
     triangles : target number of faces
     """
     faces, weights = np.ascontiguousarray(faces), np.ascontiguousarray(weights)

@@ -14,7 +14,7 @@ Progress = Callable[[str, float], object]
 
 
 def no_progress(what: str, done: float) -> None:
-    """Ignore progress; used if the caller gives no function."""
+    """Ignore progress; used if the caller gives no progress function."""
 
 
 def shows_bars(quiet: bool) -> bool:

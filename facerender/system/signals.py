@@ -21,13 +21,13 @@ def heed_signals() -> None:
     """Let SIGINT, SIGTERM and SIGPIPE end the process, with the status 130, 143 or 141.
     A KeyboardInterrupt might not end the process, because trimesh discards this exception."""
     for name in ("SIGINT", "SIGTERM", "SIGPIPE"):
-        if hasattr(signal, name):  # Windows lacks some of them
+        if hasattr(signal, name):  # Windows lacks some of these signals
             signal.signal(getattr(signal, name), _end)
 
 
 def heed_the_coordinator() -> None:
     """Let SIGTERM end the process as by default, after unfinished output is removed. Ignore SIGINT:
-    the coordinator of the batch also receives SIGINT, and then sends SIGTERM."""
+    the coordinator of the batch also receives SIGINT, and then sends SIGTERM to this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _end_silently)
 
@@ -106,7 +106,7 @@ def _end_children() -> None:
     parents = {}
     for name in filter(str.isdecimal, os.listdir("/proc")):
         with suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:
-            # State and parent follow the last parenthesis: the name may contain any character.
+            # The parent follows the last parenthesis: a process name may contain any character.
             parents[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
     below = {os.getpid()}
     while more := {child for child, parent in parents.items() if parent in below} - below:

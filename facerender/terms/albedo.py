@@ -10,9 +10,9 @@ Float = NDArray[np.float64]
 
 ENDS = (0.05, 1.0)  # Range of m; values outside are clamped.
 LOWEST = 0.02  # Lowest square root of the cosine; smaller values are clamped.
-RAISED = 0.0061  # Offset added to the fit, so that the fit is nowhere below the integral.
+RAISED = 0.0061  # Added to the fit, so that it is nowhere below the integral of BRDF (N.L).
 # Coefficients of s^i t^j in row i and column j, with s = 2 sqrt(cosine) - 1 and t = m scaled to
-# [-1, 1]. The first table is the factor of f0; the second table is added to it.
+# [-1, 1]. The albedo is f0 times the first polynomial, plus the second polynomial.
 FITS = np.array(
     [
         [
@@ -62,13 +62,13 @@ def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Flo
 
 
 def cook_torrance_albedo_mean(m: ArrayLike, f0: ArrayLike) -> Float:
-    """Return the cosine-weighted mean of :func:`cook_torrance_albedo` over the hemisphere, with the
-    same parameters."""
+    """Return the cosine-weighted mean of :func:`cook_torrance_albedo` over the hemisphere; for
+    m and f0 see that function."""
     return np.asarray(_coefficients(m, f0) @ MEANS)
 
 
 def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -> Float:
-    """Return the factor on a Lambertian term that makes it energy-conserving.
+    """Return the factor that makes a Lambertian term energy-conserving.
 
     The factor is (1 - albedo_l) (1 - albedo_v)/(1 - mean). It keeps the BRDF reciprocal.
 
@@ -76,7 +76,7 @@ def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -
     ----------
     albedo_l, albedo_v : directional albedos of the specular term for the directions to the light
         and to the camera, times the specular weight; clamped to at most 1
-    mean : cosine-weighted mean of this albedo over the hemisphere; clamped to at most 0.5
+    mean : cosine-weighted mean of the directional albedo over the hemisphere, at most 0.5 (clamped)
 
     References: Kelemen and Szirmay-Kalos (2001).
     """

@@ -2,7 +2,7 @@
 
 ``scenes/environment.py`` computes the maps and coefficients.
 
-Vectors are arrays of shape (..., 3) that broadcast against one another, m of shape (...).
+Vectors are arrays of shape (..., 3) that broadcast against one another; m has the shape (...).
 ``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order. The parameter
 ``samples`` replaces the macro FR_ENVIRONMENT_SAMPLES.
 """
@@ -29,8 +29,8 @@ Float = NDArray[np.float64]
 
 SAMPLES = 32  # Value of FR_ENVIRONMENT_SAMPLES in GLSL.
 _COARSEST = 2  # Logarithm (base 2) of the side of the last level in texels.
-_NEAR = 1e-3  # Sine between camera direction and normal; smaller sines get an arbitrary tangent.
-_TURN = 1.94161104  # Radians between consecutive slopes: pi over the golden ratio.
+_NEAR = 1e-3  # Sine of the angle between v and n; for smaller sines the tangent is arbitrary.
+_TURN = 1.94161104  # Radians between consecutive sampled slopes: pi over the golden ratio.
 
 
 def harmonics(n: ArrayLike) -> Float:
@@ -50,7 +50,7 @@ def environment_irradiance(sh: ArrayLike, n: ArrayLike) -> Float:
 
 
 def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: ArrayLike) -> Float:
-    """Return the mean radiance (..., 3) within a solid angle around directions.
+    """Return the mean radiance (..., 3) within a solid angle around each direction.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: A
 
 
 def level_at(map: NDArray[np.generic], size: int, place: Float, level: NDArray[np.int64]) -> Float:
-    """Return the values (..., 3) of levels (...) of a map at positions (..., 2) in [0, 1]."""
+    """Return the values (..., 3) of a map at positions (..., 2) in [0, 1], in levels (...)."""
     side = size >> level
     texel = place * side[..., None] + 0.5
     low = np.floor(texel)
@@ -108,7 +108,7 @@ def environment_cook_torrance(
     n, v : unit vectors: normal, direction to the camera
     m : roughness: RMS slope of the microfacets, in [1e-4, 2]
     f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
-    samples : number of samples, even
+    samples : number of sampled directions, even
     """
     factors = {"fresnel_term": fresnel_term, "masking_term": masking_term}
     brdf = partial(cook_torrance, f0=f0, **factors)
@@ -171,7 +171,7 @@ def reflected(
 def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
     """Return two tangent axes of normals (..., 3).
 
-    The first axis points along the tangential part of the camera direction. This axis is arbitrary
+    The first axis points along the tangential part of the camera direction. It is arbitrary
     where the camera looks along the normal.
     """
     aside = v - dot(n, v)[..., None] * n
@@ -193,13 +193,13 @@ def environment_sample(
     *,
     samples: int = SAMPLES,
 ) -> tuple[Float, Float]:
-    """Return the direction (..., 3) of one sample of the lobe, and its solid angle (...) in sr.
+    """Return direction (..., 3) and solid angle (...), in sr, of one sample of the lobe.
 
     Parameters
     ----------
     axes : result of :func:`environment_axes`
-    towards : direction of the slope in these axes, (2,)
-    i : number of the slope, from 0 to samples/2 - 1
+    towards : direction of the slope relative to `axes`, (2,)
+    i : index of the slope, from 0 to samples/2 - 1
     """
     rest = 1.0 - (i + 0.5) / (samples // 2)
     radius = m * np.sqrt(-np.log(rest))

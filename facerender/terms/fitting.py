@@ -15,16 +15,16 @@ G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # Each power needs few product
 
 @lru_cache(maxsize=1024)
 def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | None:
-    """Return the best g-power lobe for a range of slopes; None if its domain excludes an end of it.
+    """Return the best g-power lobe for a range of slopes; None if the range leaves its domain.
 
-    For one slope the lobe is the best uniform approximation of the exact lobe. For a range it
-    is the lobe that is closest to the best approximations at five slopes of the range.
+    For one slope the lobe is the best uniform approximation of the exact lobe. For a range,
+    least squares fit its steepness to the best approximations at five slopes of the range.
 
     Parameters
     ----------
     k : 4 for Cook-Torrance, 0 for Ward
     g : power, in 1 to 31
-    smallest, largest : range of the RMS slopes, in the domain of the exact lobe
+    smallest, largest : ends of the range of RMS slopes, in the domain of the exact lobe
     """
     slopes = np.unique(np.geomspace(smallest, largest, 5)) if smallest < largest else [smallest]
     best = np.array([_steepness(k, g, m) for m in slopes])
@@ -39,8 +39,8 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
 
 
 def _steepness(k: int, g: int, m: float) -> float:
-    """Return the steepness of the g-power whose largest errors above and below the exact lobe are
-    equal. Bisection finds this steepness, because a steeper lobe is lower at every
+    """Return the steepness of the g-power lobe whose largest errors above and below the exact lobe
+    are equal. Bisection finds this steepness, because a steeper lobe is lower at every
     angle."""
     c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # The lobe is tiny at larger angles.
     exact = lobes.exact(c, m, k)

@@ -23,7 +23,7 @@ class Fresnel(Entry):
     number : value of the macro, unique
     evaluate : float64 reference; checks the domain
     rounding : float32 error bounds, relative and absolute, as a function of f0 and V.H
-    exactness : rank among the terms; a plan may replace a term by terms of equal or lower rank
+    exactness : rank among Fresnel terms; a plan may replace a term by terms of equal or lower rank
     """
 
     number: int
@@ -75,7 +75,7 @@ def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
     root = np.sqrt(_check_f0(f0))
     q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1.
     c = np.clip(np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
-    g = np.sqrt(q + c**2)  # The cosine of the refracted ray, times eta.
+    g = np.sqrt(q + c**2)  # eta times the cosine of the angle of refraction.
     # Amplitudes (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g): with c - g = -q/(c + g) no digits
     # cancel. At c = 0 and f0 = 0 both amplitudes are 0/0; their limit for c > 0 is 0.
     total = np.maximum(c + g, 1e-300)

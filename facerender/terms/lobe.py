@@ -1,6 +1,6 @@
 """The lobe E/c^k and its approximations: registry entries and float64 references.
 
-All models use the slope factor E = exp(-tan² γ / m²) divided by a power of c = cos γ: k = 4 in
+All models use the slope factor E = exp(-tan² γ / m²) divided by c^k with c = cos γ: k = 4 in
 Cook-Torrance, k = 0 in Ward. Every lobe has the value 1 at c = 1 (γ = 0); the models
 (``model.py``) multiply it by their scale. ``lobes.NAME`` is ``fr_lobe_NAME`` in GLSL.
 """
@@ -48,9 +48,9 @@ class Lobe(Entry):
     colour : colour in plots
     macro : macro that selects the lobe
     macros : values of further macros, keyed by their names
-    price : name in tables of prices; lobes of the same cost share one name
+    price : key in tables of prices; lobes of the same cost share one key
     constants : macro of the coefficients for a constant m, and the float64 function of m and k that
-        computes them
+        computes the coefficients
     of_tan2 : only for the exact lobe: float64 reference as a function of tan² γ instead of c, which
         keeps the digits of small angles
     """
@@ -74,7 +74,7 @@ class Lobe(Entry):
         object.__setattr__(self, "price", self.price or self.name)
 
     def belongs(self, m: ArrayLike, k: int) -> NDArray[np.bool_]:
-        """Return which slopes are in the domain.
+        """Return whether each slope is in the domain of the lobe.
 
         At ends that belong to the domain, the relative tolerance is 1e-6, because a G-buffer stores
         m as float32.
@@ -133,7 +133,7 @@ class PowerPolynomial:
         return np.asarray(scaled / w ** np.arange(1, table.shape[1] + 1))
 
     def magnitudes(self, m: ArrayLike) -> Float:
-        """Return the sums of absolute terms of a₁ m², a₂ m⁴, ...; the rounding scales with them."""
+        """Return the sum of the absolute terms of each a₁ m², a₂ m⁴, ...; it scales rounding."""
         w = np.asarray(m, dtype=np.float64)[..., None] ** 2
         return np.asarray(sum(np.abs(row) * w**j for j, row in enumerate(self.table)))
 
@@ -580,16 +580,16 @@ def lobe(name: AnyLobe, c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 
 def max_slope(name: AnyLobe, k: int) -> float:
-    """Return the upper end of the domain of m of a lobe.
+    """Return the upper end of a lobe's domain of m.
 
-    The end belongs to the domain, except for the cosine power and D4, D8 and D16 in Cook-Torrance:
+    The end belongs to the domain, except in Cook-Torrance for the cosine power, D4, D8 and D16:
     their exponent n = 2/m² - k must be positive.
     """
     return lobe_entry(name).end(k)
 
 
 def in_domain(m: ArrayLike, name: AnyLobe, k: int) -> NDArray[np.bool_]:
-    """Return which slopes are in the domain of a lobe; see :meth:`Lobe.belongs`.
+    """Return whether each slope is in the domain of a lobe; see :meth:`Lobe.belongs`.
 
     Raises
     ------

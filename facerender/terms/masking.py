@@ -56,7 +56,7 @@ def masking_v_cavity(
 
 
 def masking_kelemen(v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike) -> Float:
-    """Return Kelemen masking (N.L)(N.V)/(V.H)², which cancels the divisor of the BRDF.
+    """Return Kelemen masking (N.L)(N.V)/(V.H)², which cancels (N.L)(N.V) in the BRDF's divisor.
 
     The value is between 0.5 and 1 times :func:`masking_v_cavity`.
 

@@ -3,7 +3,7 @@
 ``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order. Directions are unit
 vectors (..., 3) that broadcast against one another: ``n`` is the normal, ``l`` the direction to
 the light, ``v`` the direction to the camera. BRDFs are in 1/sr, without N.L, for a specular weight
-of 1. As in the shaders, they are exactly 0 if N.L or N.V is at most 0. Cook-Torrance with Kelemen
+of 1. As in the shaders, BRDFs are exactly 0 if N.L or N.V is at most 0. Cook-Torrance with Kelemen
 masking or without masking is also 0 if N.L or N.V is at most 1e-6. Ward is also 0 if (N.L)(N.V) is
 at most 1e-12.
 """
@@ -45,8 +45,8 @@ class Model(Entry):
     factors : whether the model has a Fresnel term and a masking term
     family : name of a group of models that agree if the directions to the light and to the camera
         equal the normal; a plan may replace a model by another model of its family
-    printed : GLSL call of the literal form as published; "" if there is none
-    two : entry of the model with two lobes; the call also uses ``{second}``, the second slope, and
+    printed : GLSL call of the formula as published by Romanyuk et al. (2020); "" if there is none
+    two : entry of the model with two lobes; its call also uses ``{second}``, the second slope, and
         float lobe_weight. None if the weighted mean of two calls costs the same
     environment : entry of the radiance (vec3) that the exact lobe reflects from
         ``environment_map``. The call uses environment_size and the variables of the model except l

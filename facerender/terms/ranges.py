@@ -121,7 +121,7 @@ def range_of(kind: type, name: str) -> Range:
 
 
 def check_fields(value: object, prefix: str = "") -> None:
-    """Check and convert the fields with a range and the switches of a frozen dataclass.
+    """Check and convert, in a frozen dataclass, the fields that have a range and the switches.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from facerender.errors import InputError, shown
 Float = NDArray[np.float64]
 Gaussians = tuple[tuple[float, float, float, float], ...]  # Variance in mm^2; RGB weights.
 
-# Named profiles of materials. The skin has three layers: d'Eon and Luebke (2007), GPU Gems 3,
+# Named profiles of materials. "skin" models three layers: d'Eon and Luebke (2007), GPU Gems 3,
 # chapter 14.
 PROFILES: dict[str, Gaussians] = {
     "skin": (
@@ -30,7 +30,7 @@ PROFILES: dict[str, Gaussians] = {
 }
 MOST = 16  # Largest number of Gaussians in a profile.
 MOST_VARIANCE = 1e4  # Largest variance of a Gaussian, in mm^2.
-NARROW = 0.5  # In pixels; Gaussians with a smaller standard deviation are left out.
+NARROW = 0.5  # Standard deviation in pixels; narrower Gaussians are left out.
 _OWN = 1e-3
 _WORD = 1 << 32  # Number of values of GLSL's uint.
 _ANGLE = 2.39996323
@@ -81,7 +81,7 @@ def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
 
 
 def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
-    """Return the fraction of light that leaves at a distance from its entry, per mm^2: (..., 3).
+    """Return the fraction of light, per mm^2, that leaves at a distance from its entry, (..., 3).
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
 
 
 def rest(gaussians: Gaussians) -> Float:
-    """Return the fraction of each channel that the Gaussians do not scatter, (3,)."""
+    """Return the fraction of light in each channel that the Gaussians do not scatter, (3,)."""
     return np.asarray(np.maximum(1.0 - _columns(gaussians)[1].sum(axis=0), 0.0))
 
 
@@ -117,7 +117,7 @@ def spiral(gaussians: Gaussians, samples: int) -> Float:
 
 
 def scatter_area(c: ArrayLike) -> Float:
-    """Return the surface area that a pixel shows, divided by the area if it faces the camera.
+    """Return the surface area that a pixel shows, relative to a surface that faces the camera.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def scatter(
     ----------
     light : irradiance (H, W, 3)
     place : positions (H, W, 3)
-    number : numbers (H, W), equal for surfaces that scatter into each other
+    number : profile indices (H, W), equal for surfaces that scatter into each other
     area : result of :func:`scatter_area`, (H, W)
     pixels : mask of the N pixels, (H, W)
     scale : pixels per millimetre, (N,)

@@ -20,7 +20,7 @@ _LEAST_V_DOT_H2 = 0.05
 
 
 def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
-    """Return the RMS slope for m and an additional slope variance, clamped to [1e-4, 2].
+    """Return the RMS slope, clamped to [1e-4, 2], for m and an additional slope variance.
 
     Parameters
     ----------

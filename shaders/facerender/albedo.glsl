@@ -75,12 +75,12 @@ float fr_cook_torrance_albedo_mean(float m, float f0) {
     return fr_albedo_mean(fr_albedo_fit(m, f0));
 }
 
-// Factor on a Lambertian BRDF that makes the diffuse term energy-conserving.
+// Factor that makes a Lambertian diffuse term energy-conserving.
 //
 //   formula:             (1 - albedo_l) (1 - albedo_v)/(1 - mean)
 //   albedo_l, albedo_v:  Directional albedos of the specular term for the directions to the light
 //                        and to the camera, times the specular weight; each clamped to at most 1.
-//   mean:                Cosine-weighted mean of this directional albedo over the hemisphere;
+//   mean:                Cosine-weighted mean of the directional albedo over the hemisphere;
 //                        clamped to at most 0.5.
 //   unit:                none
 //   returns:             In [0, 2].

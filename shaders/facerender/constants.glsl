@@ -2,9 +2,9 @@
 #ifndef FR_CONSTANTS_GLSL
 #define FR_CONSTANTS_GLSL
 
-// Fragment shaders of GLSL ES have no default float precision, and in mediump tan^2(gamma)/m^2
-// overflows at m = 0.004. This precision statement also applies to the host's code after the
-// include. A host that needs another precision declares that precision after its includes.
+// Fragment shaders of GLSL ES have no default float precision, and in mediump the lobe's
+// exponent tan^2(gamma)/m^2 overflows at m = 0.004. This statement also applies to the host's code
+// after the include. A host that needs another precision declares it after its includes.
 #ifdef GL_ES
 precision highp float;
 #endif
@@ -13,7 +13,7 @@ precision highp float;
 #define FR_LOG2_E 1.44269504088896
 #define FR_LN_2 0.693147180559945
 
-// Power k of 1/cos(gamma) in the lobe E/c^k of each model.
+// Power k in the lobe E/c^k of each model, with c = cos(gamma) = N.H.
 #define FR_K_COOK_TORRANCE 4
 #define FR_K_WARD 0
 
@@ -22,9 +22,10 @@ precision highp float;
 // BRDF that is unbounded at the horizon returns 0 for cosines up to this value.
 #define FR_MIN_COSINE 1e-6
 
-// BRDFs add this value to the divisors (N.L)(N.V), (N.h)^2 and m^2. The product of three such
-// values is 6.4e-38. This product and its inverse are in the normal range of float32, 1.2e-38 to
-// 3.4e38. The addition is free as part of a multiply-add; a comparison would cost an instruction.
+// BRDFs add this value to the divisors (N.L)(N.V), (N.h)^2 and m^2. If all three are 0, the
+// product of the sums is 6.4e-38. This product and its inverse are in the normal range of float32,
+// 1.2e-38 to 3.4e38. The addition is free as part of a multiply-add; a comparison would cost an
+// instruction.
 #define FR_FLOOR 4e-13
 
 // Smallest slope m. Its square is 2.5e4 times FR_FLOOR, and the peak 1/(4 m^2) of the distribution

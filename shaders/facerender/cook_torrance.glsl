@@ -32,7 +32,7 @@
 #include "fresnel.glsl"
 #include "masking.glsl"
 
-// Constant factor of the Cook-Torrance BRDF; the Fresnel functions multiply by it (fresnel.glsl).
+// Constant factor of the Cook-Torrance BRDF, an argument of the Fresnel functions (fresnel.glsl).
 //
 //   formula:  ln 2/(4 pi) for the exact lobe, where fr_cook_torrance_parts divides by m^2 ln 2
 //             instead of m^2; 1/(4 pi) for other lobes
@@ -44,7 +44,7 @@ float fr_cook_torrance_scale(int lobe) {
     return lobe == FR_LOBE_EXACT ? 0.25 * FR_LN_2 / FR_PI : 0.25 / FR_PI;
 }
 
-// Cook-Torrance BRDF without Fresnel term and constant factor, and the cosine for the Fresnel term.
+// Pair (x, y): the Cook-Torrance BRDF without Fresnel term and constant factor, and V.H.
 //
 //   formula:  x = G D/(pi (N.L)(N.V)) divided by fr_cook_torrance_scale, y = V.H
 //   lobe:     FR_LOBE_EXACT or another macro of lobe.glsl, a constant.
@@ -88,7 +88,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
     return vec2(value * (masked.x * inverse), 0.5 * h_dot_h * inverse_length);
 }
 
-// Cook-Torrance specular BRDF with the terms as arguments.
+// Cook-Torrance specular BRDF with the terms that the arguments select.
 // Programs with different terms per light, or with two lobes, use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the

@@ -10,8 +10,8 @@
 //   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
 //   returns:  Finite and >= 0; 0 if N.L or N.V is at most FR_MIN_COSINE.
 //   error:    If N.L and N.V are at least 0.05: 1 % of the BRDF in the same directions, computed
-//             with the highest value of the lobe. The divisor raises smaller cosines to 0.05, so
-//             that the result is too low.
+//             with the highest value of the lobe. Smaller cosines are raised to 0.05 in the
+//             divisor, so that the result is too low.
 //   source:   See cook_torrance.glsl. G/((N.L)(N.V)) is min(1/low, 4 n.h/h.h)/high, where low is
 //             the smaller and high the larger of N.L and N.V.
 #ifndef FR_COOK_TORRANCE_HALF_GLSL

@@ -20,7 +20,7 @@
 #include "fresnel.glsl"
 #include "masking.glsl"
 
-// Cook-Torrance specular BRDF with two lobes and the terms as arguments.
+// Cook-Torrance specular BRDF with two lobes and the terms that the arguments select.
 // Programs with different terms per light use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl for both lobes, a

@@ -56,7 +56,7 @@ vec3 fr_environment_irradiance(vec3[9] sh, vec3 n) {
 //
 //   formula:  bilinear interpolation between four texels
 //   place:    Position in the level, from lower left to upper right, in [0, 1].
-//   level:    Number of the level, from 0.
+//   level:    Index of the level, from 0.
 //   returns:  Within the range of values of the map.
 //   error:    float32 rounding: 3e-7 times the side of the level in texels, times the largest
 //             difference of adjacent texels.
@@ -121,10 +121,10 @@ mat2x3 fr_environment_axes(vec3 n, vec3 v) {
 //   formula:  half vector n + s with |s|^2 = -m^2 ln(rest), l = 2 (V.H) H - V,
 //             solid angle 4 pi m^2 (V.H) (N.H)^3/(N rest), rest = 1 - (i + 1/2)/(N/2)
 //   axes:     Result of fr_environment_axes.
-//   towards:  Unit vector: direction of the slope in these axes, at the angle 1.94161104 i radians
+//   towards:  Unit vector: direction of the slope in `axes`, at the angle 1.94161104 i radians
 //             or opposite. The caller rotates this vector from slope to slope, because drivers need
 //             not compute sin and cos accurately.
-//   i:        Number of the slope, from 0 to N/2 - 1, with N = FR_ENVIRONMENT_SAMPLES.
+//   i:        Index of the slope, from 0 to N/2 - 1, with N = FR_ENVIRONMENT_SAMPLES.
 //   unit:     l: none; solid angle: sr
 //   returns:  l in xyz, its solid angle in w; w <= 0 if the half vector faces away from the camera.
 //   error:    float32 rounding: 2e-6 (absolute) for l, 2e-6 (relative) for the solid angle.

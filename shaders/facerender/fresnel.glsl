@@ -1,6 +1,6 @@
 // Fresnel reflectance of a dielectric in air for unpolarised light.
-// The host selects the term that fr_fresnel computes: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. The
-// default is FR_FRESNEL_SCHLICK.
+// The macro FR_FRESNEL selects the formula of fr_fresnel: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC.
+// The default is FR_FRESNEL_SCHLICK.
 //
 //   formula:  see fresnel/*.glsl; f0 for FR_FRESNEL_CONSTANT
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1); 0.028 for skin, with index of
@@ -10,7 +10,7 @@
 //   fresnel:  FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    See fresnel/*.glsl. FR_FRESNEL_CONSTANT is too low by up to 1 - f0, the error at 90
+//   error:    See fresnel/*.glsl. FR_FRESNEL_CONSTANT is too low by up to 1 - f0, reached at 90
 //             degrees.
 //   source:   See fresnel/*.glsl.
 #ifndef FR_FRESNEL_GLSL
@@ -28,14 +28,14 @@
 #define FR_FRESNEL FR_FRESNEL_SCHLICK
 #endif
 
-// Fresnel reflectance; a constant argument selects the term.
+// Fresnel reflectance by the formula that the argument `fresnel` selects (a compile-time constant).
 float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {
     if (fresnel == FR_FRESNEL_CONSTANT) return f0;
     if (fresnel == FR_FRESNEL_DIELECTRIC) return fr_fresnel_dielectric(f0, v_dot_h);
     return fr_fresnel_schlick(f0, v_dot_h);
 }
 
-// Fresnel reflectance times a constant factor; a constant argument selects the term.
+// Constant factor times the Fresnel reflectance by the formula that `fresnel` selects.
 //
 //   scale:    Constant factor, in (0, 1].
 //   returns:  In [0, scale].
@@ -45,7 +45,7 @@ float fr_fresnel_times(float scale, float f0, float v_dot_h, int fresnel) {
     return fr_fresnel_schlick_times(scale, f0, v_dot_h);
 }
 
-// Fresnel reflectance; FR_FRESNEL selects the term.
+// Fresnel reflectance by the formula that the macro FR_FRESNEL selects.
 float fr_fresnel(float f0, float v_dot_h) {
     return fr_fresnel_of(f0, v_dot_h, FR_FRESNEL);
 }

@@ -24,7 +24,7 @@
 #define FR_SMALL_SLOPE 1
 #endif
 
-// Squared length of the half vector.
+// Squared length of the half vector, plus FR_FLOOR.
 //
 //   formula:  |h|^2 + FR_FLOOR; because of FR_FLOOR, the result may be a divisor
 //   returns:  > 0.

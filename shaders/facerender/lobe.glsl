@@ -1,12 +1,12 @@
-// Lobe that the host selects by FR_LOBE at compile time, or by a constant argument. The default is
-// the exact lobe.
+// Lobe that the macro FR_LOBE or the argument `lobe` selects at compile time. FR_LOBE is the exact
+// lobe by default.
 //
 //   formula:  E/c^k, E = exp(-tan^2(gamma)/m^2), or its approximation by the selected lobe
 //   c:        Cosine of the angle between normal and half vector, in [0, 1].
 //   m:        Roughness: RMS slope of the microfacets, in the domain of the selected lobe.
 //   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
 //   lobe:     FR_LOBE_EXACT or another macro below, a constant that the compiler folds. Only the
-//             lobe of FR_LOBE is available; for other lobes the functions return -1. #define
+//             lobe that FR_LOBE names is available; for others the functions return -1. #define
 //             FR_LOBE FR_LOBE_EVERY makes all lobes available; functions without this argument then
 //             use the exact lobe.
 //   unit:     none
@@ -75,7 +75,7 @@
 #define FR_STEEPNESS(m, k) ((2.0 / ((m) * (m)) - float(k)) / float(FR_G))
 #endif
 
-// Lobe for callers that already have 1/m^2, such as a BRDF; a constant argument selects the lobe.
+// Lobe that the argument `lobe` selects, for callers that already have 1/m^2, such as a BRDF.
 //
 //   inverse_m2:  1/m^2.
 float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
@@ -109,12 +109,12 @@ float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
     return -1.0;
 }
 
-// Lobe that a constant argument selects.
+// Lobe that the argument `lobe` selects.
 float fr_lobe_of(float c, float m, int k, int lobe) {
     return fr_lobe_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
 }
 
-// Lobe that the host selects, for example by #define FR_LOBE FR_LOBE_D16.
+// Lobe that the macro FR_LOBE selects, for example by #define FR_LOBE FR_LOBE_D16.
 float fr_lobe(float c, float m, int k) {
     return fr_lobe_of(c, m, k, FR_DEFAULT_LOBE);
 }

@@ -25,7 +25,7 @@ precision highp sampler2D;
 precision highp int;
 #endif
 
-// Number of pixels that fr_scatter samples.
+// Number of pixels that fr_scatter samples around each pixel.
 #ifndef FR_SCATTER_SAMPLES
 #define FR_SCATTER_SAMPLES 16
 #endif
@@ -94,8 +94,8 @@ float fr_scatter_turn(ivec2 pixel) {
 //             distance between the surface positions in the pixel and in pixel i. Both sums include
 //             the pixel itself with w = 1e-3, in case no other surface is near. Pixels outside the
 //             image are skipped.
-//   error:    At 99 % of the pixels of a face, at most 17 8-bit levels with 8 samples, 11 levels
-//             with 16, 8 levels with 32, 7 levels with 64. Float32 rounding: 1e-5 of the largest
+//   error:    In 8-bit levels, at 99 % of the pixels of a face: at most 17 with 8 samples, 11
+//             with 16, 8 with 32, 7 with 64. Float32 rounding: 1e-5 of the largest
 //             irradiance, except where a sample rounds into another pixel.
 vec3 fr_scatter(
     sampler2D light, sampler2D place, ivec2 pixel, float scale,

@@ -2,9 +2,9 @@
 //
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    docs/measurements/skin.md compares with ray tracing. Float32 rounding: none, except
-//             where a depth equals the depth in the map within rounding; the texel then counts as
-//             lit or as dark.
+//   error:    docs/measurements/skin.md compares with ray-traced shadows. Float32 rounding: none,
+//             except where a depth equals the depth in the map within rounding; the texel then
+//             counts as lit or as dark.
 //   source:   Williams (1978), "Casting curved shadows on curved surfaces"; discs: Fernando (2005),
 //             "Percentage-closer soft shadows".
 //
@@ -30,7 +30,7 @@
 precision highp sampler2D;
 #endif
 
-// Number of samples that fr_shadow_disc takes for the search of occluders, and again for the
+// Number of samples that fr_shadow_disc takes for the search for occluders, and again for the
 // visible fraction.
 #ifndef FR_SHADOW_SAMPLES
 #define FR_SHADOW_SAMPLES 12

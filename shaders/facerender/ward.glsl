@@ -18,7 +18,7 @@
 #include "half_vector.glsl"
 #include "lobe.glsl"
 
-// Ward's isotropic specular BRDF with the lobe as an argument.
+// Ward's isotropic specular BRDF with the lobe that the argument `lobe` selects.
 // Programs with different lobes per light use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the
@@ -37,7 +37,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
         float along = n_dot_h * n_dot_h + FR_FLOOR;
         float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w.
         float x = fr_half_vector(n, h, n_dot_h).y / (along * w);
-        // -4.1802625 is log2(ln 2/(4 pi)), the constant factor.
+        // The BRDF is ln 2/(4 pi) E/(w sqrt(product)); log2(ln 2/(4 pi)) is -4.1802625.
         value = exp2(-4.1802625 - x) * inversesqrt(w * w * product);
     } else
 #endif
@@ -51,7 +51,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     return product > FR_MIN_COSINE * FR_MIN_COSINE ? value : 0.0;
 }
 
-// Ward's isotropic specular BRDF with the lobe that the host selects.
+// Ward's isotropic specular BRDF with the lobe that the macro FR_LOBE selects.
 float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
     return fr_ward_terms(n, l, v, m, FR_DEFAULT_LOBE);
 }

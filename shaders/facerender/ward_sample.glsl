@@ -8,9 +8,9 @@
 //   u:        Two random numbers, uniform in [0, 1).
 //   unit:     none for the sample; 1/sr for the density
 //   returns:  A unit vector l. If N.L <= 0, l points below the surface and the BRDF is 0. The
-//             weight of the sample, BRDF (N.L)/density, is c^3 (V.H) sqrt((N.L)/(N.V)); it is
-//             unbounded only for grazing N.V. If the half vector points away from the camera, l is
-//             -n.
+//             weight of the sample, BRDF (N.L)/density, is c^3 (V.H) sqrt((N.L)/(N.V)); this weight
+//             is unbounded only for grazing N.V. If the half vector points away from the camera, l
+//             is -n.
 //   error:    At most 1e-5 per component of l in float32, or 2^-10 if sine and cosine are only as
 //             accurate as Vulkan requires.
 //   source:   Ward (1992); Walter (2005), "Notes on the Ward BRDF".

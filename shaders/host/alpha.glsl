@@ -20,7 +20,7 @@ float opacity_here() {
 }
 
 #ifdef DEPTH_PEELING
-// Previous layer of depth peeling. red: depth; green: number of the triangle; alpha: 0 if there is
+// Previous layer of depth peeling. red: depth; green: index of the triangle; alpha: 0 if there is
 // no layer.
 uniform sampler2D previous_layer;
 

@@ -1,13 +1,12 @@
-// Pixels that scatter light, and the number of their profile, from the texture `place` of
-// facerender/scatter.glsl.
+// Pixels that scatter light. `place` is described in facerender/scatter.glsl; its w is the index of
+// the profile, -1 for none.
 // SEVERAL is defined if a pixel has several samples.
 uniform sampler2D image;
 uniform sampler2D place;
 uniform float profile;
 
-// Return the pixel whose surface represents a pixel: usually the pixel itself.
-// If no surface covers the centre of the pixel, but a surface covers other samples, return a
-// neighbour.
+// Return the pixel whose surface represents `pixel`: usually `pixel` itself.
+// If no surface covers its centre, but a surface covers other samples of it, return a neighbour.
 ivec2 stand_in(ivec2 pixel) {
 #ifdef SEVERAL
     if (texelFetch(image, pixel, 0).a == 0.0) return pixel;

@@ -1,12 +1,12 @@
 // Radiance of a point: the sum of irradiance x N.L x BRDF over all lights, plus the ambient term.
 // drawing/program.py writes the text before this file:
 // - the includes of the kinds of lights;
-// - EVERY_LIGHT, which calls add_light for each light with the number of the light's specular term,
+// - EVERY_LIGHT, which calls add_light for each light with the index of the light's specular term,
 //   or -1 for none;
 // - if a light has a specular term: SPECULAR and specular_term(term, n, l, v, m, f0); with
 //   TWO_LOBES the arguments second_m and lobe_weight precede f0;
 // - with ENVIRONMENT_SAMPLES: ENVIRONMENT_RADIANCE, the reflected environment light as an
-//   expression of n, v and the arguments of specular_term after v.
+//   expression of n, v and the arguments that follow v in specular_term.
 #include "facerender/constants.glsl"
 #ifdef COUPLED
 #include "facerender/albedo.glsl"
@@ -32,7 +32,7 @@
 uniform float diffuse_brdf;  // kd/pi.
 uniform float f0;
 #ifdef AMBIENT
-uniform vec3 ambient;  // Irradiance, the same from every direction.
+uniform vec3 ambient;  // Irradiance, the same for every normal.
 #endif
 #ifdef VISIBLE
 uniform vec3 background;
@@ -49,7 +49,7 @@ layout(location = 3) out vec4 albedo;
 #endif
 layout(location = 1) out vec4 light;  // See facerender/scatter.glsl.
 layout(location = 2) out vec4 place;
-uniform float profile;  // Number of the scattering profile of the part, -1 for none.
+uniform float profile;  // Index of the part's scattering profile, -1 for none.
 #else
 out vec4 radiance;
 #endif

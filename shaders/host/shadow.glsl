@@ -1,5 +1,5 @@
 // Visibility of the shadow-casting lights at a point.
-// SHADOWS is the number of these lights. SHADOW_DISCS is defined if some of them are area lights.
+// SHADOWS is the number of these lights. SHADOW_DISCS is defined if any of the lights has a radius.
 #include "facerender/shadow.glsl"
 
 uniform sampler2D shadow_map;  // One square tile per light, side by side.
@@ -22,8 +22,8 @@ vec2 plane_of(mat4 view, vec3 at, Point p) {
 }
 #endif
 
-// Return the visible fraction of a light. `below` is the sine of the angle below the horizon down
-// to which the light is visible.
+// Return the visible fraction of a light. The light is visible down to an angle below the
+// horizon; `below` is its sine.
 float visibility(int i, Surface s, Point p, vec3 direction, float below) {
     bool dark = dot(s.normal, direction) <= -below;
     int texels = textureSize(shadow_map, 0).y;

@@ -68,7 +68,7 @@ struct Surface {
 #ifdef NORMAL_MAP
 // Tangent frame from screen-space derivatives: Schueler (2006), "Normal mapping without precomputed
 // tangents". The sign of the determinant handles mirrored charts and a flipped screen. The frame
-// does not depend on the length or the sign of the normal; `facing` is this sign.
+// does not depend on the length or the sign of the normal; `facing` is the sign.
 vec3 mapped_normal(Point p, float square, float facing) {
     vec3 across_y = cross(p.position_y, p.normal);
     vec3 across_x = cross(p.normal, p.position_x);
@@ -165,7 +165,7 @@ Surface surface(Point p) {
 #endif
 #endif
 #ifdef VERTEX_OCCLUSION
-    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // Extrapolated beyond triangle edges.
+    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // May be extrapolated beyond an edge.
 #endif
 #ifdef TWO_LOBES
     s.second_m = s.m * second_slope;

@@ -1,5 +1,5 @@
-// Number of the triangle that a sample sees.
-// The triangles of all parts are numbered consecutively; `first` is the number of the part's first
+// Index of the triangle that a sample sees.
+// The triangles of all parts are numbered consecutively; `first` is the index of the part's first
 // triangle. Float32 represents all whole numbers up to 2^24.
 uniform int first;
 out float triangle;

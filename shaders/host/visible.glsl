@@ -4,10 +4,10 @@ uniform sampler2DMS visible;
 #else
 uniform sampler2D visible;
 #endif
-uniform int first;        // Number of the first triangle of the part.
+uniform int first;        // Index of the first triangle of the part.
 uniform int triangle_count;  // Number of triangles of the part.
 
-// Return the number of the triangle in the part that a sample sees. The number is triangle_count or
+// Return the index, within the part, of the triangle that a sample sees: triangle_count or
 // more if the sample sees another part.
 uint triangle_at(int index) {
     return uint(int(texelFetch(visible, ivec2(gl_FragCoord.xy), index).r) - first);

@@ -46,15 +46,15 @@ class Draw:
 
     Attributes
     ----------
-    setup : triangle data of the part. A "marked" draw reads it as a texture; another draw with a
-        setup reads only its vertex positions
+    setup : triangle data of the part. A "marked" draw reads this data as a texture; other
+        draws with a setup read only the vertex positions
     area : left column, lowest row, width and height, in pixels, of the rectangle to draw; None for
         the whole target
     depth : the depth test, and the buffers that the draw writes:
 
-        - "test": nearer fragments pass and write colour and depth
-        - "hide": nearer fragments pass and write depth only
-        - "blend": nearer fragments pass, and their colour is blended over the image
+        - "test": fragments that are not behind the stored depth write colour and depth
+        - "hide": fragments that are not behind the stored depth write depth only
+        - "blend": fragments that are not behind the stored depth are blended over the image
         - "mark": one triangle over the area writes depth only, without a test
         - "marked": one triangle over the area writes colour where the previous "mark" draw wrote
           the same depth. The draw's program reads the triangle data from `setup`

@@ -17,7 +17,7 @@ from facerender.scenes.view import View
 from facerender.terms.scattering import rest, spiral
 
 IMAGE, ALBEDO = "image", "albedo"
-LAYERS = ("light", "place")  # further images of shade.frag
+LAYERS = ("light", "place")  # uniform names of shade.frag's further images
 
 
 def scatter_pass(

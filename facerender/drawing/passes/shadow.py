@@ -1,5 +1,5 @@
-"""The shadow map pass, and the pass that measures the visible fraction of each light at the pixels'
-centres for the reference."""
+"""The shadow map pass, and the pass that draws each light's visible fraction at pixel centres. The
+reference reads this fraction."""
 
 from __future__ import annotations
 

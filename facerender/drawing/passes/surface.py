@@ -26,13 +26,13 @@ def surface_pass(
 
     The pass draws these images, in this order:
 
-    - position, number of the part from 1
+    - position, index of the part plus 1
     - normal, m
     - albedo, specular weight
     - texture coordinates, occlusion, and either facing (if `scatters`) or opacity (of a layer)
     - m of the second lobe and weight of the first lobe, if a part has two lobes
     - emission, if a part emits light
-    - depth, and number of the triangle in drawing order, if `blended_part` is given
+    - depth, and index of the triangle in drawing order, if `blended_part` is given
 
     Parameters
     ----------

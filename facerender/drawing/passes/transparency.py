@@ -36,7 +36,7 @@ class BlendedPart:
     layer: int = 0
 
     def alone(self, scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-        """Return the depth draws of all parts that may hide the layer, then the draw of the layer.
+        """Return the depth draws of all parts that are not blended, then the draw of the layer.
 
         draws : one draw for each part of the scene
         """

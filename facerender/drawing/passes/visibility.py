@@ -15,12 +15,13 @@ from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
-# Drivers on which deferred shading is the cheaper one: see docs/measurements/performance.md.
+# Drivers on which deferred shading can be cheaper than forward shading: see
+# docs/measurements/performance.md.
 DRIVERS = ("llvmpipe",)
-# With one sample and more pixels per triangle than this, deferred shading is slower than forward.
+# With one sample per pixel, and more pixels per triangle than this, forward shading is faster.
 _MOST_PIXELS = 30
 _MOST_TRIANGLES = 1 << 24  # float32 represents all whole numbers up to this one exactly
-_BRIGHTEST = 1e3  # largest background: float32 adds and subtracts this value with an error of 6e-5
+_BRIGHTEST = 1e3  # largest background channel: float32 adds and subtracts 1e3 with an error of 6e-5
 
 
 def can_defer(scene: Scene, rows: int) -> bool:
@@ -43,7 +44,7 @@ def can_defer(scene: Scene, rows: int) -> bool:
 
 
 def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
-    """Return whether deferred shading was measured to be cheaper than forward shading.
+    """Return whether measurements found deferred shading cheaper than forward shading.
 
     driver : value of GL_RENDERER
     """
@@ -60,7 +61,7 @@ class Visible:
     Attributes
     ----------
     setup : triangle data of the part
-    first : number of the part's first triangle in the image, at least 1; 0 is the background
+    first : value of the part's first triangle in the image, at least 1; the background has 0
     area : bounds of the part in the image; if width or height is 0, the part is outside the image
     """
 

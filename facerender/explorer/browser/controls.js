@@ -155,7 +155,7 @@ function termTable(state, changed) {
     element("tbody", {}, ...rows));
 }
 
-// Returns a colour with another brightness. Brightness 0 keeps the hue: the user may be typing 0.5.
+// Returns a colour with another brightness. 0 keeps the hue: the user may be about to type 0.5.
 function dimmed(color, value) {
   const highest = Math.max(...color);
   return color.map(x => Math.max(value, 1e-9) * (highest ? x / highest : 1));

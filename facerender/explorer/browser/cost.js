@@ -22,7 +22,7 @@ function quartiles(values) {
 }
 
 // Returns the milliseconds that work takes on the GPU, or null if the GPU's clock was disturbed.
-// Without that clock, the function reads a pixel after the work, which waits for all drawing.
+// Without a clock, the function reads a pixel after the work, to wait for all drawing.
 async function timed(drawing, clock, work) {
   const {gl} = drawing;
   if (!clock) {
@@ -101,7 +101,7 @@ function shadingWords(term) {
   return [term.model, lobeName(term), ...factors, ...own].join(", ");
 }
 
-// Returns the table of costs, and a function that fills it with a measurement, or clears it for null.
+// Returns the table of costs, and a function that writes a measurement into it (null clears it).
 function costTable() {
   const cells = Object.keys(COSTS).map(() => element("td"));
   const head = Object.values(COSTS).map(text => element("th", {scope: "col"}, text));

@@ -156,8 +156,8 @@ class Drawing {
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, sampled.buffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target.buffer);
     gl.blitFramebuffer(...whole, ...whole, gl.COLOR_BUFFER_BIT, gl.NEAREST);
-    // Tiled GPUs then need not store the samples. Without this call, ANGLE on SwiftShader clears the
-    // multisampled target for B before it resolves the samples of A.
+    // With this call, tiled GPUs need not store the samples. Without this call, ANGLE on SwiftShader
+    // clears the multisampled target for B before it resolves the samples of A.
     gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
   }

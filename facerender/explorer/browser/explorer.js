@@ -112,8 +112,8 @@ function readout() {
     : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of these.`;
 }
 
-// Pixel under the pointer, or null. The plotted lobes use m of this pixel; if it is null, m of the
-// pixel with the largest error.
+// Pixel under the pointer, or null. The plotted lobes use m of this pixel. If it is null, they use
+// m of the pixel with the largest error.
 let pointed = null;
 let scale = "linear";
 let lobes = null;

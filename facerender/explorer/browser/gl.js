@@ -85,8 +85,8 @@ function nearestTexture(gl, format, width, height) {
   return texture;
 }
 
-// Creates a float32 RGBA target with textures. With samples, the target has a multisampled
-// renderbuffer instead, which the caller resolves into another target.
+// Creates a float32 RGBA target with textures. If `samples` is not 0, the target instead has
+// a multisampled renderbuffer, which the caller resolves into another target.
 function floatTarget(gl, [width, height], {attachments = 1, depth = false, samples = 0} = {}) {
   const buffer = gl.createFramebuffer();
   gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);

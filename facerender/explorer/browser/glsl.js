@@ -5,7 +5,7 @@ const modelOf = term => registry.models[term.model];
 const lobeOf = term => term.lobe === "g-power" ? registry.g_power : registry.lobes[term.lobe];
 const smallestSlope = term => term.m ?? Math.min(...facts.parts.map(part => part.slopes[0]));
 
-// Returns the GLSL of a term without #include, valid for m >= smallest, and its function call.
+// Returns a term's function call, and its GLSL without #include, valid for m >= smallest.
 function termSource(term, smallest) {
   const plain = lobeOf(term).by_angle && smallest >= registry.small_slope;
   const factors = modelOf(term).factors ? [term.fresnel, term.masking] : [];

@@ -25,8 +25,8 @@ function lobeValues(drawing, term, m) {
   return values.filter((_, i) => i % 4 === 0);
 }
 
-// Returns the largest error of a lobe that the registry states, in % of the peak (`limit`), and a
-// text about it.
+// Returns `limit`, the largest error of a term's lobe in % of the peak as the registry states it, and
+// a text with this error.
 function statedError(term, m) {
   const stated = lobeOf(term).errors?.[modelOf(term).k];
   if (!stated || lobeOf(term).by_angle) return {text: ""};

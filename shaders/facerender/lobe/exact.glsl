@@ -1,5 +1,5 @@
 // Exact lobe, for hosts that build their own BRDF.
-// The BRDFs of the library do not call these functions. They compute the lobe together with the
+// The BRDFs of the library do not call these functions but compute the lobe together with the
 // other factors in one division: E = 2^-x with x = tan^2(gamma)/(m^2 ln 2), and 1/c^2 = x m^2 ln 2
 // + 1.
 //
@@ -33,7 +33,7 @@ float fr_slope_factor(float x) {
     return exp2(-FR_LOG2_E * x);
 }
 
-// Exact lobe from the squared tangent, which keeps the digits of small angles.
+// Exact lobe from tan^2(gamma) instead of c, which keeps the digits of small angles.
 float fr_lobe_exact_tan2(float tan2, float m, int k) {
     float t = clamp(tan2, 0.0, FR_MAX_TAN2);
     float e = fr_slope_factor(t / (FR_SLOPE(m) * FR_SLOPE(m)));

@@ -1,6 +1,6 @@
 // g-power lobe: D4, D8 and D16, a clamped linear factor to the power g.
 // The clamp is necessary: an even power makes a negative base positive. Without a clamp, as
-// published, D16 reaches 2.3e4 times its peak at m = 0.2 and 90 degrees.
+// published by Romanyuk et al. (2020), D16 reaches 2.3e4 times its peak at m = 0.2 and 90 degrees.
 //
 //   formula:  max((n/g)(c - 1) + 1, 0)^g, n = 2/m^2 - k
 //   c:        Cosine of the angle between normal and half vector, in [0, 1].

@@ -22,7 +22,7 @@ float fr_masking_kelemen(float v_dot_h, float n_dot_l, float n_dot_v) {
     return n_dot_l * inverse * (n_dot_v * inverse);
 }
 
-// Kelemen masking divided by (N.L)(N.V), as numerator and denominator.
+// Kelemen masking term G over (N.L)(N.V), as a pair (x, y) without the factor 1/h.h.
 //
 //   formula:           G/((N.L)(N.V)) = x/(y h.h)
 //   n_dot_l, n_dot_v:  dot(n, l) and dot(n, v) for the directions l to the light and v to the
