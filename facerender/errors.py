@@ -47,7 +47,7 @@ def warn(message: str) -> None:
 
 @contextmanager
 def noting() -> Iterator[list[str]]:
-    """Record the warnings of this thread in a list, so that they can be repeated later."""
+    """Record the warnings of this thread in a list, so that the caller can repeat them later."""
     messages: list[str] = []
     token = _noted.set(messages)
     try:

@@ -1,5 +1,5 @@
-"""The shading of a scene: the specular term of each light, and the features to leave out, with
-conversion from and to TOML and JSON. ``glsl/code.py`` generates the GLSL of the terms."""
+"""The shading of a scene: the specular term of each light, and the features that are left out.
+Shadings convert to and from TOML and JSON. ``glsl/code.py`` generates the GLSL of the terms."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Term:
     model, lobe, fresnel, masking : names in the registry; defaults "cook-torrance", "exact",
         "schlick", "v-cavity". The lobe may be a :class:`facerender.lobes.GPower`. Only
         Cook-Torrance has a Fresnel and a masking term
-    m : one RMS slope, a constant of the program; None (default) for the m of each material
+    m : RMS slope that replaces the m of all materials; None (default) for the m of each material
     small_slope : whether to compute the exact lobe accurately for small angles; None (default):
         only if m is below 0.2
 
@@ -111,7 +111,7 @@ class Term:
     def keeps_small_slopes(self, smallest_m: float) -> bool:
         """Return whether the exact lobe is computed accurately for small angles.
 
-        smallest_m : lowest m of the material, for terms without a constant m
+        smallest_m : lowest m of the material; used if the term has no constant m
         """
         if self.small_slope is not None:
             return self.small_slope
@@ -137,7 +137,7 @@ class Term:
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
 
 
-_OF_TERM: Any = object()  # Default: the parameter keeps the field of `term`.
+_OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
 @dataclass(frozen=True, init=False)
@@ -152,8 +152,8 @@ class Shading:
     lights : changed fields in the terms of single lights, keyed by the index of the light, such as
         ``{1: {"lobe": "d16"}}``
     specular_lights : indices of the lights with a specular term; None (default) for all
-    shadow_lights : indices of the lights whose shadows are drawn; None (default) for all that cast
-        shadows
+    shadow_lights : indices of the lights whose shadows are drawn; None (default) for all lights
+        that cast shadows
     frontal_lights : indices of lights near the camera. Their terms omit masking and use f0 as the
         Fresnel term; only for Cook-Torrance
     outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
@@ -167,8 +167,8 @@ class Shading:
     two_lobes : whether to use both lobes of a material, default true; false for only the first lobe
     environment_samples : number of sampled directions per lobe, an even number up to 4096, default
         32; 0 leaves the specular environment light out
-    slope_filter : specular antialiasing of normal maps, default true: widen the lobe by the slopes
-        of the map that a pixel does not resolve
+    slope_filter : specular antialiasing of normal maps, default true: widen the lobe by the map's
+        slopes that a pixel does not resolve
     curvature : whether to widen the lobe by the curvature of the mesh within a pixel, default false
     scatter_samples : subsurface samples per pixel: 8, 16 (default), 32 or 64; 0 leaves scattering
         out
@@ -273,7 +273,7 @@ class Shading:
         return Shading(**own | changes)
 
     def of(self, light: int) -> Term | None:
-        """Return the specular term of the light with this index, or None if it has none."""
+        """Return the specular term of the light with this index, or None if the light has none."""
         if self.specular_lights is not None and light not in self.specular_lights:
             return None
         return self._own.get(light, self.term)
@@ -303,7 +303,7 @@ class Shading:
                     )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the values that differ from the defaults, in the form of TOML and JSON."""
+        """Return the values that differ from the defaults, as plain data for TOML and JSON."""
         own = {str(light): _plain(_without_frontal(changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
             **{name: getattr(self, name) for name in _FIELDS},

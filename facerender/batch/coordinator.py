@@ -1,4 +1,4 @@
-"""The coordinator of a batch: submits the chunks to draw to an engine and collects the outcomes."""
+"""The coordinator of a batch, which submits chunks to an engine and collects their outcomes."""
 
 from __future__ import annotations
 

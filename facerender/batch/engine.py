@@ -91,7 +91,7 @@ def scheduler_gone() -> FacerenderError:
 
 
 def default_workers() -> tuple[int, str]:
-    """Return the default number of workers, and the reason as text.
+    """Return the default number of workers, and a text that gives the reason.
 
     The default is one worker per core that this process may use, or fewer if memory is too small.
     """

@@ -142,7 +142,7 @@ def _records(lines: Path) -> Iterator[Record]:
 
 
 def _drop_stale(storage: Storage, drawn: Path) -> None:
-    """Remove stale records, and the files that only stale records name."""
+    """Remove stale records, and each of their files that no current record lists."""
     if not (stale := storage.names(STALE)):
         return
     named = array("q")  # hashes of paths: 8 bytes each

@@ -49,7 +49,7 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
 
     Raises
     ------
-    InputError : the file cannot be read, or only in part
+    InputError : the file or a part of it cannot be read
     """
     file = Path(path)
     try:

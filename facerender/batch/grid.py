@@ -205,8 +205,8 @@ def _normal(mean: float, sigma: float, u: float, v: float) -> float:
     return mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
 
 
-# The arguments of a distribution are both ends of the range, or mean and standard deviation, and
-# two uniform numbers in [0, 1).
+# A distribution has four arguments: the ends of its range (for "normal", mean and standard
+# deviation), then two uniform random numbers in [0, 1).
 _DISTRIBUTIONS: dict[str, Callable[[float, float, float, float], float]] = {
     "uniform": lambda low, high, u, _: (1.0 - u) * low + u * high,
     "log_uniform": lambda low, high, u, _: math.exp((1.0 - u) * math.log(low) + u * math.log(high)),

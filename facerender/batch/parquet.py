@@ -1,4 +1,4 @@
-"""Writes Parquet tables of records: one column per value, with a dotted name if it is nested."""
+"""Writes Parquet tables of records: one column per value; nested values get dotted names."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _BLOCK = 512  # Bytes per tar block.
 
 
 class Writer:
-    """Writer of the files of a chunk's jobs, in job order, as separate files or members of a tar.
+    """Writer of a chunk's output files, in the order of its jobs: separate files or one tar.
 
     Parameters
     ----------

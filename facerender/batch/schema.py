@@ -82,7 +82,7 @@ def _lights(table: Schema) -> Schema:
 
 def _shading() -> Schema:
     terms = _fields("shading", Term)
-    # Without defaults: if a light lacks a value, the value for all lights is used.
+    # No defaults: a field that a light lacks gets the value that applies to all lights.
     lights = _object(
         {name: {key: each[key] for key in each if key != "default"} for name, each in terms.items()}
     )
@@ -153,7 +153,7 @@ def _of_range(limits: Range) -> Schema:
 
 
 def _of_type(hint: Any) -> Schema:
-    """Return the schema of a type's values as plain data.
+    """Return the JSON Schema of the plain data that represent values of a Python type.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def _vector(number: Schema) -> Schema:
 
 
 def _dotted(key: str, own: Schema) -> Iterator[tuple[str, Schema]]:
-    """Yield the dotted keys of a value, as regular expressions, with their schemas."""
+    """Yield a pair for each dotted key of a value: the key's regular expression and its schema."""
     yield key, own
     for each in own.get("anyOf", [own]):
         for name, inner in each.get("properties", {}).items():

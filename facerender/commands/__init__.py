@@ -134,7 +134,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
 
 
 def parser_of(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser. Only commands that the arguments name are imported and have options."""
+    """Return the command line's parser. Only commands in `arguments` are imported, with options."""
     parser = _Parser(
         prog="facerender",
         description="Render face meshes without a display, with Cook-Torrance or Ward highlights.",

@@ -153,7 +153,7 @@ def _table(options: argparse.Namespace) -> JobTable:
 
 
 def _check_faults(table: JobTable) -> None:
-    """If rows are invalid, print the first errors, and raise InputError with the last of these."""
+    """If rows are invalid, print the collected errors, but raise the last one as InputError."""
     if table.faults:
         for fault in table.faults[:-1]:
             print_message(f"facerender: error: {fault}")

@@ -257,7 +257,7 @@ def _identity(name: str | Path) -> object:
 
 
 def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
-    """Yield the input files of a mesh, and all possible paths of files that these may refer to."""
+    """Yield the input files of a mesh, and all possible paths of files that its file refers to."""
     yield from (getattr(mesh, name) for name in MESH_PATHS)
     if mesh.path is not None:
         for path in named_files(Path(mesh.path)):
@@ -265,9 +265,9 @@ def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
 
 
 def import_trimesh(mesh: str | None) -> None:
-    """Import trimesh without scipy and networkx, if trimesh reads the mesh."""
+    """Import trimesh, but neither scipy nor networkx, if trimesh reads the mesh file."""
     # trimesh imports scipy and networkx if they are installed; no switch prevents that. The import
-    # takes 1.0 s with both and 0.23 s without, and reading a file needs neither. To hide them is
+    # takes 1.0 s with both and 0.23 s without, and reading a file needs neither. Hiding both is
     # safe: no other code runs in the process of the command.
     if mesh is None or Path(mesh).suffix.lower() in GLTF:
         return

@@ -11,7 +11,7 @@ from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 
-# Metavars of files; metavars that begin with OUT are files too.
+# Metavars that stand for a file. A metavar that begins with OUT also does.
 _FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")
 
 

@@ -245,7 +245,7 @@ def values_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
 
 
 def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | None]:
-    """Yield the input files of the options and the job."""
+    """Yield the input files that the options and the job name."""
     yield from mesh_files(job.mesh)
     yield from filter(None, [options.scene, job.environment and job.environment.file])
     yield from (place for place in options.camera or () if _is_file(place))
@@ -271,7 +271,7 @@ def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
 
 
 def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
-    """Return the shading of the options and of the scene file.
+    """Return the shading that the options and the scene file define.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def _cameras(
     options: argparse.Namespace, settings: dict[str, Any], size: tuple[int, int] | None
 ) -> tuple[Camera, dict[str, Camera]]:
     """Remove the cameras from the settings of a scene file; return the job's camera, and all
-    cameras, keyed by name. If an option sets an orbiting camera, the fields that it does not
+    cameras, keyed by name. If an option sets an orbiting camera, fields that the option does not
     set come from the file's camera."""
     path = settings.pop("cameras", ())
     camera = settings.pop("camera", path[0] if path else Camera())

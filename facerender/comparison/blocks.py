@@ -1,4 +1,4 @@
-"""Statistics of pixel blocks, to detect small changes by another lobe, weight or exposure.
+"""Statistics of pixel blocks, which reveal small changes of lobe, weight or exposure.
 
 The change of a block is the mean change of its 16 x 16 pixels; pixels in smooth areas weigh more
 than pixels at edges and in texture. The effect of a displacement of the whole image is subtracted.
@@ -38,11 +38,11 @@ class Scale:
     ----------
     noise : expected noise of a pixel in flat areas
     slope : fraction of the step to a neighbour that counts as noise, since edges move a little
-    edge : a pixel counts if all steps around the pixel are smaller
-    flat : a pixel counts for the grain if all steps around the pixel are smaller
+    edge : a pixel counts if all steps around the pixel are smaller than this value
+    flat : the grain uses a pixel if all steps around the pixel are smaller than this value
     error : smallest standard error of a block's change
     grain : standard error of a block's mean per unit of the grain
-    drift : change of a block's mean by another driver's filtering of 8-bit textures: 0.3 levels
+    drift : change of a block's mean if another driver filters 8-bit textures: 0.3 levels
     """
 
     noise: float
@@ -78,7 +78,7 @@ def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums over a strip of two images.
+    """Sums over the same strip of rows in two images.
 
     Sums over cells of 4 x 4 pixels have the shape (H, W) and are means over the channels. In linear
     images a pixel's change and level are divided by the pixel's largest channel in both images.
@@ -87,14 +87,14 @@ class BlockSums:
     ----------
     weight : weights of the pixels, over cells
     change : weighted changes, over cells
-    across, down : weighted changes by a displacement of one pixel, over cells
+    across, down : weighted changes that a displacement by one pixel causes, over cells
     channels : (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
     pixels : (2, H, W) over blocks: number of pixels that count, and number of flat pixels
-    grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas. First
-        three: the part common to all channels, of the difference image, reference and image. Last:
-        the remaining part, of the difference image
-    texture : (2, H, W) over blocks: squared differences between adjacent pixels in all areas, the
-        part common to all channels, of the reference and of the image
+    grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas.
+        Values 0, 1, 2: part common to all channels, in difference image, reference and image. Value
+        3: remaining part, in the difference image
+    texture : (2, H, W) over blocks: squared differences between adjacent pixels in all areas:
+        part common to all channels, in the reference and in the image
     normal : (2, 3), normal equations of the least-squares displacement
     """
 
@@ -177,10 +177,10 @@ class BlockStatistics:
     Attributes
     ----------
     sums, scale : the sums over the images, and the constants of the images' encoding
-    foreign : whether another driver drew the image
-    moved : displacement of the whole image up to which its effect is subtracted, in pixels
+    foreign : whether different drivers drew the two images
+    moved : largest displacement of the whole image whose effect is subtracted, in pixels
     allowed : additional standard error of each block's change
-    looser : additional standard error of each block's change for the trend only
+    looser : further standard error of each block's change; only the trend includes it
     """
 
     sums: BlockSums
@@ -267,7 +267,7 @@ class BlockStatistics:
 
     @cached_property
     def _grains(self) -> NDArray[np.float64]:
-        """Medians over blocks of :attr:`BlockSums.grain` per flat pixel, (4,)."""
+        """Values of :attr:`BlockSums.grain` per flat pixel, (4,): medians over the blocks."""
         flat = self.sums.pixels[1]
         counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
@@ -312,7 +312,7 @@ class BlockStatistics:
 
     @property
     def z_score(self) -> float:
-        """The trend divided by the standard error of the trend of unchanged images."""
+        """The trend divided by its standard error, which is computed as if no block had changed."""
         return self.trend * float(np.sqrt(self._products.size))
 
     @cached_property
@@ -326,7 +326,7 @@ class BlockStatistics:
 
 
 def _common(channels: list[Float]) -> Float:
-    """Return the mean product of two different channels, in which rounding errors average out."""
+    """Return the mean product over pairs of different channels: rounding errors average out."""
     count = len(channels)
     if count == 1:
         return np.square(channels[0])

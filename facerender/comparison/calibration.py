@@ -1,8 +1,8 @@
 """Calibration: find limits for another renderer from pairs of images that must pass.
 
-Each limit is the smallest value with which every pair passes, times MARGIN. It is never less than
-rounding needs. Bisection also finds the smallest change that each limit detects: changes are
-applied to image B of a few pairs, and the other limits are disabled.
+Each limit is the smallest value with which every pair passes, times MARGIN. No limit is narrower
+than rounding requires. Bisection also finds the smallest change that each limit detects: changes
+are applied to image B of a few pairs, and the other limits are disabled.
 
 Limits are stored in pytest's ini file or pyproject.toml, for the pytest plugin and ``facerender
 compare --limits``. Limits for linear images are options of pytest such as ``facerender_point``.
@@ -45,7 +45,7 @@ LEAST: dict[Encoding, Limits] = {
     "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=2e-3, shift=0.15),
     "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=2e-3, shift=0.15),
 }
-# The change that each limit must detect, as the text before the amount. The two pixels of "point"
+# Text for the change that each limit must detect; the amount follows it. The two pixels of "point"
 # are adjacent and lie in a smooth area.
 CHANGES = {
     "point": "2 pixels brightened by",
@@ -80,7 +80,7 @@ class Calibration:
     pairs : number of compared pairs
     limits : limits that all pairs pass
     least : the same limits without the margin
-    needed : the pair that needs each limit, keyed by the limit's name; limits that only rounding
+    needed : the pair that needs each limit, keyed by the limit's name; limits that no pair
         needs are absent
     sees : smallest amount of each of :data:`CHANGES` that its limit detects in all altered pairs,
         keyed by the limit's name; infinite if it detects none. The unit is radiance or 8-bit levels
@@ -194,7 +194,7 @@ def calibration_of(
 
 @dataclass
 class _Pairs:
-    """Pairs of one encoding, the smallest limits that all pass, and the pair that needs each."""
+    """Pairs of one encoding, the smallest limits that all pass, and a pair that needs each."""
 
     least: Limits
     needed: dict[str, str] = field(default_factory=dict)
@@ -218,7 +218,7 @@ def _calibration(
 def _needed(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the smallest passing value of each limit in ``limits`` that fails a pair."""
+    """Return the smallest value that passes, for each limit of ``limits`` that a pair fails."""
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed

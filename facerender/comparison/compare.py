@@ -39,7 +39,7 @@ FADED = 0.2  # smallest change of a pixel's coverage that counts
 FULL = 0.99  # least coverage of a pixel inside the mesh: half floats and filters do not reach 1
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
-_HALO = 8  # rows above and below a strip that the strip's pixels are compared with
+_HALO = 8  # rows above and below a strip, with which the strip's pixels are also compared
 
 Comparable = ImageData | Frame | NDArray[Any] | str | os.PathLike[str]
 

@@ -43,7 +43,7 @@ UNKNOWN = "an unknown renderer"
 
 @dataclass(frozen=True)
 class Updates:
-    """Which goldens may be written.
+    """Selection of the goldens that may be written.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
 
 
 def range_of(images: Sequence[ImageData]) -> PixelRange:
-    """Return the range of each pixel over linear images of one size; ignore uncovered colours."""
+    """Return each pixel's range over linear images of one size; ignore uncovered pixels."""
     each = []
     for image in images:
         color, alpha = image.rows(slice(None))

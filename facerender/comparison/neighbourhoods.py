@@ -80,8 +80,8 @@ def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) 
 
 
 def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
-    """Return a mask of the pixels that are darker than a quarter of the radiance of every covered
-    pixel of their 7 x 7 neighbours in the other image; parameters as in :func:`excess`."""
+    """Return a mask of the pixels whose radiance is below a quarter of the radiance of every
+    covered pixel in the 7 x 7 neighbourhood of the other image; parameters as in :func:`excess`."""
     fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB encodes 1/4 as about 1/2
     result = np.zeros(a.shape[:2], dtype=bool)
     levels = [

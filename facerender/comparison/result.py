@@ -13,7 +13,7 @@ HIGHEST = 1e30  # largest valid value: sums and differences of larger values may
 FOREIGN = 6.0  # factor on the limits of trend, grain and texture if another driver drew image B
 SURE = 6.0  # a trend counts if it exceeds this number of standard errors
 BLUR = 1.5  # factor on the limits of grain and texture if B has less of these than A
-# The number of pixels that may be slivers is _SLIGHT + _SLIGHT_FRACTION times all pixels.
+# At most _SLIGHT + _SLIGHT_FRACTION * (number of pixels) pixels may be slivers.
 _SLIGHT = 50
 _SLIGHT_FRACTION = 1e-4
 

@@ -15,7 +15,7 @@ SHAPE = "another shape, texture or light"
 LOBE = "a lobe or weight change"
 EXPOSURE = "exposure, light or colour space"
 
-# A single pixel passes up to this unexplained difference: in a smooth area, in texture, at an edge.
+# Largest unexplained difference of a single pixel: in a smooth area, in texture, at an edge.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
 _WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
 _BRIGHTER = 5e-5  # smallest gain that is reported

@@ -25,7 +25,7 @@ from facerender.images.srgb import encode_srgb8
 from facerender.images.write import save_png
 
 MAX_PIXELS = 1 << 24  # largest number of pixels of an image that is displayed
-HEAT = 1 << 17  # largest number of pixels of a page's heat map; FLIP of 2**20 takes 1.3 s
+HEAT = 1 << 17  # largest number of pixels of a page's heat map; FLIP takes 1.3 s for 2**20
 LEVELS = 32  # number of colours of a difference, for each sign
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
 NOT_FINITE = (255, 0, 255)

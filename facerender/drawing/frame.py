@@ -236,8 +236,8 @@ class GBuffer:
 def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GBuffer]:
     """Return the layers with each pixel's values sorted across layers.
 
-    numbers : (layers, H, W) sort keys, ascending in the result. Layers that do not cover a pixel
-        come last there
+    numbers : (layers, H, W) sort keys, ascending in the result. At each pixel, the layers that do
+        not cover this pixel come last
     """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")

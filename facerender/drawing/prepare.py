@@ -20,7 +20,8 @@ from facerender.shading import Shading
 from facerender.system.memory import MIB, limit
 
 _MOST_SIMPLIFIED = 64  # largest number of cached variants of one mesh
-# Measured on llvmpipe, in bytes: package and context, all programs; per triangle, pixel, sample.
+# Bytes of memory, measured on llvmpipe: package and context, all programs; then per triangle, per
+# pixel and per sample.
 _ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
 _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()

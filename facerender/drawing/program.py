@@ -105,7 +105,7 @@ class Program:
 
 
 def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
-    """Return the feature macros for a part's geometry and material, without those for lights."""
+    """Return the feature macros for a part's geometry and material, without macros for lights."""
     alpha = drawn_alpha(part, material)
     maps = part_maps(part, material, "color", shading.slope_filter)
     names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
@@ -178,7 +178,7 @@ def shade_program(
 def light_visibility_program(
     part: Part, material: Material, shading: Shading, lighting: Lighting
 ) -> Program:
-    """Return the program that draws the visible fraction of each light for a part of a simplified
+    """Return the program that draws each light's visible fraction on a part of a simplified
     scene."""
     features = surface_features(part, material, shading) + shadow_features(lighting)
     return Program("light_visibility.frag", features=features, lights=lighting.groups)

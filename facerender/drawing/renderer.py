@@ -263,11 +263,11 @@ class Renderer:
         return Frame(linear, only, scene.background is None, metadata)
 
     def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
-        """Return whether a frame with N samples can have ``shading_rate="pixel"``.
+        """Return whether a frame with `samples` per pixel can have ``shading_rate="pixel"``.
 
-        N must be the driver's largest number of samples, and more than 1. The scene may have up to
-        16 million triangles. All its parts must be opaque and use one set of texture coordinates.
-        No channel of the background may exceed 1000.
+        `samples` must be the driver's largest number of samples, and more than 1. The scene may
+        have up to 16 million triangles. All its parts must be opaque and use one set of texture
+        coordinates. No channel of the background may exceed 1000.
         """
         _check_scene(scene)
         _LIMITS["samples"].check("samples", samples)

@@ -1,4 +1,4 @@
-"""Resolution of a scene with a shading: the lights in the order in which programs loop over them,
+"""Combination of a scene and a shading: the lights in the order in which programs loop over them,
 and each part's specular terms for the part's range of m. The renderer, the reference and
 ``pricing`` use the same result.
 
@@ -121,7 +121,7 @@ class ResolvedPart:
     Attributes
     ----------
     part, material : part of the mesh and its material
-    smallest_m : lowest m of the part's lobes, for terms without a constant m
+    smallest_m : lowest m of the part's lobes; terms with a constant m ignore this value
     terms : specular terms of the lights. If m lies outside the domain of a lobe, the term has the
         exact lobe instead. () if specular terms are left out
     """
@@ -142,7 +142,7 @@ class ResolvedScene:
 
     @cached_property
     def slopes(self) -> list[tuple[float, float]]:
-        """The smallest and the largest m of each part, for terms without a constant m.
+        """The smallest and the largest m of each part. Terms with a constant m ignore both values.
 
         The largest m includes the largest amounts that slope filter, curvature and area lights add.
 
@@ -167,7 +167,7 @@ class ResolvedScene:
         return ranges
 
     def allowed(self, term: Term) -> list[Term]:
-        """Return a term for each part, with the exact lobe if m is outside the domain of `term`.
+        """Return `term` for each part, with the exact lobe if the term's lobe forbids the part's m.
 
         Raises
         ------

@@ -41,7 +41,7 @@ _UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
 _WRAP_AXES = (0x2802, 0x2803)
 _WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
 _TO_COVERAGE = (0x809E, 0x809F)  # SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE
-# By kind of mip chain: internal format, components, format, type, moderngl's name of the type.
+# Keyed by kind of mip chain: internal format, components, format, type, type name in moderngl.
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
     "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
     "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
@@ -126,7 +126,7 @@ class Resources:
         self.context.gl.gc()
 
     def settle(self) -> None:
-        """Drop unused programs beyond MOST_PROGRAMS, and release freed memory to the system.
+        """Free unused programs beyond MOST_PROGRAMS, and return freed memory to the system.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
         head). After a frame that created GPU objects, this memory is released. The context must

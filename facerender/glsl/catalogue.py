@@ -22,11 +22,11 @@ class Function:
     Attributes
     ----------
     name, signature : such as "fr_ward" and its GLSL declaration
-    file : path for an include line
+    file : path in an include line
     summary : first sentence of the comment
     parameters : meaning, unit and domain of each parameter, keyed by the parameter name
     formula, unit, error, source : texts of the keys with these names
-    result : text of the key "returns"; "" if the comment does not have it
+    result : text of the key "returns"; "" if the comment lacks this key
     """
 
     name: str

@@ -24,7 +24,7 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
     """Return the macros that make the function of a model, such as ``fr_cook_torrance``, compute a
     term.
 
-    smallest_m : lowest m of the material, for terms without a constant m
+    smallest_m : lowest m of the material; used if the term has no constant m
     """
     macros = _shared_macros([term], smallest_m)
     if term.entry.factors:
@@ -38,7 +38,7 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
 def prelude(terms: Sequence[Term], smallest_m: float, two_lobes: bool = False) -> str:
     """Return the macros and includes that precede the calls of terms in a program.
 
-    smallest_m : lowest m of the material, for terms without a constant m
+    smallest_m : lowest m of the material; terms whose m is not constant use it
     """
     files = dict.fromkeys(file_of(term, two_lobes) for term in terms)
     includes = "".join(f'#include "facerender/{file}.glsl"\n' for file in files)
@@ -54,7 +54,7 @@ def file_of(term: Term, two_lobes: bool) -> str:
 
 
 def call(term: Term, second_slope: float | None = None) -> str:
-    """Return the GLSL expression of a term in 1/sr. It uses vec3 n, l, v and float m, f0.
+    """Return a term's GLSL expression, in 1/sr, of the variables vec3 n, l, v and float m, f0.
 
     second_slope : ratio of the second lobe's m to the first lobe's m; the expression then also
         uses float second_m and lobe_weight. None for materials with one lobe
@@ -101,7 +101,7 @@ def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
 
 
 def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
-    """Return the call of one lobe, or the weighted mean of the calls of two lobes."""
+    """Return the call for one lobe, or for two lobes the weighted mean of both calls."""
     first, other = (code.format(m=each, **macros) for each in (m, second))
     return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}" if second else first
 
@@ -110,7 +110,8 @@ def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:
     """Return the macros that the terms of a program share.
 
     The macros select the lobe (all lobes, if the terms have different lobes) and the parameters
-    of the g-power. FR_SMALL_SLOPE is 0 if exact lobes exist and none needs accurate small angles.
+    of the g-power. FR_SMALL_SLOPE is 0 if terms have the exact lobe and none of them needs accurate
+    small angles.
     """
     lobes = {term: lobe_entry(term.lobe) for term in terms}
     names = {lobe.macro for lobe in lobes.values()}

@@ -1,4 +1,4 @@
-"""Resolution of GLSL ``#include`` lines. Conditions remain in the text for the compiler;
+"""Resolution of GLSL ``#include`` lines. This module leaves conditions to the compiler;
 ``preprocessor.py`` evaluates conditions. This module is independent of the shader library."""
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _blanked(text: str) -> str:
 
 
 def _blank(match: re.Match[str]) -> str:
-    """Replace a comment by spaces; return a string unchanged."""
+    """Replace a comment by spaces; return a string literal unchanged."""
     return match[0] if match[0].startswith('"') else re.sub(r"[^\n]", " ", match[0])
 
 
@@ -187,7 +187,7 @@ class Includes:
         self._check_closed(not counts, path)
 
     def _found(self, include: Directive, text: str, path: str) -> str:
-        """Return the path of an included file; "" if the text already contains it."""
+        """Return the path of an included file; "" if the text already contains the file."""
         match = _INCLUDE.fullmatch(include.rest)
         if match is None:
             message = f'#include {include.rest}: write #include "FILE" or <FILE>'
@@ -220,7 +220,7 @@ class Includes:
         return place
 
     def _name(self, path: str) -> str:
-        """Return a file's path below the include directory, or its full path if it is elsewhere."""
+        """Return a file's path below the include directory, or `path` if the file is elsewhere."""
         root = os.path.join(self._root, "")
         whole = os.path.normpath(path)
         if not whole.startswith(root):

@@ -1,5 +1,5 @@
-"""The GLSL library: its directory, and its files as flat text for a GLSL version or language.
-``catalogue.py`` lists the functions."""
+"""The GLSL library: its directory, and its files as flat text for a GLSL version or another
+language. ``catalogue.py`` lists the functions."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ def shader_source(
     Raises
     ------
     InputError : an unknown name, target or lobe; m outside its domain; a file that is missing,
-        includes itself, or defines a macro that lobe or m sets; for other languages, a file with
-        samplers, arrays, or declarations other than functions and constants
+        includes itself, or defines a macro that lobe or m sets; for "hlsl", "msl" and "wgsl", a
+        file with samplers, arrays, or declarations other than functions and constants
     """
     macros = {} if lobe is None else lobe_macros(lobe)
     if m is not None:
@@ -98,7 +98,7 @@ def term_source(
     """Return the file of a term's model as flat text, configured for the term.
 
     target : see :func:`shader_source`, which also lists the errors
-    smallest_m : lowest m of the material, for terms without a constant m
+    smallest_m : lowest m of the material; used if the term has no constant m
     two_lobes : whether to return the function with two lobes; both slopes remain parameters
     """
     one = replace(term, m=None) if two_lobes else term
@@ -161,9 +161,9 @@ def resolve_includes(text: str) -> str:
     """Resolve the ``#include`` lines in GLSL text that includes files below :func:`shader_dir`.
 
     ``"file"`` and ``<file>`` are accepted. Each file is inserted once, except that a file included
-    within a condition may be inserted again after it. Conditions remain for the compiler.
-    ``#line`` directives preserve line numbers in compiler messages: your text is source string 0,
-    and included files are numbered from 1.
+    within a condition may be inserted again after this condition. The compiler evaluates
+    conditions. ``#line`` directives preserve line numbers in compiler messages: your text is source
+    string 0, and included files are numbered from 1.
 
     Raises
     ------

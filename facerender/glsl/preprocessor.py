@@ -44,7 +44,7 @@ class _Conditional:
 class Preprocessor(Includes):
     """Flat text, without ``#line`` directives, from files that include each other.
 
-    Conditions that known macros decide are removed, with the branches not taken. All other
+    Conditions that known macros decide are removed, together with the branches not taken. All other
     conditions remain in the text. A condition can be decided if it consists only of comparisons,
     ``defined`` and names, with ``!``, ``&&`` and ``||``.
 
@@ -65,7 +65,7 @@ class Preprocessor(Includes):
         Parameters
         ----------
         root : see :class:`Includes`
-        chosen : values of macros that are set outside the text
+        chosen : macros that are set outside the text, and their values
         guards : whether include guards remain in the text
         closed : whether all unknown macros count as undefined, so that all conditions are decided
         """

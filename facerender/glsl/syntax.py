@@ -1,7 +1,8 @@
 """A small GLSL parser for functions and constants.
 
 The syntax tree stores the type of each expression. Each token includes the comments and spaces
-before it, so the text of the tree is the source text. ``translate.py`` translates the tree."""
+before it, so that the tokens of the tree give the source text. ``translate.py`` translates the
+tree."""
 
 from __future__ import annotations
 
@@ -122,7 +123,7 @@ class _Macro:
 
 
 def expanded(lines: Sequence[str]) -> list[Token]:
-    """Return the tokens of lines that contain no conditionals, with macros expanded. A macro whose
+    """Expand the macros in lines that contain no conditionals, and return the tokens. A macro whose
     value is a number becomes the declaration of a constant."""
     macros: dict[str, _Macro] = {}
     result: list[Token] = []
@@ -233,7 +234,8 @@ class Parser:
         self._conditions = 0  # Number of enclosing ?:, && and || expressions.
 
     def program(self) -> list[Node]:
-        """Return the declarations; the last node holds the comments and spaces after them.
+        """Return the declarations; the last node holds the comments and spaces after the last
+        declaration.
 
         Raises
         ------
@@ -388,8 +390,8 @@ class Parser:
     def _changed(self) -> Node:
         """Parse an expression that is a statement.
 
-        Other expressions may not assign: WGSL allows no such assignments, and HLSL evaluates both
-        operands of ``&&`` and ``||``.
+        Other expressions may not assign: WGSL allows no assignments within expressions, and HLSL
+        evaluates both operands of ``&&`` and ``||``.
         """
         if self._next.text in _STEP:
             sign, operand = self._take(), self._unary()

@@ -1,5 +1,6 @@
 """Translation of GLSL functions and constants, with their comments, to HLSL, the Metal Shading
-Language (MSL) and WGSL. Each language is a class, with tables for names of types and functions."""
+Language (MSL) and WGSL. Each language is a class, with tables of its type names and function
+names."""
 
 from __future__ import annotations
 
@@ -148,7 +149,8 @@ def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, s
 
 class Hlsl(Writer):
     """HLSL. A column of a GLSL matrix becomes a row of the HLSL matrix, so that [i] and
-    constructors have the same meaning. Therefore products reverse the order of their operands."""
+    constructors have the same meaning as in GLSL. Therefore matrix products reverse the order of
+    their operands."""
 
     types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
     functions: ClassVar[Mapping[str, str]] = {

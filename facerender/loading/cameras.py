@@ -23,7 +23,7 @@ from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file
 
-_IGNORED = ("name", "transform_matrix")  # not fields of Camera; both matrix and Rt hold the pose
+_IGNORED = ("name", "transform_matrix")  # ignored keys: both transform_matrix and Rt hold the pose
 
 
 def load_cameras(
@@ -40,7 +40,7 @@ def load_cameras(
         - .json: one table, a list of tables, or the key "cameras" with a list of tables. A table
           has the fields of :class:`Camera`, or intrinsics "K" (3 x 3), a pose ("Rt", 3 x 4 or
           4 x 4, or "R" and "t"), "width" and "height". The key "name" is optional
-        - .npz: arrays named like the keys of a .json table; a first axis may number the cameras
+        - .npz: arrays named like the keys of a .json table; an extra first axis is the camera index
         - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
     size : width and height of the images in pixels; used if the file has intrinsics without a size
 

@@ -139,7 +139,8 @@ def piece_of(
             uv2 = None if look.second is None else look.second.applied(uv)
             uv = look.first.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
-        material = replace(material, albedo=SKIN_ALBEDO)  # white is only the missing map's factor
+        # The file's white multiplies only the missing map.
+        material = replace(material, albedo=SKIN_ALBEDO)
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
     return Piece(

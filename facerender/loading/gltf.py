@@ -76,7 +76,7 @@ class Primitive:
         return indices.reshape(-1)
 
     def column(self, key: str, *widths: int) -> NDArray[Any] | None:
-        """Return an attribute of ``vertices``, (N, K) with K in ``widths``; None if missing."""
+        """Return an attribute's values at ``vertices``, (N, K in ``widths``); None if missing."""
         values = self._attribute(key, widths)
         if values is not None and len(values) != len(self.positions):
             raise ValueError(
@@ -106,7 +106,7 @@ class Primitive:
         return joints, weights
 
     def _draco(self, draco: Doc) -> dict[str, NDArray[Any]]:
-        """Return the decompressed attributes, keyed by name; key "faces" holds any faces."""
+        """Return the decompressed attributes, keyed by name. Any faces have the key "faces"."""
         try:
             import DracoPy
         except ImportError:

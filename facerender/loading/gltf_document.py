@@ -263,7 +263,7 @@ def damaged(name: str, what: str) -> InputError:
 
 
 def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[str, int]) -> Any:
-    """Convert a value to the type ``shape`` of _OBJECTS; raise ValueError if this fails."""
+    """Convert a value to the type ``shape``, see _OBJECTS; raise ValueError if this fails."""
     if isinstance(shape, dict) or shape in _OBJECTS:
         _expect(isinstance(value, dict), value, where, "an object")
         result = {}

@@ -17,7 +17,7 @@ class Feature:
     fate : "drawn": supported; "warned": ignored with a warning; "refused": an error if the file
         requires the feature, otherwise ignored with a warning; "ignored": ignored silently
     how : details for users
-    factor : property of a material's extension; a value of 0 disables the extension
+    factor : property that disables a material's extension if the property is 0
     """
 
     name: str

@@ -124,10 +124,10 @@ class Materials:
         albedo = (red, green, blue)
         lost = self.lost_images and maps.get("albedo_map") is None
         if lost and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white is only the missing map's factor
+            albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map
         material = Material(
             albedo=albedo,
-            # Material uses it only with a roughness map: exporters write 1 or 0.5 by default.
+            # Has no effect without a roughness map, because exporters write 1 or 0.5 by default.
             roughness_factor=self._factor("roughness", metallic.get("roughnessFactor", 1.0)),
             f0=self._f0(extensions),
             ks=self._factor("specular", specular.get("specularFactor", 1.0)),

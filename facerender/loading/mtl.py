@@ -83,7 +83,7 @@ def _normals(image: Image) -> Image:
         start, end = max(top - 1, 0), min(top + _STRIP + 1, height)
         own = slice(top - start, min(top + _STRIP, height) - start)
         rows = heights[start:end].astype(np.float32) * np.float32(DEPTH / scale)
-        # A normal leans against the slope: minus. But rows run down, and green points up: plus.
+        # A normal's x is minus the slope; y is plus the slope, because rows run down and y up.
         slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[own]
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
@@ -112,7 +112,7 @@ _MAPS = {
     "map_ke": ("emissive_map", "emission"),
     "map_pr": ("roughness_map", "roughness"),
 }
-# Keyed by option of a map: number of words after the option; the last of several may be missing.
+# Keyed by option of a map: number of words after the option; the last of 2 or 3 may be missing.
 _OPTIONS = {
     **dict.fromkeys(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"), 1),
     **dict.fromkeys(("-bm", "-boost", "-texres"), 1),
@@ -122,7 +122,7 @@ _OPTIONS = {
 # Ignored options, each with the value that has no effect; other values cause a warning.
 _UNREAD = {"-cc": "off", "-boost": "0", "-blendu": "on", "-blendv": "on"}
 _CHANNELS = {"r": 0, "g": 1, "b": 2}
-# Statements ignored without a warning: they have no effect or only colour the ambient light.
+# Statements ignored without a warning: they have no effect, or an effect on ambient light only.
 _IGNORED = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
 _READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
 _LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; no effect if 0
@@ -161,7 +161,7 @@ class Library:
 
     Attributes
     ----------
-    text : content of an MTL file that only names the materials
+    text : generated MTL file for trimesh: all material names, no properties
     """
 
     def __init__(self, data: bytes, referred: References, name: str, without_albedo: bool) -> None:
@@ -225,8 +225,8 @@ class Library:
         return self.looks[key]
 
     def tiles(self, name: str, piece: Piece) -> Mapping[int, NDArray[np.bool_]]:
-        """Return the mask of a piece's faces on each UDIM tile, keyed by the tile number. Without
-        UDIM maps, the result is empty."""
+        """Return, for each UDIM tile, a mask of the faces on the tile, keyed by the tile number.
+        Without UDIM maps, the result is empty."""
         statements = self.materials.get(name, {})
         named = [statements[key] for key in _MAPS if key in statements]
         if piece.uv is None or not len(piece.faces):
@@ -295,7 +295,7 @@ class Library:
         has_map = "map_kd" in statements
         albedo = self._color(statements, "kd") or white
         if has_map and maps.get("albedo_map") is None and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white is only the missing map's factor
+            albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map
         # With an albedo map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
         changes["albedo"] = white if maps.get("albedo_map") or has_colors else albedo
         emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)

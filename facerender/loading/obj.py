@@ -26,8 +26,8 @@ def has_relative(data: bytes) -> bool:
 
 
 def with_absolute(data: bytes) -> tuple[bytes, int]:
-    """Return an OBJ file with absolute references, and the number of faces dropped because of
-    invalid references."""
+    """Convert the references in an OBJ file to absolute references. Return the new content, and the
+    number of faces dropped because of invalid references."""
     totals = {
         key: len(re.findall(rb"^[ \t]*" + key + rb"[ \t]", data, re.MULTILINE)) for key in _KINDS
     }
@@ -50,7 +50,7 @@ def with_absolute(data: bytes) -> tuple[bytes, int]:
 
 
 def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes, int]) -> bytes:
-    """Return a corner with absolute references; empty bytes if a reference is invalid."""
+    """Convert the references of a corner to absolute; return b"" if a reference is invalid."""
     references: list[bytes] = []
     for reference, key in zip(corner.split(b"/"), _KINDS, strict=False):
         if not reference and key != b"v":
@@ -71,8 +71,8 @@ Owners = tuple[bytes, ...]  # names of object, group and material
 
 
 def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
-    """Return an OBJ file with one numbered object for each combination of object, group and
-    material that has faces, and the part names in the order of the object numbers.
+    """Rewrite an OBJ file to have one numbered object for each combination of object, group and
+    material that has faces. Return the content, and the part names in order of object numbers.
 
     A part is named after its group, or else its object, or else its material. Parts with the same
     name are renamed to group.material or, if they share this name, too, to object.group.material.

@@ -92,7 +92,7 @@ def _least_bytes(words: list[str], is_text: bool) -> int:
 
 
 def check_faces(metadata: Mapping[str, Any]) -> None:
-    """Check the faces of a PLY file as trimesh stores them before it splits them into triangles.
+    """Check the faces of a PLY file, which trimesh stores before it splits faces into triangles.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def _clear(*loaded: object) -> None:
 
 
 def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece]:
-    """Return the parts of a piece on each UDIM tile; the piece itself if it has no UDIM maps."""
+    """Return the part of a piece on each UDIM tile; the piece itself if it has no UDIM maps."""
     tiles = library.tiles(material, piece)
     return [*library.split(piece, material, tiles)] if tiles else [piece]
 
@@ -290,7 +290,7 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
 
 
 class _MaterialNames:
-    """A resolver that gives trimesh only names of materials; this package reads the MTL files."""
+    """A resolver that gives trimesh only material names; this package reads the MTL files."""
 
     def __init__(self, library: Library, name: str) -> None:
         self.library, self.file_name = library, name
@@ -324,7 +324,7 @@ def _give_texture(
 
 
 def _checked_stl(data: bytes, name: str) -> bytes:
-    """Return an STL file; bytes after the triangles of a binary file are dropped.
+    """Return the content of an STL file. Bytes after a binary file's last triangle are dropped.
 
     Raises
     ------

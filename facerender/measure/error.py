@@ -60,10 +60,10 @@ def printed_error(m: float, k: int, g: int) -> Array:
 
 
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
-    """Return the largest error of f N.L over all directions, relative to the largest exact f N.L.
+    """Return the largest error of the BRDF times N.L, relative to the largest exact product.
 
-    f is the BRDF. Light and camera each take `count` polar angles from 0 to 89 degrees; the light
-    also takes 2 `count` azimuths from 0 to 180 degrees.
+    Both maxima are over all directions. Light and camera each take `count` polar angles from 0 to
+    89 degrees; the light also takes 2 `count` azimuths from 0 to 180 degrees.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def image_error(
 
 
 def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Return by how much pixels leave the range of the 3 x 3 pixels around them in the other image.
+    """Return the largest distance from a pixel to the range of 3 x 3 pixels in the other image.
 
     Image a is compared with b, and b with a; both are (H, W, 3).
     """

@@ -70,8 +70,8 @@ class ImageError:
 
     Attributes
     ----------
-    point : radiance by which a pixel of the image or the reference is at most outside the range of
-        3 x 3 pixels of the other one, see ``error.point_error``
+    point : largest distance in radiance from a pixel of the image or the reference to the range of
+        3 x 3 pixels in the other image, see ``error.point_error``
     block : largest error of the mean over 16 x 16 pixels, relative to max(reference mean, 0.01)
     largest : largest error of linear radiance, relative to max(reference, 0.01)
     percentile : 99.9th percentile, over the covered pixels, of the error in ``largest``
@@ -154,7 +154,7 @@ class SampleSetting:
     ----------
     samples : number of samples per pixel
     time : frame time with readback, relative to a frame with one sample per pixel
-    silhouette : error at pixels that the mesh covers partly with 64 samples
+    silhouette : error at pixels of which the mesh covers some, but not all, of 64 samples
     inside : error at pixels that the mesh covers fully
     shading_rate : see :meth:`facerender.Renderer.render`
     """
@@ -168,7 +168,7 @@ class SampleSetting:
 
 @dataclass(frozen=True)
 class PartSetting:
-    """Cost and error of one setting of a part of skin shading.
+    """One setting of a part of skin shading, with cost and error.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Measurement:
     curves : lobe minus exact lobe in percent of the peak, one value per angle; keyed by model, lobe
         and m. Values of m outside the domain are absent
     not_measured : missing results, with the reasons
-    skin : cost and error of the settings of parts of skin shading
+    skin : cost and error of each setting, for each part of skin shading
     """
 
     environment: Environment

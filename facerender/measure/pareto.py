@@ -114,7 +114,7 @@ def _dominates(a: Row, b: Row) -> bool:
 
 
 def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:
-    """Return image errors, keyed by lobe: a variant without an image has the error of its lobe."""
+    """Return image errors keyed by lobe; a variant without image uses its lobe's image error."""
     return {
         measured.variant.lobe: measured.error.image
         for measured in variants

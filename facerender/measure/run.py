@@ -184,7 +184,7 @@ def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None)
 def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
     """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain.
 
-    The BRDF error of unclamped forms is None, because some of their values are NaN.
+    The BRDF error of lobes without a clamp is None, because some of their values are NaN.
     """
     if variant.unclamped:
         return _percent(error.printed_error(m, variant.k, 16)), None

@@ -89,7 +89,7 @@ def cost_tables(measurement: Measurement) -> list[Table]:
 
 
 def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
-    """Return one table per model for a kind of cost, or a single empty table if not measured."""
+    """Return one table of a kind of cost per model, or one empty table without measured costs."""
     tables = []
     for model, title in MODELS.items():
         rows = pareto(measurement, model, kind)

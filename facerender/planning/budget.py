@@ -103,12 +103,12 @@ class Budget:
         return flip.errors(expected, shown)
 
     def spared(self, covered: int) -> int:
-        """Return how many of an image's covered pixels may exceed the limit."""
+        """Return the number of an image's covered pixels that may exceed the limit."""
         return covered - math.ceil(Fraction(str(self.within)) * covered)
 
     @property
     def fraction(self) -> str:
-        """The fraction of the pixels as text, such as "99.9 %"."""
+        """:attr:`within` as text, such as "99.9 %"."""
         return f"{100.0 * self.within:.6g} %"
 
     def text(self, error: float) -> str:
@@ -127,7 +127,7 @@ class Budget:
 
 
 def highest_but(errors: Float, spared: int) -> float:
-    """Return the largest error without the ``spared`` largest errors; 0 if no error is left.
+    """Return the largest error after removing the ``spared`` largest errors; 0 if none is left.
 
     NaN counts as the largest error.
     """

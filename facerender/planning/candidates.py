@@ -18,8 +18,8 @@ from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.fitting import G_POWERS, fit_g_power
 
-# Smallest slope m at which the error of float32 without FR_SMALL_SLOPE, 3e-7/m² of the lobe's peak,
-# is invisible.
+# From this slope m on, float32 needs no FR_SMALL_SLOPE: the error without it, 3e-7/m² of the lobe's
+# peak, is invisible.
 SMALLEST_PLAIN_SLOPE = 0.1
 
 # Attribute of a shading, keyed by the decision's name. If the model changes, all decisions of TERM
@@ -57,11 +57,11 @@ class Constants:
     m, ks : mean slope and mean specular weight of the visible pixels
     faintest : indices of the lights, in the order in which they lose their specular terms: the
         light with the faintest highlight first
-    frontal : indices of the lights, sorted by the error that Fresnel f0 without masking causes,
-        smallest first
+    frontal : indices of the lights, sorted by the error if their Fresnel term is f0 and masking
+        is omitted, smallest first
     shadows : indices of the lights with shadows, sorted by how much the shadow darkens the image,
         weakest first
-    single : slopes of a single lobe that may replace two lobes
+    single : values of m with which a single lobe may replace two lobes
     """
 
     m: float
@@ -152,7 +152,7 @@ def shadowed(scene: Scene, shading: Shading) -> list[int]:
 def with_lights(
     shading: Shading, specular: Sequence[int] | None, frontal: Sequence[int]
 ) -> Shading:
-    """Return a shading with these ``specular_lights`` (None: all) and ``frontal_lights``."""
+    """Return a shading with other ``specular_lights`` (None: all) and ``frontal_lights``."""
     return shading.replace(specular_lights=specular, frontal_lights=frontal)
 
 
@@ -193,7 +193,7 @@ def changed(shading: Shading, full: Shading) -> list[str]:
 
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
-    """Return groups of decisions in which two shadings differ, keyed by the main decision's name.
+    """Return groups of decisions in which two shadings differ, keyed by each group's main decision.
 
     The group "model" has all decisions of TERM; the group "two lobes" includes the slope.
     """

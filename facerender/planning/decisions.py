@@ -40,8 +40,8 @@ class Decision:
     error : error of this change alone; without a change, error of ``other``
     saving : fraction of the full shading's cost that the change saves, or that ``other`` would save
     text : line of :meth:`Plan.explain`
-    values : the cheaper of the two values, keyed by attribute of the shading, such as "term.lobe";
-        empty if the decision is not about the shading
+    values : the cheaper of chosen and other value, keyed by attribute of the shading, such as
+        "term.lobe"; empty if the decision is not about the shading
     """
 
     name: str
@@ -88,7 +88,7 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
         own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
-            if name == "shading_rate":  # per-pixel shading needs the chosen number of samples
+            if name == "shading_rate":  # the error of "pixel" depends on the samples
                 alone_ = replace(alone_, samples=drawn.detail.samples)
             added = max(within for _, within in drawn.errors(choice.full, alone_))
             chosen, other = (_detail(name, each, drawn) for each in (own, full))

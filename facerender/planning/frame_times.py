@@ -22,7 +22,8 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
 
     With the full shading, the full frame and a frame for each change of the level of detail are
     measured. The full and the final level of detail are also measured with the cheapest shading.
-    The line through these two shadings gives the time of every other shading.
+    For each of these two levels of detail, a line through the times of the two shadings gives the
+    time of every other shading.
     """
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}

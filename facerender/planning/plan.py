@@ -141,7 +141,7 @@ class Plan:
         return lines
 
     def shader(self, target: Target | Language | None = None) -> str:
-        """Return the text of a GLSL file with only the chosen terms and with folded constants.
+        """Return a GLSL file as text: it contains only the chosen terms, with folded constants.
 
         Comments in the file contain the plan and the function call for each light. ``target`` is as
         in :func:`facerender.shader_source`.
@@ -274,7 +274,7 @@ def plan(
     """Find a cheaper frame of a scene, with an error within a budget.
 
     The choices are made in this order: culled back faces, the fewest samples, per-pixel shading,
-    the fewest triangles, the cheapest shading. Each choice is made with all earlier ones in effect.
+    the fewest triangles, the cheapest shading. Earlier choices are in effect for later choices.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def _check_types(scene: Any, budget: Any, full: Any, cost: Any, renderer: Any) -
 
 
 def _checked(scene: Scene, full: Shading) -> Shading:
-    """Return the shading with automatic ``small_slope``; raise and warn as :func:`plan`."""
+    """Return the shading with automatic ``small_slope``; raise and warn like :func:`plan`."""
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):

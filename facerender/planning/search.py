@@ -1,6 +1,6 @@
 """The search for the cheapest shading of a plan.
 
-Shadings are tried from cheap to expensive, so the first that fits the budget is the cheapest.
+Shadings are tried from cheap to expensive, so the first shading that fits is the cheapest.
 A shading is first evaluated at a few pixels at which other shadings failed. It is rejected if more
 of these pixels exceed the limit than the budget allows in the whole image. A shading that is not
 rejected is evaluated in float64 at every pixel of every image. OpenGL also draws this shading if a
@@ -41,10 +41,10 @@ from facerender.system.progress import Progress
 
 Float = NDArray[np.float64]
 
-# A region of few pixels has up to _SPREAD random pixels, and the worst pixels of an image: _WORST
-# more than may exceed the budget.
+# A small region has up to _SPREAD random pixels, and the worst pixels of an image. The number of
+# worst pixels is _WORST plus the number of pixels that may exceed the budget.
 _SPREAD, _WORST = 256, 64
-_KEPT = 2**18  # largest product of a region's pixels and cached terms
+_KEPT = 2**18  # largest product of a region's number of pixels and number of cached terms
 # Largest number of cached environment layers per cached term: most terms share one such layer.
 _ENVIRONMENTS = 8
 
@@ -175,7 +175,7 @@ class Witnesses:
 
     Attributes
     ----------
-    regions : regions of pixels; the one that last rejected a shading comes first. Empty with FLIP
+    regions : regions of pixels; the region that last rejected a shading is first. Empty with FLIP
     tried : number of shadings that were evaluated at every pixel
     """
 
@@ -233,7 +233,7 @@ class Region:
         most_known: int = 1,
         scattered: Callable[[Shading], Float] | None = None,
     ) -> None:
-        """Evaluate the full shading.
+        """Evaluate the full shading at the region's pixels.
 
         Parameters
         ----------
@@ -241,8 +241,8 @@ class Region:
         counted : (H, W), mask of the pixels whose errors count
         spared : number of pixels of the whole image that may exceed the budget
         most_known : largest number of shadings with cached terms; the first is the full shading
-        scattered : function that returns the change of the pixels' radiance by scattering; None if
-            no material scatters
+        scattered : function that returns the change that scattering causes in the pixels' radiance;
+            None if no material scatters
         """
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
         self.full, self.budget, self.spared, self.most_known = full, budget, spared, most_known
@@ -378,9 +378,9 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
 
 
 def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
-    """Return slopes of a single lobe that may replace two lobes.
+    """Return values of m with which a single lobe may replace two lobes.
 
-    The smallest slope gives the same peak as the two lobes, the largest the same slope variance.
+    The smallest m gives the same peak as the two lobes, the largest m the same slope variance.
     ``weights`` (one per counted pixel) weight the means over pixels.
     """
     if any(view.mapped.second_m is None for view in views):

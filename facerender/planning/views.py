@@ -22,12 +22,12 @@ from facerender.shading import Shading
 Float = NDArray[np.float64]
 
 _FEWEST = 500  # smallest number of triangles of a level of detail
-_MOST_SCATTERED = 8  # largest number of images of scattering that a viewpoint caches
+_MOST_SCATTERED = 8  # largest number of scattering images that a viewpoint caches
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """A place where errors are measured: a scene with its camera, and a renderer with its size."""
+    """A place where errors are measured: a scene with its camera, and a renderer."""
 
     scene: Scene
     renderer: Renderer
@@ -59,7 +59,7 @@ class ScatteredLight:
     def __call__(self, shading: Shading) -> Float:
         """Return the change of each pixel's radiance that scattering causes, (H, W, 3)."""
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
-        if shading.diffuse == "coupled":  # its albedo also depends on m and the added names
+        if shading.diffuse == "coupled":  # this term also depends on m and the added names
             names, m = [*names, "ks", "two_lobes", "slope_filter", "curvature"], shading.term.m
         light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
         if light not in self.known:
@@ -76,10 +76,10 @@ class ScatteredLight:
 
 
 class DrawnViews:
-    """The views drawn by OpenGL.
+    """Views that OpenGL draws.
 
-    With several samples per pixel, OpenGL also shades silhouettes that cover no pixel's centre. A
-    single change that exceeds the budget in these images is not tried again in combinations.
+    With several samples per pixel, OpenGL also shades silhouettes that cover no pixel's centre. If
+    a single change exceeds the budget in these images, shadings with this change are not tried.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class DrawnViews:
     def errors(
         self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
-        """Yield two errors per image: the largest, and the largest without the spared pixels.
+        """Yield two errors per image: the largest error with and without the spared pixels.
 
         Pixels that the full frame does not cover count too, since FLIP compares neighbourhoods.
 

@@ -1,6 +1,6 @@
 """Costs measured on this machine: nanoseconds per evaluation of a term, milliseconds per frame.
 
-``benchmarks/prices`` estimates costs on other GPUs with their compilers.
+``benchmarks/prices`` estimates costs on other GPUs with the compilers of these GPUs.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 SIZE = (512, 256)
-# Other processes only add time: the lower quartile of the repeats is steadier than the median and
-# depends less on chance than the minimum.
+# Other processes can lengthen a time but never shorten it. So the lower quartile of the repeats is
+# steadier than the median, and it depends less on chance than the minimum.
 QUANTILE = 0.25
 
 _VERTEX = """#version 330 core
@@ -132,7 +132,7 @@ def slopes(
     repeats: int,
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
-    """Return weighted sums of the runs' seconds per unit of count; the runs alternate.
+    """Measure the seconds per count of alternating runs, and return weighted sums over the runs.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def frames(
 def clock_of(
     context: Context,
 ) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
-    """Return a function that makes timers: contexts that append the seconds to a list at exit."""
+    """Return a function that makes timers: context managers that append their seconds to a list."""
     if context.software:
         return partial(_cpu_clock, threads=_threads(context.renderer))
     return _gpu_clock

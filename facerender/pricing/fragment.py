@@ -1,4 +1,4 @@
-"""Cost of the parts of the renderer's fragment program, without the specular terms.
+"""Costs of all parts of the renderer's fragment program except the specular terms.
 
 ``by_slope`` measures these parts on this machine, in the programs that ``samples`` returns.
 """
@@ -92,12 +92,12 @@ def program_of(
     coupled: bool = False,
     environment_samples: int = 0,
 ) -> Program:
-    """Return the renderer's program for the first mesh part of a scene, for m >= SLOPE.
+    """Return the renderer's program for the first mesh part of a scene, valid for m >= SLOPE.
 
     Parameters
     ----------
     shading : shading of the scene; None: ``stub`` replaces the specular terms of the lights
-    stub : GLSL in place of specular terms; "": no specular terms if ``shading`` is None
+    stub : GLSL that replaces the specular terms if ``shading`` is None; "": no specular terms
     """
     chosen = shading or Shading()
     lighting = Lighting.of(scene, chosen)
@@ -258,7 +258,7 @@ def by_slope(
 def _timed(
     context: Context, resources: Resources, scene: Scene, source: Program, program: moderngl.Program
 ) -> Timed:
-    """Return a function that draws the only part of a scene N times and returns the seconds."""
+    """Return a function that draws a scene of one mesh part N times and returns the seconds."""
     (part,), (material,) = scene.mesh.parts, scene.mesh.materials
     lighting = Lighting.of(scene, Shading())
     set_uniforms(program, scene_uniforms(scene, _VIEW, lighting))

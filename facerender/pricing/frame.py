@@ -43,7 +43,7 @@ def ratios(draws: Sequence[Draw], repeats: int) -> list[Interval]:
 
 
 def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
-    """Return the median over rounds of the time of ``draw`` divided by the time of ``full``."""
+    """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
     own, other = seconds([draw, full], repeats).T
     return bootstrap(lambda turns: np.median((own / other)[turns], keepdims=True), repeats)[0]
 
@@ -55,7 +55,7 @@ class Line:
     Attributes
     ----------
     fixed : milliseconds that do not depend on the shading: geometry, coverage, maps, readback
-    slope : milliseconds of the whole frame per unit of the fragment price
+    slope : increase of the frame time in milliseconds per unit of the fragment price
     """
 
     fixed: float
@@ -85,8 +85,8 @@ class Frames:
     ----------
     full, own : time as a function of the fragment price, with the full and with the chosen
         level of detail
-    taken : milliseconds of frames with the full shading, keyed by "full", "cull_back_faces",
-        "samples", "shading_rate" and "triangles"; a frame has this choice and all earlier choices
+    taken : milliseconds of frames with the full shading, keyed by the last choice in effect:
+        "full", "cull_back_faces", "samples", "shading_rate" or "triangles"
     source : origin of the times, as text
     """
 

@@ -32,7 +32,7 @@ def scene() -> Scene:
 
 
 def by_frames(repeats: int = 9) -> dict[str, float]:
-    """Measure the cost of PARTS on this machine, in nanoseconds per pixel; raise as
+    """Measure the cost of PARTS on this machine, in nanoseconds per pixel; raise like
     :func:`facerender.pricing.cost.frames`."""
     shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
     none, *both = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
@@ -40,6 +40,6 @@ def by_frames(repeats: int = 9) -> dict[str, float]:
 
 
 def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
-    """Return the costs of PARTS from the costs of scattering with two numbers of samples."""
+    """Return the costs of PARTS, given the costs of scattering with two numbers of samples."""
     each = (costs[1] - costs[0]) / (samples[1] - samples[0])
     return dict(zip(PARTS, (max(costs[0] - samples[0] * each, 0.0), each), strict=True))

@@ -1,9 +1,9 @@
 """Price of a shading per fragment, as a sum of the prices of its parts.
 
 The parts are the renderer's program, its maps and lights (``fragment.py``), the specular term of
-the first light, and the term of each further light, which shares values with the first light's
-term. ``python -m benchmarks.prices table`` writes the table ``prices.json`` in the repository;
-``measured`` measures the prices on this machine.
+the first light, and the term of each further light. The terms of further lights share values with
+the first term. ``python -m benchmarks.prices table`` writes the table ``prices.json`` in the
+repository; ``measured`` measures the prices on this machine.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class Prices:
 def load_prices(
     kind: str, scene: Scene, shadings: Iterable[Shading], software: bool = False
 ) -> Prices:
-    """Return the prices of a driver or GPU, for some shadings of a scene.
+    """Return the prices of a driver or GPU that given shadings of a scene need.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def second_variants(term: Term) -> dict[str, Term]:
 
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
-    """Return the cost of each second lobe: a term's cost with two lobes minus the cost with one."""
+    """Return the cost of each second lobe: a term's cost with two lobes minus its cost with one."""
     added = {}
     for name, term in seconds.items():
         first, further = one[term_name(term, SLOPE)]
@@ -256,7 +256,7 @@ def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[st
 
 
 def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
-    """Return the costs of the parts without specular parts, which the terms' prices include."""
+    """Return the costs of the non-specular parts: the terms' prices include the specular parts."""
     return {name: cost for name, cost in parts.items() if name not in _SPECULAR}
 
 

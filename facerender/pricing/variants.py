@@ -31,7 +31,7 @@ class Variant:
     Attributes
     ----------
     model, lobe : name of the model, and name of the lobe
-    printed : whether this is the form as published, not the library's form
+    printed : whether the form is published by Romanyuk et al., not the library's form
     plain : whether the exact lobe omits the extra precision at small angles, which is needed only
         for m < SMALL_SLOPE
     """
@@ -55,7 +55,7 @@ class Variant:
 
     @property
     def unclamped(self) -> bool:
-        """Whether the lobe is a power without a clamp, as published."""
+        """Whether the lobe is a power without a clamp, as published by Romanyuk et al."""
         return self.printed and self.lobe != "exact"
 
     @property

@@ -68,7 +68,7 @@ class Panorama:
 
     @cached_property
     def coefficients(self) -> Float:
-        """Spherical harmonics coefficients (9, 3) of the irradiance as a function of the normal."""
+        """Irradiance for each normal, as nine RGB coefficients of spherical harmonics, (9, 3)."""
         radiance, directions, solid_angle = self._resampled
         received = np.tensordot(
             harmonics(directions) * solid_angle[..., None], radiance, ((0, 1), (0, 1))
@@ -184,8 +184,8 @@ def _directions(rows: int) -> Float:
 
 
 def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
-    """Return the unit directions x, y, z of points x, z in [-1, 1] on an octahedral map. Also
-    return the distance from the octahedron's centre to its surface in each direction."""
+    """Convert points x, z in [-1, 1] on an octahedral map to unit directions x, y, z. Also return
+    the distance from the octahedron's centre to its surface in each direction."""
     y = 1.0 - np.abs(x) - np.abs(z)
     folded = y < 0.0
     x, z = (
@@ -197,7 +197,7 @@ def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
 
 
 def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
-    """Return the mean of the rows of ``values`` over each interval [ends[j], ends[j + 1]]. Row i
+    """Return, for each interval [ends[j], ends[j + 1]], the mean of the rows of ``values``. Row i
     spans the interval [own[i], own[i + 1]]."""
     if len(ends) == len(own):
         return values.astype(np.float64)

@@ -155,7 +155,7 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
 
 
 def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """Return (header, values) tables as TOML text, without the keys whose value is None."""
+    """Return TOML text for tables (header, values). Keys whose value is None are omitted."""
     blocks = []
     for head, table in tables:
         lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
@@ -197,7 +197,7 @@ def _toml(value: Any) -> str:
 
 
 def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
-    """Return an instance of a dataclass with the values of a TOML table.
+    """Create an instance of a dataclass from the values of a TOML table.
 
     Parameters
     ----------

@@ -219,7 +219,7 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
 
 def _chin(front: Float, nose: int, fall: float) -> int:
     """Return the index of the chin's row: the first row, in a range below the nose, from which the
-    front recedes by ``fall`` within three rows. Return the usual row if there is none."""
+    front recedes by ``fall`` within three rows. Return the usual row if no row recedes."""
     usual, first, last = (
         min(nose + round(fraction * nose), len(front) - 1) for fraction in (_USUAL_CHIN, *_CHIN)
     )

@@ -74,8 +74,8 @@ class Light:
 class LightKind:
     """A kind of light.
 
-    The file ``host/light/NAME.glsl`` of a kind declares uniform arrays of NAME_LIGHTS elements and
-    the function ``Light NAME_light(int i, vec3 position)``.
+    The file ``host/light/NAME.glsl`` of the kind NAME declares uniform arrays of NAME_LIGHTS
+    elements and the function ``Light NAME_light(int i, vec3 position)``.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def _point_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, F
 
 
 def half_sum(sine: Float) -> Float:
-    """Return (1 + cos R)/2, k in ``slope_variance.glsl``, from the sine of the angular radius R."""
+    """Return (1 + cos R)/2 from the sine of a light's angular radius R."""
     return np.asarray(0.5 + 0.5 * np.sqrt(1.0 - sine**2))
 
 
@@ -233,9 +233,9 @@ LIGHTS: Mapping[str, Light] = {
 
 def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
     """Return sin R and (1 + cos R)/2, where R is a light's largest angular radius, as seen from
-    any point in the mesh's bounding sphere. These values are s and k in
-    ``slope_variance.glsl``. Return None for a light without area. Raises the errors that drawing
-    the light raises."""
+    any point in the mesh's bounding sphere. The parameters s and k of
+    ``fr_slope_variance_disc`` are these values. Return None for a light without area. Raises the
+    errors that drawing the light raises."""
     if light.kind.sine is None:
         return None
     nearest = np.zeros(3)

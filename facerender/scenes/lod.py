@@ -21,14 +21,14 @@ from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
 
-# Weights of attribute errors relative to position errors, which are in extents of the mesh. _PLACE
-# weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights linear
-# colours and occlusion. The weights are chosen by comparison of images, as in
-# docs/measurements/levels.md.
+# Weights of attribute errors. Position errors, in extents of the mesh, have weight 1.
+# _PLACE weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights
+# linear colours and occlusion. Comparisons of images, as in docs/measurements/levels.md, determined
+# the weights.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 
-_SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, for rounded sizes
+_SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, because sizes are rounded
 
 _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 
@@ -187,7 +187,7 @@ class Planned:
     ----------
     sizes : width and height of each image in pixels
     samples : samples per pixel of these images if drawn without the plan
-    drawn_samples : samples per pixel that the plan draws; None for the number in ``samples``
+    drawn_samples : samples per pixel that the plan draws; None for the value of ``samples``
     triangles : largest number of triangles that the plan draws; None for all
     cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
 

@@ -1,4 +1,4 @@
-"""Materials: reflectance factors of a part, and the maps that they multiply."""
+"""Materials: the reflectance factors and the maps of a part."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MAX_NORMAL_STRENGTH = 100.0
 
 @dataclass(frozen=True)
 class Material:
-    """Reflectance of a part: factors, and the maps that they multiply.
+    """Reflectance of a part: factors and maps.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ class Material:
     second_slope : second specular lobe's m / first lobe's m, in [0.01, 100]; 1 for no second lobe
     lobe_weight : fraction of ks that the first lobe gets, in [0, 1]; 1 for no second lobe
     albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Of these,
-        only the albedo map is sRGB-encoded. The normal map has green pointing up. The occlusion
-        map dims ambient light.
+        only the albedo map is sRGB-encoded. Albedo map and specular map multiply albedo and ks. The
+        normal map has green pointing up. The occlusion map dims ambient light.
     lobe_map : texture or None. The red channel multiplies 1 - lobe_weight, the second lobe's
         fraction of ks: white for sweat or oil, black for dry skin.
     scattering : subsurface scattering: "skin", Gaussians, or None or "none" for no scattering. A
@@ -127,7 +127,7 @@ class Material:
         return self.second_slope != 1.0 and self.lobe_weight < 1.0
 
     def with_second(self, low: float, high: float) -> tuple[float, float]:
-        """Return the range of m over both lobes, from the first lobe's range [low, high] of m."""
+        """Return the range of m over both lobes, if m of the first lobe is in [low, high]."""
         if not self.two_lobes:
             return low, high
         second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))

@@ -83,7 +83,7 @@ class Region:
 
     @property
     def profile(self) -> NDArray[np.float64]:
-        """Outline of the cylinder, in the form of the profile of :class:`Mesh`."""
+        """Outline of the cylinder: distance from its axis, and height, like ``Mesh.profile``."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])
 
 
@@ -151,8 +151,8 @@ class Mesh:
         materials: Sequence[Material],
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of parts and compute its bounds, radius and profile. The face indices must
-        be valid."""
+        """Return a mesh of the given parts; compute its bounds, radius and profile. The face
+        indices must be valid."""
         drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
@@ -277,8 +277,8 @@ class Mesh:
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 
     def with_material(self, **changes: Any) -> Mesh:
-        """Return a copy of the mesh with fields of every material replaced. The copy shares
-        geometry and maps with this mesh.
+        """Return a copy of the mesh in which ``changes`` replace fields of every material. The copy
+        shares geometry and maps with this mesh.
 
         A new ``m`` also removes the roughness maps.
 

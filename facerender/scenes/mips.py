@@ -62,8 +62,8 @@ def coarse_base(
 
 def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]) -> Levels:
     """Return the mip chain of a base from :func:`coarse_base`. The chain equals the result of
-    :func:`chain` without the skipped levels, except that Pillow may round a value of "data" to the
-    next 8-bit level."""
+    :func:`chain` without the skipped levels, except that Pillow may round a value of kind "data" to
+    the next 8-bit level."""
     if isinstance(base, tuple):
         return [base[0], *_normal_chain(base[1])]
     return _data_chain(base) if base.shape[2] == 3 else _color_chain(base)
@@ -110,7 +110,7 @@ def _halved(image: Image, times: int) -> Image:
 
 
 def _even(texels: NDArray[Any]) -> NDArray[Any]:
-    """Make both sides even: double a side of 1, drop the last row or column of other odd sides."""
+    """Make both sides even: double a side of 1; any other odd side loses its last texels."""
     for axis in (0, 1):
         if texels.shape[axis] == 1:
             texels = np.repeat(texels, 2, axis)

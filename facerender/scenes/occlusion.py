@@ -104,7 +104,7 @@ def _open_fraction(
     ----------
     positions, faces : triangles that block the light
     vertices : rows (N, 6) of position and normal
-    corners : (F, 3), for each corner of ``faces`` its index into ``vertices``
+    corners : (F, 3), the index into ``vertices`` for each corner of ``faces``
     """
     try:
         from embreex.mesh_construction import TriangleMesh

@@ -20,7 +20,7 @@ _CHANNELS = (0, 1, 2, 15)  # red, green, blue, alpha
 
 
 def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Write a normal map's mip chain, with the slope deviation for ``fr_slope_variance_map``.
+    """Write a normal map's mip chain, with slope deviation, which ``fr_slope_variance_map`` needs.
 
     Parameters
     ----------

@@ -16,9 +16,10 @@ from facerender.scenes.material import Material
 # Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
 # products of areas with positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
-_MOST_UV = 1e6  # largest texture coordinate; far below it, float32 already fails to resolve a texel
-_MOST_PIECES = 1024  # every part with its material needs a draw call in each pass
-_FAR = 32.0  # smallest distance of an outlier / distance that includes 90 % of the vertices
+_MOST_UV = 1e6  # largest texture coordinate; float32 fails to resolve texels at far smaller values
+_MOST_PIECES = 1024  # limit, because every part needs a draw call in each pass
+# Distance from the median position: minimum for an outlier / 90 % quantile over all vertices.
+_FAR = 32.0
 
 
 @dataclass
@@ -98,7 +99,7 @@ def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the triangles (F, 3, 3) that have an area above 0 with both windings.
+    """Return a mask of the triangles (F, 3, 3) whose computed area is above 0 in both windings.
 
     Both windings are tested because rounding of large coordinates (1e25) can give a cross product
     of 0 at one corner and not at another.
@@ -157,7 +158,7 @@ def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
 
 
 def _check_extent(pieces: Sequence[Piece], name: str) -> None:
-    """Raise InputError for a mesh that is too small to compute areas, and warn about outliers. If
+    """Raise InputError if a mesh is too small to compute its areas; warn about outliers. If
     the camera frames outliers, the rest of the mesh is only a dot in the image."""
     if not pieces:
         return

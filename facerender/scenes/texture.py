@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 Wrap = Literal["repeat", "clamp", "mirror"]
 
 FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
-MOST_TEXELS = 6 * 8192**2  # limit for all maps of a mesh; two copies with mip levels take 4 GiB
+MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
@@ -416,7 +416,7 @@ class Texture:
             ) from None
 
     def _drop_image(self, chain: Future[Levels]) -> None:
-        """Drop the decoded image, since an 8-bit mip chain also contains its texels."""
+        """Drop the decoded image, since an 8-bit mip chain also contains the image's texels."""
         if chain.exception() is None:
             with self._lock:
                 self._rgb = None

@@ -18,7 +18,7 @@ from facerender.scenes.vectors import direction_to, within_reach
 from facerender.terms.ranges import range_of
 
 FRAMING_MARGIN = 1.04
-_SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, for rounded sizes
+_SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are rounded
 SIZES = range_of(Camera, "size")
 # Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
 _UNSEEN = 2e-4
@@ -77,7 +77,7 @@ class View:
     @property
     def _lens(self) -> NDArray[np.float64]:
         """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x is a
-        multiple of camera-space x plus a multiple of the depth; clip y likewise from y."""
+        multiple of camera-space x plus a multiple of the depth; for clip y, y replaces x."""
         x, y, w = self.matrix[:3, _XYW].T
         lens = np.eye(3)
         for row, axis in enumerate((x, y)):
@@ -281,8 +281,8 @@ def _framing_distance(
 ) -> float:
     """Return the camera distance at which a profile fits into the view at every azimuth.
 
-    The distance includes FRAMING_MARGIN. As the camera orbits, a vertex at height y and distance r
-    from the axis moves on a circle relative to it. top, bottom and side are the camera distances at
+    The distance includes FRAMING_MARGIN. Relative to the orbiting camera, a vertex at height y and
+    distance r from the axis moves on a circle. top, bottom and side are the camera distances at
     which the circle touches the top, bottom and side edges of the view.
     """
     r, y = profile.T

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 from facerender.errors import InputError, clipped, reason
 
 MOST = 1 << 30  # default size limit of a file in bytes
-# A dotted TOML key with more parts than a key of any valid table. Such a key is refused because the
+# Matches a dotted TOML key with more parts than any key of a valid table. It is refused because the
 # parser's time and memory grow quadratically with the number of parts.
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""

@@ -51,8 +51,8 @@ def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Flo
     ----------
     n_dot_v : cosine of the angle between direction and normal, in [0, 1]; clamped to at least 4e-4
     m : roughness: RMS slope of the microfacets; clamped to [0.05, 1]
-    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; the error grows by up to
-        0.008 f0 for larger values
+    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; for larger f0 the error grows by up
+        to 0.008 f0
 
     References: Kelemen and Szirmay-Kalos (2001), who tabulate the albedo.
     """
@@ -85,7 +85,7 @@ def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -
 
 
 def _coefficients(m: ArrayLike, f0: ArrayLike) -> Float:
-    """Return the coefficients of the powers of s, (..., 8)."""
+    """Return the factors of s^0 to s^7, (..., 8)."""
     slope = np.clip(np.asarray(m, dtype=np.float64), *ENDS)
     t = (2.0 * slope - sum(ENDS)) / (ENDS[1] - ENDS[0])
     powers = t[..., None] ** np.arange(FITS.shape[2])

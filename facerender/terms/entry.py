@@ -18,7 +18,7 @@ class Entry:
     Attributes
     ----------
     name : name in options and scene files, for example "v-cavity"
-    file : file of the shader library that defines the term, for example "masking/v_cavity"
+    file : library file that defines the term, for example "masking/v_cavity"
     call : GLSL expression of the term; each subclass documents the variables of the expression
     """
 

@@ -100,7 +100,7 @@ def environment_cook_torrance(
     *,
     samples: int = SAMPLES,
 ) -> Float:
-    """Return the radiance (..., 3) that Cook-Torrance with the exact lobe reflects.
+    """Return the environment light (..., 3) that Cook-Torrance with the exact lobe reflects.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def environment_ward(
     *,
     samples: int = SAMPLES,
 ) -> Float:
-    """Return the radiance (..., 3) that Ward's BRDF with the exact lobe reflects.
+    """Return the environment light (..., 3) that Ward's BRDF with the exact lobe reflects.
 
     For the parameters see :func:`environment_cook_torrance`.
     """
@@ -140,7 +140,7 @@ def reflected(
     brdf: Callable[[Float, Float, Float, Float], Float],
     samples: int = SAMPLES,
 ) -> Float:
-    """Return the radiance (..., 3) that a BRDF with the exact lobe reflects.
+    """Return the environment light (..., 3) that a BRDF with the exact lobe reflects.
 
     The result is the mean of BRDF (N.L) (radiance of the map)/density over the samples. The density
     of the samples is E/(4 π m² (N.H)³ (V.H)).

@@ -1,5 +1,5 @@
-"""Fits of g-power lobes to ranges of slopes, for the planner. ``tools/fits/lobes.py`` computes the
-constants of the fitted lobes."""
+"""Functions that fit a g-power lobe to a range of m. ``tools/fits/lobes.py`` computes the constants
+of the lobes "fitted" and "fitted-fine"."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # Each power needs few product
 
 @lru_cache(maxsize=1024)
 def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | None:
-    """Return the best g-power lobe for a range of slopes; None if the range leaves its domain.
+    """Return the g-power lobe that fits a range of m best; None if the range leaves the lobe's
+    domain.
 
-    For one slope the lobe is the best uniform approximation of the exact lobe. For a range,
-    least squares fit its steepness to the best approximations at five slopes of the range.
+    For one m the lobe is the best uniform approximation of the exact lobe. For a range, least
+    squares fit the steepness to the best steepness at each of five values of m.
 
     Parameters
     ----------
     k : 4 for Cook-Torrance, 0 for Ward
     g : power, in 1 to 31
-    smallest, largest : ends of the range of RMS slopes, in the domain of the exact lobe
+    smallest, largest : ends of the range of m, in the domain of the exact lobe
     """
     slopes = np.unique(np.geomspace(smallest, largest, 5)) if smallest < largest else [smallest]
     best = np.array([_steepness(k, g, m) for m in slopes])
-    # Least squares of the relative error of steepness = factor/m² - offset.
+    # Least squares minimise the relative error of steepness = factor/m² - offset.
     terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
     columns = 2 if len(slopes) > 1 else 1
     relative = terms[:, :columns] / best[:, None]

@@ -1,8 +1,8 @@
 """The lobe E/c^k and its approximations: registry entries and float64 references.
 
 All models use the slope factor E = exp(-tan² γ / m²) divided by c^k with c = cos γ: k = 4 in
-Cook-Torrance, k = 0 in Ward. Every lobe has the value 1 at c = 1 (γ = 0); the models
-(``model.py``) multiply it by their scale. ``lobes.NAME`` is ``fr_lobe_NAME`` in GLSL.
+Cook-Torrance, k = 0 in Ward. Every lobe has the value 1 at c = 1 (γ = 0); the models (``model.py``)
+multiply the lobe by their scale. ``lobes.NAME`` is ``fr_lobe_NAME`` in GLSL.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class Lobe(Entry):
     macro : macro that selects the lobe
     macros : values of further macros, keyed by their names
     price : key in tables of prices; lobes of the same cost share one key
-    constants : macro of the coefficients for a constant m, and the float64 function of m and k that
-        computes the coefficients
+    constants : macro that sets the coefficients if m is constant, and the float64 function of m and
+        k that computes the coefficients
     of_tan2 : only for the exact lobe: float64 reference as a function of tan² γ instead of c, which
         keeps the digits of small angles
     """
@@ -133,7 +133,7 @@ class PowerPolynomial:
         return np.asarray(scaled / w ** np.arange(1, table.shape[1] + 1))
 
     def magnitudes(self, m: ArrayLike) -> Float:
-        """Return the sum of the absolute terms of each a₁ m², a₂ m⁴, ...; it scales rounding."""
+        """Return the sums of absolute terms in a₁ m², a₂ m⁴, ...; the sums scale rounding."""
         w = np.asarray(m, dtype=np.float64)[..., None] ** 2
         return np.asarray(sum(np.abs(row) * w**j for j, row in enumerate(self.table)))
 
@@ -152,9 +152,9 @@ class GPower:
 
     Parameters
     ----------
-    g : power, in 1 to 31; D4, D8 and D16 of the paper have the factor 2/g and the offset k/g
+    g : power, in 1 to 31; D4, D8 and D16 have the factor 2/g and the offset k/g
     factor : factor of 1/m² in s, in [1e-9, 1e6]
-    offset : number subtracted in s, in [-1e6, 1e6]; the domain of m ends where s = 0
+    offset : number subtracted from factor/m², in [-1e6, 1e6]; the domain of m ends where s = 0
 
     Raises
     ------
@@ -308,7 +308,9 @@ def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 
 def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
-    """Approximate E/c^k by a clamped linear factor to the power g, max((n/g)(c - 1) + 1, 0)^g.
+    """Approximate E/c^k by a factor linear in c, clamped and raised to the power g.
+
+    The formula is max((n/g)(c - 1) + 1, 0)^g with n = 2/m² - k.
 
     Parameters
     ----------
@@ -349,7 +351,7 @@ def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
 
 
 def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Approximate E/c^k by a clamped cubic to the power 5.
+    """Approximate E/c^k by the fifth power of a clamped cubic in 1 - c.
 
     The error is at most 0.19 % of the peak for Cook-Torrance and 0.13 % for Ward, at all angles and
     slopes of the domain.
@@ -371,7 +373,7 @@ def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 
 def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Approximate E/c^k by a clamped quartic to the power 8.
+    """Approximate E/c^k by the eighth power of a clamped quartic in 1 - c.
 
     The error is at most 0.04 % of the peak. For the parameters, exceptions and references see
     :func:`fitted`.
@@ -460,7 +462,8 @@ def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float,
     )
 
 
-# Colours of Okabe and Ito (2008), for colour-blind readers. The colours are darkened for text.
+# Colours of Okabe and Ito (2008), for colour-blind readers. The colours are darkened, so that text
+# in them is legible.
 LOBES: dict[str, Lobe] = registry(
     Lobe(
         name="exact",

@@ -19,8 +19,8 @@ MIN_COSINE = 1e-6  # Value of FR_MIN_COSINE in shaders/facerender/constants.glsl
 class Masking(Entry):
     """A masking term; its macro is FR_MASKING_NAME.
 
-    The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised. It
-    returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
+    The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised.
+    The call returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
 
     Attributes
     ----------
@@ -42,7 +42,8 @@ class Masking(Entry):
 def masking_v_cavity(
     n_dot_h: ArrayLike, v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike
 ) -> Float:
-    """Return masking by V-shaped cavities, min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), in [0, 1].
+    """Return the masking term of V-shaped cavities, min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), in
+    [0, 1].
 
     Parameters
     ----------

@@ -41,14 +41,14 @@ class Model(Entry):
     k : power of 1/cos γ in the lobe
     evaluate : float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. If
         ``factors`` is true, f0 follows m, and ``fresnel_term`` and ``masking_term`` are further
-        parameters. If it is false, the result excludes the factor f0 of the GLSL call
+        parameters. If ``factors`` is false, the result excludes the factor f0 of the GLSL call
     factors : whether the model has a Fresnel term and a masking term
     family : name of a group of models that agree if the directions to the light and to the camera
         equal the normal; a plan may replace a model by another model of its family
     printed : GLSL call of the formula as published by Romanyuk et al. (2020); "" if there is none
     two : entry of the model with two lobes; its call also uses ``{second}``, the second slope, and
         float lobe_weight. None if the weighted mean of two calls costs the same
-    environment : entry of the radiance (vec3) that the exact lobe reflects from
+    environment : entry whose call computes the radiance (vec3) that the exact lobe reflects from
         ``environment_map``. The call uses environment_size and the variables of the model except l
         and ``{lobe}``. None if not implemented: there is then no specular environment light
     """
@@ -81,7 +81,7 @@ def dot(a: Float, b: Float) -> Float:
 
 
 class _Geometry:
-    """Cosines that the BRDFs share. A cosine is 1 where the BRDF is 0, to avoid divisions by 0."""
+    """Cosines that the BRDFs share; all 1 where the BRDF is 0, so that no divisor is 0."""
 
     def __init__(
         self, n: ArrayLike, l: ArrayLike, v: ArrayLike, cut: float, product: float = 0.0
@@ -212,9 +212,9 @@ def ward_printed(
 ) -> Float:
     """Return Ward's BRDF as published by Romanyuk et al. (2020), in 1/sr.
 
-    The formula is E/(4 π m² sqrt(N.V + L.H)). It serves only to reproduce the paper: the BRDF is
-    not reciprocal, and at normal incidence it is 0.707 times Ward's BRDF. For the parameters and
-    exceptions see :func:`cook_torrance`.
+    The formula is E/(4 π m² sqrt(N.V + L.H)). The function serves only to reproduce the paper: the
+    BRDF is not reciprocal, and at normal incidence it is 0.707 times Ward's BRDF. For the
+    parameters and exceptions see :func:`cook_torrance`.
     """
     at = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2

@@ -1,7 +1,7 @@
 """Ranges of values.
 
 Each range is defined once, on the dataclass field that it limits. Constructors, the command line,
-the schema and checks of batches, and the explorer read the range from this field."""
+the explorer, and the schema and the checks of batches read the range from this field."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def range_of(kind: type, name: str) -> Range:
 
 
 def check_fields(value: object, prefix: str = "") -> None:
-    """Check and convert, in a frozen dataclass, the fields that have a range and the switches.
+    """Check and convert the switches of a frozen dataclass and its fields with a range.
 
     Parameters
     ----------

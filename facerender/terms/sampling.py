@@ -22,7 +22,7 @@ _LAST = 2.0**-24  # Smallest 1 - x for a float32 x < 1.
 
 
 def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
-    """Return random slopes of the Beckmann distribution as tangent vectors (..., 3).
+    """Return random slopes from the Beckmann distribution: tangent vectors (..., 3).
 
     The sum of n and a slope points along the normal of a microfacet.
 
@@ -49,7 +49,8 @@ def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
 
 
 def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
-    """Return random directions to the light (..., 3), from the visible normals of V-cavities.
+    """Return random directions to the light (..., 3), sampled from the visible normals of
+    V-cavities.
 
     The BRDF is 0 for directions with N.L <= 0. The weight of a direction, BRDF (N.L)/density,
     is F G/G1, at most F.
@@ -89,7 +90,8 @@ def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) ->
 
 
 def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
-    """Return random directions to the light (..., 3), from half vectors of Ward's distribution.
+    """Return random directions to the light (..., 3), sampled from half vectors of Ward's
+    distribution.
 
     The BRDF is 0 for directions with N.L <= 0. If the half vector points away from the camera, the
     direction is -n.

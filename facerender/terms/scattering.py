@@ -69,7 +69,7 @@ def profile_of(given: Any) -> str | Gaussians:
 
 
 def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
-    """Return the Gaussians of a profile that are wider than half a pixel.
+    """Return a profile's Gaussians that are wider than half a pixel.
 
     Parameters
     ----------
@@ -99,10 +99,10 @@ def rest(gaussians: Gaussians) -> Float:
 
 @lru_cache(maxsize=64)
 def spiral(gaussians: Gaussians, samples: int) -> Float:
-    """Return the offsets of samples around a pixel in mm, and 1/density of the samples in mm^2.
+    """Return, for each sample around a pixel, its offset in mm and its 1/density in mm^2.
 
-    The shape is (samples, 3). The radii are distributed as the profile of the channel that scatters
-    farthest.
+    The shape is (samples, 3). The radii are distributed like the profile of the channel that
+    scatters farthest.
     """
     variance, weight = _columns(gaussians)
     share = weight[:, int(np.argmax(variance @ weight / np.maximum(weight.sum(axis=0), 1e-30)))]
@@ -117,7 +117,8 @@ def spiral(gaussians: Gaussians, samples: int) -> Float:
 
 
 def scatter_area(c: ArrayLike) -> Float:
-    """Return the surface area that a pixel shows, relative to a surface that faces the camera.
+    """Return the surface area that a pixel shows, relative to the area if the surface faced the
+    camera.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ _TURN = 2.39996323
 
 
 def shadow_lit(map: ArrayLike, tile: Tile, at: ArrayLike, z: ArrayLike) -> Float:
-    """Return the visibility of the light at a depth, interpolated between four texels of 0 or 1.
+    """Return the light's visibility, 0 or 1 per texel, interpolated between four texels.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def shadow_disc(
     map, tile, p, bias : see :func:`shadow_hard`
     plane : change of z per unit of x and per unit of y on the surface, (..., 2)
     tan_radius : tangent of the angular radius of the light, in (0, tan(20 degrees)]
-    top : largest z of the occluders; the light is fully visible if p has at least this z
+    top : largest z of the occluders; the light is fully visible if the z of p is at least this
+        value
     turn : rotation of the spiral of samples, in radians
     """
     place = np.asarray(p, dtype=np.float64)[..., None, :]  # Adds an axis for the samples.

@@ -1,7 +1,7 @@
 """Slope variance of unresolved detail: the float64 reference for
 ``shaders/facerender/slope_variance.glsl``.
 
-A variance is the variance of slopes along each of the two tangent axes. Variances of independent
+A slope variance is the variance of the slopes along each tangent axis. Variances of independent
 slopes add."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LEAST_V_DOT_H2 = 0.05
 
 
 def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
-    """Return the RMS slope, clamped to [1e-4, 2], for m and an additional slope variance.
+    """Return m after adding unresolved slope variance, clamped to [1e-4, 2].
 
     Parameters
     ----------

@@ -25,8 +25,8 @@
 
 // Polynomial coefficients of the albedo of one material.
 //
-//   returns:  Finite coefficients of the powers 0 to 7 of 2 sqrt(cosine) - 1: powers 0 to 3 in the
-//             first column, 4 to 7 in the second.
+//   returns:  Finite factors of s^0 to s^7 with s = 2 sqrt(cosine) - 1: s^0 to s^3 in the first
+//             column, s^4 to s^7 in the second.
 mat2x4 fr_albedo_fit(float m, float f0) {
     float t = (2.0 * clamp(FR_SLOPE(m), 0.05, 1.0) - 1.05) * (1.0 / 0.95);
     vec4 first_low = vec4(0.863348, 0.0726275, -0.313448, 0.189434)
@@ -52,14 +52,14 @@ mat2x4 fr_albedo_fit(float m, float f0) {
     return mat2x4(f0 * first_low + rest_low, f0 * first_high + rest_high);
 }
 
-// Directional albedo from a fit.
+// Directional albedo, evaluated from the result of fr_albedo_fit.
 float fr_albedo_of(mat2x4 fit, float n_dot_v) {
     float s = 2.0 * max(sqrt(clamp(n_dot_v, 0.0, 1.0)), 0.02) - 1.0;
     vec4 powers = vec4(1.0, s, s * s, s * s * s);
     return dot(fit[0], powers) + powers.z * powers.z * dot(fit[1], powers);
 }
 
-// Cosine-weighted mean of the albedo over the hemisphere, from a fit.
+// Cosine-weighted mean of the albedo over the hemisphere, from the result of fr_albedo_fit.
 float fr_albedo_mean(mat2x4 fit) {
     return dot(fit[0], vec4(1.0, 3.0 / 5.0, 7.0 / 15.0, 13.0 / 35.0))
         + dot(fit[1], vec4(11.0 / 35.0, 17.0 / 63.0, 5.0 / 21.0, 7.0 / 33.0));

@@ -29,7 +29,7 @@ precision highp float;
 #define FR_FLOOR 4e-13
 
 // Smallest slope m. Its square is 2.5e4 times FR_FLOOR, and the peak 1/(4 m^2) of the distribution
-// D is 2.5e7. BRDFs stay finite for smaller slopes.
+// D is 2.5e7. BRDFs stay finite even for smaller slopes.
 #define FR_MIN_SLOPE 1e-4
 
 // Largest slope m of the exact lobe. Functions that increase m for unresolved detail clamp the

@@ -10,8 +10,8 @@
 //             N.V in float32 is at most 0. With FR_MASKING_KELEMEN or FR_MASKING_NONE, exactly 0 if
 //             N.L or N.V is at most FR_MIN_COSINE. NaN if a vector is NaN.
 //   error:    Error of the lobe, plus float32 rounding: r times a reference value. The reference
-//             value is the BRDF in the same directions, with the highest value of the lobe in place
-//             of the lobe, and with F + 2e-6 in place of F.
+//             value is the BRDF in the same directions, with the lobe replaced by its highest
+//             value, and with F replaced by F + 2e-6.
 //             r = 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) + s, with e = 4e-7 (1 + 1/(N.L + N.V)) and:
 //             s = e/m for the exact lobe with FR_SMALL_SLOPE 1;
 //             s = e/m^2 for the exact lobe with FR_SMALL_SLOPE 0;
@@ -32,7 +32,7 @@
 #include "fresnel.glsl"
 #include "masking.glsl"
 
-// Constant factor of the Cook-Torrance BRDF, an argument of the Fresnel functions (fresnel.glsl).
+// Constant factor of the Cook-Torrance BRDF: the argument `scale` of the Fresnel functions.
 //
 //   formula:  ln 2/(4 pi) for the exact lobe, where fr_cook_torrance_parts divides by m^2 ln 2
 //             instead of m^2; 1/(4 pi) for other lobes
@@ -44,13 +44,13 @@ float fr_cook_torrance_scale(int lobe) {
     return lobe == FR_LOBE_EXACT ? 0.25 * FR_LN_2 / FR_PI : 0.25 / FR_PI;
 }
 
-// Pair (x, y): the Cook-Torrance BRDF without Fresnel term and constant factor, and V.H.
+// Pair (x, y): x is the Cook-Torrance BRDF without Fresnel term and constant factor, y is V.H.
 //
 //   formula:  x = G D/(pi (N.L)(N.V)) divided by fr_cook_torrance_scale, y = V.H
 //   lobe:     FR_LOBE_EXACT or another macro of lobe.glsl, a constant.
 //   masking:  FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
 //   unit:     none
-//   returns:  x and y, both >= 0; x is finite, 0 and NaN in the same cases as fr_cook_torrance.
+//   returns:  x and y, both >= 0; x is finite, 0 or NaN in the same cases as fr_cook_torrance.
 vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int masking) {
     float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
     float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
@@ -89,7 +89,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
 }
 
 // Cook-Torrance specular BRDF with the terms that the arguments select.
-// Programs with different terms per light, or with two lobes, use this function.
+// Programs with different terms per light use this function.
 //
 //   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the
 //             compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes available.

@@ -1,7 +1,8 @@
 // Cook-Torrance specular BRDF in half precision: exact lobe, Schlick's Fresnel term, V-cavities.
 // This function is for GPUs whose mediump has half precision. Operations on vectors use highp. All
-// later values are mediump: they have 10 bits and stay below 2^14, the range that GLSL ES requires
-// of mediump. Where mediump is float32, and in languages other than GLSL, all values are float32.
+// later values are mediump: they have 10-bit precision and stay below 2^14, the range that GLSL ES
+// requires of mediump. Where mediump is float32, and in languages other than GLSL, all values are
+// float32.
 //
 //   formula:  F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
@@ -9,8 +10,8 @@
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1).
 //   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
 //   returns:  Finite and >= 0; 0 if N.L or N.V is at most FR_MIN_COSINE.
-//   error:    If N.L and N.V are at least 0.05: 1 % of the BRDF in the same directions, computed
-//             with the highest value of the lobe. Smaller cosines are raised to 0.05 in the
+//   error:    If N.L and N.V are at least 0.05: 1 % of the BRDF in the same directions, with the
+//             lobe replaced by its highest value. Smaller cosines are raised to 0.05 in the
 //             divisor, so that the result is too low.
 //   source:   See cook_torrance.glsl. G/((N.L)(N.V)) is min(1/low, 4 n.h/h.h)/high, where low is
 //             the smaller and high the larger of N.L and N.V.

@@ -38,7 +38,7 @@ vec3 fr_cook_torrance_sample(vec3 n, vec3 v, float m, vec3 u) {
 //   unit:     1/sr
 //   returns:  Finite and >= 0; 0 if N.V or n.h = N.L + N.V is at most FR_MIN_COSINE.
 //   error:    float32 rounding: r of fr_cook_torrance (see cook_torrance.glsl), times the density
-//             in the same directions with the highest value of the lobe.
+//             in the same directions, with the lobe replaced by its highest value.
 float fr_cook_torrance_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_v = dot(n, v);
     vec3 h = l + v;

@@ -12,9 +12,9 @@
 //             octahedron |x| + |y| + |z| = 1, seen from +y, with the lower half of the octahedron
 //             folded out; x increases to the right, z upwards. The texture contains levels side by
 //             side, starting at the lower left. Each level has half the side of the previous level,
-//             down to 4 texels. A texel is the mean of four texels of the previous level, weighted
-//             by their solid angles. A border of one texel around each level repeats the texels
-//             that adjoin the edge on the octahedron.
+//             down to a side of 4 texels. A texel is the mean of four texels of the previous level,
+//             weighted by their solid angles. A border of one texel around each level repeats the
+//             texels that adjoin the edge on the octahedron.
 //   size:     Side of the first level in texels: a power of two, at least 8.
 //   n, v:     Unit vectors in map space: normal, direction to the camera.
 //   l:        Unit vector in map space: direction to the light.
@@ -52,7 +52,7 @@ vec3 fr_environment_irradiance(vec3[9] sh, vec3 n) {
     return max(first + mixed + second, 0.0);
 }
 
-// Value of one level of the map at a position.
+// Value of the map at a position in one level.
 //
 //   formula:  bilinear interpolation between four texels
 //   place:    Position in the level, from lower left to upper right, in [0, 1].
@@ -77,8 +77,8 @@ vec3 fr_environment_level(sampler2D map, int size, vec2 place, int level) {
 
 // Mean radiance within a solid angle around a direction.
 //
-//   formula:      linear interpolation between the two levels whose texels are closest to this
-//                 solid angle
+//   formula:      linear interpolation between the two levels whose texels are closest to
+//                 solid_angle in size
 //   solid_angle:  Solid angle in sr.
 //   returns:      Within the range of values of the map.
 //   error:        float32 rounding: 2e-6 times the side of the level in texels, times the largest
@@ -115,15 +115,15 @@ mat2x3 fr_environment_axes(vec3 n, vec3 v) {
 }
 
 // One sample of the lobe: direction and solid angle.
-// The slopes of the samples follow the Beckmann distribution on a spiral. Each slope is also used
-// in the opposite direction, as the other side of a V-cavity.
+// The slopes of the samples follow the Beckmann distribution on a spiral. Each slope is used again
+// in the opposite direction, for the other side of a V-cavity.
 //
 //   formula:  half vector n + s with |s|^2 = -m^2 ln(rest), l = 2 (V.H) H - V,
 //             solid angle 4 pi m^2 (V.H) (N.H)^3/(N rest), rest = 1 - (i + 1/2)/(N/2)
 //   axes:     Result of fr_environment_axes.
 //   towards:  Unit vector: direction of the slope in `axes`, at the angle 1.94161104 i radians
-//             or opposite. The caller rotates this vector from slope to slope, because drivers need
-//             not compute sin and cos accurately.
+//             or opposite. The caller rotates this vector for each next slope, because drivers may
+//             compute sin and cos inaccurately.
 //   i:        Index of the slope, from 0 to N/2 - 1, with N = FR_ENVIRONMENT_SAMPLES.
 //   unit:     l: none; solid angle: sr
 //   returns:  l in xyz, its solid angle in w; w <= 0 if the half vector faces away from the camera.
@@ -146,8 +146,8 @@ vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, vec2 towards, i
 //   f0:       Fresnel reflectance at normal incidence, in [0, 1).
 //   fresnel:  FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
 //   masking:  FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
-//   returns:  Finite and >= 0, with V-cavities at most twice the highest value of the map; 0 if N.V
-//             is at most FR_MIN_COSINE.
+//   returns:  Finite and >= 0; with FR_MASKING_V_CAVITY at most twice the highest value of the map;
+//             0 if N.V is at most FR_MIN_COSINE.
 vec3 fr_environment_cook_torrance(
     sampler2D map, int size, vec3 n, vec3 v, float m, float f0, int fresnel, int masking
 ) {

@@ -28,14 +28,14 @@
 #define FR_FRESNEL FR_FRESNEL_SCHLICK
 #endif
 
-// Fresnel reflectance by the formula that the argument `fresnel` selects (a compile-time constant).
+// Fresnel reflectance by the formula that the compile-time constant `fresnel` selects.
 float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {
     if (fresnel == FR_FRESNEL_CONSTANT) return f0;
     if (fresnel == FR_FRESNEL_DIELECTRIC) return fr_fresnel_dielectric(f0, v_dot_h);
     return fr_fresnel_schlick(f0, v_dot_h);
 }
 
-// Constant factor times the Fresnel reflectance by the formula that `fresnel` selects.
+// Fresnel reflectance times a constant factor, by the formula that `fresnel` selects.
 //
 //   scale:    Constant factor, in (0, 1].
 //   returns:  In [0, scale].

@@ -1,4 +1,4 @@
-// Squared lengths of the half vector h = L + V and of its tangential part, without normalisation.
+// Squared lengths of the half vector h = L + V, not normalised, and of its tangential part.
 //
 //   formula:  x = |h|^2, y = |n x h|^2; then cos^2(gamma) = 1 - y/x, tan^2(gamma) = y/(n.h)^2
 //   n:        Unit vector: normal.
@@ -13,8 +13,8 @@
 //   source:   Lagrange's identity: |n x h|^2 = (n.n)(h.h) - (n.h)^2.
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2. FR_SMALL_SLOPE 1 keeps the product accurate for
-// small m. This setting costs up to 8 % of a whole specular term (facerender measure). A host whose
-// m stays above 0.2 may turn the setting off: #define FR_SMALL_SLOPE 0.
+// small m. This setting costs up to 8 % of a whole specular term (measured by facerender measure).
+// A host whose m stays above 0.2 may turn the setting off: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 

@@ -6,9 +6,9 @@
 //   m:        Roughness: RMS slope of the microfacets, in the domain of the selected lobe.
 //   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
 //   lobe:     FR_LOBE_EXACT or another macro below, a constant that the compiler folds. Only the
-//             lobe that FR_LOBE names is available; for others the functions return -1. #define
-//             FR_LOBE FR_LOBE_EVERY makes all lobes available; functions without this argument then
-//             use the exact lobe.
+//             lobe that FR_LOBE names is available; for other lobes the functions return -1.
+//             #define FR_LOBE FR_LOBE_EVERY makes all lobes available; functions without this
+//             argument then use the exact lobe.
 //   unit:     none
 //   returns:  1 at c = 1; the caller multiplies by the scale of the model.
 //   error:    See lobe/*.glsl.
@@ -67,7 +67,7 @@
 #include "lobe/fitted.glsl"
 #endif
 
-// Power (1 to 31) and steepness of FR_LOBE_G_POWER, which the host fits. The default is D8.
+// Power (1 to 31) and steepness of FR_LOBE_G_POWER. The host sets both; the default is D8.
 #ifndef FR_G
 #define FR_G 8
 #endif
@@ -75,7 +75,7 @@
 #define FR_STEEPNESS(m, k) ((2.0 / ((m) * (m)) - float(k)) / float(FR_G))
 #endif
 
-// Lobe that the argument `lobe` selects, for callers that already have 1/m^2, such as a BRDF.
+// Lobe that the argument `lobe` selects, for callers, such as a BRDF, that already have 1/m^2.
 //
 //   inverse_m2:  1/m^2.
 float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {

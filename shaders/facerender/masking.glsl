@@ -1,4 +1,4 @@
-// Masking term G over (N.L)(N.V), as a pair (x, y) without the factor 1/h.h.
+// Masking term G divided by (N.L)(N.V): pair (x, y) whose quotient lacks the factor 1/h.h.
 // The macro FR_MASKING selects the term of fr_cook_torrance: #define FR_MASKING FR_MASKING_KELEMEN.
 // The default is FR_MASKING_V_CAVITY. With FR_MASKING_NONE, G = 1; the BRDF then grows as 1/(N.V)
 // towards the silhouette.
@@ -28,8 +28,8 @@
 #define FR_MASKING FR_MASKING_V_CAVITY
 #endif
 
-// Masking term G over (N.L)(N.V), as a pair (x, y) without the factor 1/h.h. The argument `masking`
-// selects the term.
+// Masking term G divided by (N.L)(N.V): pair (x, y) whose quotient lacks the factor 1/h.h. The
+// argument `masking` selects the term.
 vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, int masking) {
     if (masking == FR_MASKING_NONE) return vec2(min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR);
     if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen_ratio(n_dot_l, n_dot_v);

@@ -1,16 +1,17 @@
-// Subsurface scattering in image space: irradiance around a pixel, weighted by a diffusion profile.
+// Subsurface scattering in image space: mean irradiance around a pixel, weighted by a diffusion
+// profile.
 //
 //   source:   Profile: d'Eon and Luebke (2007), "Advanced techniques for realistic real-time skin
 //             rendering", GPU Gems 3, chapter 14; samples in the image: Jimenez et al. (2009),
 //             "Screen-space perceptual rendering of human skin", here with distances between 3D
 //             positions.
-//   error:    docs/measurements/skin.md compares with the integral of the profile over a mesh. Each
-//             function states its float32 rounding.
+//   error:    docs/measurements/skin.md compares the result with the integral of the profile over a
+//             mesh. Each function states its float32 rounding.
 //   unit:     lengths: unit of the host; scattered light: unit of the image
 //
-//   gaussians:  Gaussians of the profile that are wider than half a pixel, with weight w (red,
-//               green, blue) and variance v > 0 in square units. rgb: w/(2 pi v), whose sum over
-//               the Gaussians is at most 1e8; a: -log2(e)/(2 v).
+//   gaussians:  Gaussians of the profile, except Gaussians narrower than half a pixel. For the
+//               weight w (red, green, blue) and the variance v > 0 in square units, rgb:
+//               w/(2 pi v), whose sum over the Gaussians is at most 1e8; a: -log2(e)/(2 v).
 //   light:      Float texture without filtering. rgb: irradiance, in [0, 1e12]; a: result of
 //               fr_scatter_area for the normal of the mesh.
 //   place:      Float texture without filtering. xyz: position of the surface; w: a number other
@@ -30,12 +31,12 @@ precision highp int;
 #define FR_SCATTER_SAMPLES 16
 #endif
 
-// Number of Gaussians of a profile.
+// Number of Gaussians in a profile.
 #ifndef FR_SCATTER_GAUSSIANS
 #define FR_SCATTER_GAUSSIANS 4
 #endif
 
-// Fraction of the light entering at one point that leaves the skin at another point, per unit area.
+// Of the light that enters at one point, the fraction that leaves at another point, per unit area.
 //
 //   formula:  sum of w exp(-r^2/(2 v))/(2 pi v)
 //   r2:       Squared distance between the two points, in [0, 1e18].
@@ -50,7 +51,8 @@ vec3 fr_scatter_profile(float r2, vec4[FR_SCATTER_GAUSSIANS] gaussians) {
     return sum;
 }
 
-// Surface area that a pixel shows, divided by the area of a surface that faces the camera.
+// Surface area that a pixel shows, divided by the area it would show if the surface faced the
+// camera.
 //
 //   formula:  1/max(|c|, 0.2)
 //   c:        N.V, in [-1, 1].
@@ -62,8 +64,8 @@ float fr_scatter_area(float c) {
     return 1.0 / max(abs(c), 0.2);
 }
 
-// Rotation angle of the samples of a pixel. It differs between adjacent pixels, which turns banding
-// into noise.
+// Rotation angle of a pixel's samples. The angle differs between adjacent pixels, which turns
+// banding into noise.
 //
 //   formula:  2 pi fract(52.983 fract(0.06711056 x + 0.00583715 y)) - pi, computed with integers
 //   pixel:    Column and row of the pixel.
@@ -83,11 +85,11 @@ float fr_scatter_turn(ivec2 pixel) {
 //             the profile
 //   pixel:    Column and row of a pixel where place.w is not 0.
 //   scale:    Pixels per unit of length across the view, at the depth of the pixel.
-//   rest:     Fraction of the light of each channel that leaves where it enters: 1 minus the sum of
-//             the weights of the Gaussians.
-//   spiral:   xy: offset of each sample from the pixel before rotation, in units of length; z:
-//             1/density of the samples at this offset, in [0, 1e12]. Larger z may overflow if
-//             irradiance and profile have their largest values.
+//   rest:     Fraction of the light in each channel that leaves where it enters: 1 minus the sum of
+//             the Gaussians' weights.
+//   spiral:   xy: offset of each sample from the pixel, before the rotation, in units of length; z:
+//             1/density of the samples at this offset, in [0, 1e12]. With larger z the result may
+//             overflow if irradiance and profile have their largest values.
 //             Example: radii distributed as the profile, angles 2.39996 i (Vogel 1979).
 //   unit:     unit of the image
 //   returns:  >= 0. In the formula, the sums run over the pixels i of the spiral; d_i is the

@@ -2,18 +2,18 @@
 //
 //   unit:     none
 //   returns:  In [0, 1].
-//   error:    docs/measurements/skin.md compares with ray-traced shadows. Float32 rounding: none,
-//             except where a depth equals the depth in the map within rounding; the texel then
-//             counts as lit or as dark.
+//   error:    docs/measurements/skin.md compares the result with ray-traced shadows. Float32
+//             rounding: none, except where a depth equals the depth in the map within rounding; the
+//             texel then counts as lit or as dark.
 //   source:   Williams (1978), "Casting curved shadows on curved surfaces"; discs: Fernando (2005),
 //             "Percentage-closer soft shadows".
 //
 // Points are in light space. x and y are perpendicular to the direction of the light, from -1 to 1
 // over the map. z grows towards the light, with the same scale as x and y. For a point light at
 // distance d from the centre of a mesh in the unit sphere, light space is s d (x, y, z)/(d - z).
-// There z is along the axis from the centre to the light, and s = sqrt(1 - 1/d^2). In light space
-// the rays from the light are parallel, planes stay planes, and the shadow edge of a sphere light
-// widens as for a distant disc light.
+// Here z is the coordinate along the axis from the centre to the light, and s = sqrt(1 - 1/d^2). In
+// light space the rays from the light are parallel, planes stay planes, and the shadow edge of a
+// sphere light widens like the shadow edge of a distant disc light.
 //
 //   map:      Float texture without filtering. Red: z of the surface nearest to the light; where
 //             there is no surface, a value below the z of every point.
@@ -30,13 +30,14 @@
 precision highp sampler2D;
 #endif
 
-// Number of samples that fr_shadow_disc takes for the search for occluders, and again for the
-// visible fraction.
+// Number of samples in each of the two loops of fr_shadow_disc: search for occluders, visible
+// fraction.
 #ifndef FR_SHADOW_SAMPLES
 #define FR_SHADOW_SAMPLES 12
 #endif
 
-// Visibility of the light at a depth, 0 or 1 per texel, interpolated between four texels.
+// Visibility of the light at a position and depth: 0 or 1 per texel, interpolated between four
+// texels.
 //
 //   formula:  bilinear interpolation of step(map, z)
 //   at, z:    Position and depth in light space.

@@ -1,4 +1,4 @@
-// Random slope of the lobe's Beckmann distribution, as a vector in the tangent plane.
+// Random slope from the exact lobe's Beckmann distribution: a vector in the tangent plane.
 // The sum of the normal and the slope points along the normal of a microfacet.
 //
 //   formula:  m sqrt(-ln(1 - x)) at the angle 2 pi y around n

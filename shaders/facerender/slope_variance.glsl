@@ -1,5 +1,5 @@
-// Slope variance: unresolved detail within a pixel, a texel or a disc light, treated as
-// microfacets.
+// Slope variance: unresolved detail within a pixel or texel, or the extent of a disc light, treated
+// as microfacets.
 //
 //   unit:     none: variance of the slopes along each of the two tangent axes
 //   returns:  >= 0.
@@ -16,9 +16,9 @@
 // Standard deviation of the slopes that alpha = 1 encodes in a prepared normal map.
 #define FR_MAP_DEVIATION 0.35
 
-// Fraction of the variance of a normal map that widens the lobe. Relief such as pores is mostly
-// flat with few steep walls: a Gaussian distribution with the full variance has a lower peak than
-// the real highlight.
+// Fraction of a normal map's variance that widens the lobe. Relief such as pores is mostly flat
+// with few steep walls: a Gaussian distribution with the full variance has a lower peak than the
+// real highlight.
 #define FR_MAP_SHARE 0.5
 
 // Largest result of fr_slope_variance_pixel. At a silhouette the normal changes without bound, but
@@ -40,7 +40,7 @@ float fr_slope_filtered(float m, float variance) {
     return sqrt(clamp(m * m + 2.0 * variance, least, FR_MAX_SLOPE * FR_MAX_SLOPE));
 }
 
-// Slope variance of the texels that a mip level of a prepared normal map averages.
+// Slope variance within one texel of a prepared normal map, at any mip level.
 // The command facerender shaders prepare-normal-map writes such maps.
 //
 //   formula:  0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of unit
@@ -55,14 +55,14 @@ float fr_slope_variance_map(float alpha) {
     return FR_MAP_SHARE * deviation * deviation;
 }
 
-// Slope variance of a curved mesh over a pixel.
+// Slope variance of a curved mesh within a pixel.
 //
 //   formula:   (|n_x|^2 + |n_y|^2)/24, at most 0.1: half of the sum for each axis, times 1/12, the
 //              variance of a uniform position in a pixel
 //   n_x, n_y:  Change of the unit normal of the mesh (without normal map) to the next pixel in x
 //              and in y, for example dFdx(n) and dFdy(n).
-//   error:     Error of assuming a linear normal within the pixel; float32 rounding: 5e-7 times the
-//              result.
+//   error:     Error of assuming that the normal changes linearly within the pixel; float32
+//              rounding: 5e-7 times the result.
 //   source:    Kaplanyan et al. (2016), Tokuyoshi and Kaplanyan (2019), here with a box filter of
 //              one pixel.
 float fr_slope_variance_pixel(vec3 n_x, vec3 n_y) {

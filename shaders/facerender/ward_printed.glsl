@@ -1,5 +1,5 @@
 // Ward's specular BRDF as published by Romanyuk et al. (2020).
-// It serves only to reproduce their paper: the BRDF is not reciprocal, and at normal
+// The function serves only to reproduce their paper: the BRDF is not reciprocal, and at normal
 // incidence it is 0.707 times Ward's BRDF. In all other cases use ward.glsl.
 //
 //   formula:  E/(4 pi m^2 sqrt(N.V + L.H)), E = exp(-tan^2(gamma)/m^2)
@@ -16,7 +16,7 @@
 #include "constants.glsl"
 #include "ward.glsl"
 
-// Ward's specular BRDF as published by Romanyuk et al. (2020), with the lobe as an argument.
+// Ward's specular BRDF as published by Romanyuk et al. (2020), with the lobe that `lobe` selects.
 //
 //   lobe:     See fr_ward_terms.
 float fr_ward_printed_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
@@ -26,7 +26,7 @@ float fr_ward_printed_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     return fr_ward_terms(n, l, v, m, lobe) * sqrt(n_dot_l * n_dot_v / (n_dot_v + l_dot_h));
 }
 
-// Ward's specular BRDF as published by Romanyuk et al. (2020), with the lobe of FR_LOBE.
+// Ward's specular BRDF as published by Romanyuk et al. (2020), with the lobe that FR_LOBE selects.
 float fr_ward_printed(vec3 n, vec3 l, vec3 v, float m) {
     return fr_ward_printed_terms(n, l, v, m, FR_DEFAULT_LOBE);
 }

@@ -9,8 +9,8 @@
 //   unit:     none for the sample; 1/sr for the density
 //   returns:  A unit vector l. If N.L <= 0, l points below the surface and the BRDF is 0. The
 //             weight of the sample, BRDF (N.L)/density, is c^3 (V.H) sqrt((N.L)/(N.V)); this weight
-//             is unbounded only for grazing N.V. If the half vector points away from the camera, l
-//             is -n.
+//             is unbounded only as N.V approaches 0. If the half vector points away from the
+//             camera, l is -n.
 //   error:    At most 1e-5 per component of l in float32, or 2^-10 if sine and cosine are only as
 //             accurate as Vulkan requires.
 //   source:   Ward (1992); Walter (2005), "Notes on the Ward BRDF".
@@ -30,10 +30,10 @@ vec3 fr_ward_sample(vec3 n, vec3 v, float m, vec2 u) {
 // Probability density of fr_ward_sample.
 //
 //   unit:     1/sr
-//   returns:  Finite and >= 0; 0 if N.V or N.L is at most FR_MIN_COSINE, which excludes the pole at
-//             l = -v below the surface.
+//   returns:  Finite and >= 0; 0 if N.V or N.L is at most FR_MIN_COSINE; this condition excludes
+//             the pole at l = -v below the surface.
 //   error:    float32 rounding: r of fr_ward (see cook_torrance.glsl), times the density in the
-//             same directions with the highest value of the lobe.
+//             same directions, with the lobe replaced by its highest value.
 float fr_ward_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);

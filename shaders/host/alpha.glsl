@@ -24,7 +24,7 @@ float opacity_here() {
 // no layer.
 uniform sampler2D previous_layer;
 
-// Discard all fragments except those behind the previous layer.
+// Discard each fragment that is not behind the previous layer.
 // At equal depth the triangle drawn last counts as the triangle in front.
 void discard_previous_layers() {
     vec4 before = texelFetch(previous_layer, ivec2(gl_FragCoord.xy), 0);
@@ -38,10 +38,10 @@ void discard_previous_layers() {
 uniform float alpha_cutoff;
 
 // Return the fraction of a fragment that remains after the alpha cutoff.
-// TO_COVERAGE is the number of samples per pixel. If it is defined, the fraction may be partial in
-// a pixel where the opacity crosses the cutoff. OpenGL converts the fraction to n covered samples
-// (alpha to coverage). The offset of 0.25 gives n samples both on drivers that round to the nearest
-// number and on drivers that round up, like Mesa.
+// TO_COVERAGE is the number of samples per pixel. If it is defined, the fraction may lie between 0
+// and 1 in a pixel where the opacity crosses the cutoff. OpenGL converts the fraction to n covered
+// samples (alpha to coverage). The offset of 0.25 gives n samples both on drivers that round to the
+// nearest number and on drivers that round up, like Mesa.
 float share_left() {
     float alpha = opacity_here();
 #ifdef TO_COVERAGE

@@ -1,4 +1,4 @@
-// Draw only the depth of a surface.
+// Draw the depth of a surface.
 #ifdef UV
 in vec2 uv;
 #endif

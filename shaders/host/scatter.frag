@@ -1,4 +1,4 @@
-// Subsurface scattering: adds the change of the diffuse light to an image, and composites the image
+// Subsurface scattering: add the change of the diffuse light to an image, and composite the image
 // over the background.
 // The depth test limits the program to the pixels that scatter_mask.frag marked.
 #include "facerender/constants.glsl"

@@ -1,4 +1,4 @@
-// Marks, in the depth buffer, the pixels of one scattering profile.
+// Mark, in the depth buffer, the pixels with the scattering profile.
 // The depth test then skips scatter.frag at all other pixels.
 #include "host/scattering.glsl"
 

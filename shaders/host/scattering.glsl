@@ -6,7 +6,7 @@ uniform sampler2D place;
 uniform float profile;
 
 // Return the pixel whose surface represents `pixel`: usually `pixel` itself.
-// If no surface covers its centre, but a surface covers other samples of it, return a neighbour.
+// If a surface covers some samples of the pixel but not its centre, return a neighbour.
 ivec2 stand_in(ivec2 pixel) {
 #ifdef SEVERAL
     if (texelFetch(image, pixel, 0).a == 0.0) return pixel;

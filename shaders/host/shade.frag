@@ -1,7 +1,7 @@
 // Radiance of a point: the sum of irradiance x N.L x BRDF over all lights, plus the ambient term.
 // drawing/program.py writes the text before this file:
 // - the includes of the kinds of lights;
-// - EVERY_LIGHT, which calls add_light for each light with the index of the light's specular term,
+// - EVERY_LIGHT, which calls add_light for each light, with the index of the light's specular term,
 //   or -1 for none;
 // - if a light has a specular term: SPECULAR and specular_term(term, n, l, v, m, f0); with
 //   TWO_LOBES the arguments second_m and lobe_weight precede f0;

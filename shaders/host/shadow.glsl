@@ -1,10 +1,11 @@
 // Visibility of the shadow-casting lights at a point.
-// SHADOWS is the number of these lights. SHADOW_DISCS is defined if any of the lights has a radius.
+// SHADOWS is the number of shadow-casting lights. SHADOW_DISCS is defined if one of them has a
+// radius.
 #include "facerender/shadow.glsl"
 
 uniform sampler2D shadow_map;  // One square tile per light, side by side.
 uniform mat4 shadow_view[SHADOWS];   // Matrix from the renderer's space to light space.
-uniform vec2 shadow_size[SHADOWS];   // Tangent of the light's angular radius, largest z.
+uniform vec2 shadow_size[SHADOWS];   // Tangent of the light's angular radius; largest z.
 
 const float BIAS = 0.004;
 // Noise: Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
@@ -23,7 +24,7 @@ vec2 plane_of(mat4 view, vec3 at, Point p) {
 #endif
 
 // Return the visible fraction of a light. The light is visible down to an angle below the
-// horizon; `below` is its sine.
+// horizon; `below` is the sine of this angle.
 float visibility(int i, Surface s, Point p, vec3 direction, float below) {
     bool dark = dot(s.normal, direction) <= -below;
     int texels = textureSize(shadow_map, 0).y;

@@ -76,7 +76,7 @@ vec3 mapped_normal(Point p, float square, float facing) {
     vec3 bitangent = across_y * p.uv_x.y + across_x * p.uv_y.y;
     // A UV chart of zero area has a zero frame; the minimum 1e-30 then keeps the vertex normal.
     float longest = max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30);
-    float scale = square * inversesqrt(square * longest);  // Factor to the vertex normal's length.
+    float scale = square * inversesqrt(square * longest);  // Scales to the vertex normal's length.
     if (dot(p.position_x, across_y) < 0.0) scale = -scale;
     vec3 texel = TEXEL(normal_map, p, NORMAL_MAP_UV).xyz;  // In [0, 1], encodes [-1, 1].
     vec2 along = texel.xy * (2.0 * scale) - scale;

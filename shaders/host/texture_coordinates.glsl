@@ -1,5 +1,4 @@
-// Texture coordinates of each map: uv, unless the program defines other coordinates before this
-// file.
+// Texture coordinates of each map: uv, unless the program defines others before the include.
 #ifndef HOST_TEXTURE_COORDINATES_GLSL
 #define HOST_TEXTURE_COORDINATES_GLSL
 

@@ -1,4 +1,4 @@
-// Marks, in the depth buffer, the pixels where a part is visible.
+// Mark, in the depth buffer, the pixels where a part is visible.
 // The depth test then skips the shading of the part at all other pixels.
 #include "host/visible.glsl"
 

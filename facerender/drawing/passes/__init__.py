@@ -1,5 +1,5 @@
-"""Rendering passes as data. The renderer draws an image by a list of passes, which contains only
-the passes that the scene needs. No OpenGL here."""
+"""Rendering passes as data. To draw an image, the renderer executes a list of the passes that the
+scene needs. No OpenGL here."""
 
 from __future__ import annotations
 

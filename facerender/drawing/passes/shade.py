@@ -35,8 +35,8 @@ def shade_pass(
     ----------
     samples : samples per pixel
     only : term to draw, "specular" or "diffuse"; None for the whole image
-    visibility : visibility pass for deferred shading, with the same number of samples; None for
-        forward shading
+    visibility : visibility pass that deferred shading reads, with as many samples as this pass;
+        None: forward shading
     scattering : scattering of the scene. If given, the pass also draws the input images of the
         scatter pass, and omits background and blended parts
     apart : whether to draw only the input images of the scatter pass

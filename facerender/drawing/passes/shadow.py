@@ -85,7 +85,7 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
 
 
 def _cut(material: Material) -> Hashable:
-    """Return the values of a material's alpha mask, as a part of the shadow maps' ``Pass.key``."""
+    """Return the values of a material's alpha mask, which the ``Pass.key`` of shadow maps has."""
     map_ = material.opacity_map and ref(material.opacity_map)
     own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
     return (material.alpha, map_, *own) if material.alpha != "opaque" else None
@@ -99,7 +99,7 @@ def light_visibility_pass(
 ) -> Pass:
     """Return the pass that draws the visible fraction of each light that casts shadows.
 
-    The lights have the order of :class:`Lighting`.
+    The lights are in the order of ``Lighting.lights``.
 
     visibility : see :func:`shade_pass`
     blended_part : see :func:`surface_pass`

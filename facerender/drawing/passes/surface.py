@@ -69,7 +69,7 @@ def surface_pass(
     uniforms = scene_uniforms(scene, view)
     shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
     target = Target(colors=4 + two + shines)
-    if blended_part is not None:  # two targets alternate: a layer reads the previous layer
+    if blended_part is not None:  # two targets alternate, as each layer reads the previous one
         target = Target(colors=target.colors + 1, sampled=True, number=blended_part.layer % 2)
     drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn

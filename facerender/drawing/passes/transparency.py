@@ -28,7 +28,7 @@ class BlendedPart:
     ----------
     part : index of the part in the mesh
     order : (F,) indices of the part's triangles, back to front by the depth of triangle centres
-    layer : for depth peeling, index of the surface that each pixel shows: 0 is the nearest surface
+    layer : index of the surface that depth peeling shows at each pixel: 0 is the nearest surface
     """
 
     part: int
@@ -48,8 +48,8 @@ class BlendedPart:
 
 
 def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
-    """Return the blended parts in drawing order: they are sorted by the depth of each part's
-    nearest vertex, from far to near."""
+    """Return the blended parts in drawing order. The part whose nearest vertex has the largest
+    depth comes first."""
     found = []
     for number, (part, material) in enumerate(
         zip(scene.mesh.parts, scene.mesh.materials, strict=True)
@@ -100,6 +100,6 @@ def depth_only(draw: Draw) -> Draw:
 
 
 def mask_features(features: Sequence[str]) -> tuple[str, ...]:
-    """Return the features that the alpha mask of a part needs; () without a mask."""
+    """Return only the features that the part's alpha mask needs; () without a mask."""
     cut = "ALPHA_MASK" in features
     return tuple(name for name in features if name.startswith(_CUT)) if cut else ()

@@ -99,7 +99,7 @@ class Visibility:
         samples: int,
         shading_rate: ShadingRate = "sample",
     ) -> Visibility:
-        """Number the triangles of a scene, and compute the bounds of each part in the image."""
+        """Assign an index to each triangle, and compute the bounds of each part in the image."""
         parts, first = [], 1
         for part in scene.mesh.parts:
             setup = triangle_setup_of(part, scene.mesh)

@@ -21,7 +21,7 @@ function quartiles(values) {
   return {median: at(0.5), low: at(0.25), high: at(0.75), rounds: [...values]};
 }
 
-// Returns the milliseconds that work takes on the GPU, or null if the GPU's clock was disturbed.
+// Returns the milliseconds that `work` takes on the GPU, or null if the GPU's clock was disturbed.
 // Without a clock, the function reads a pixel after the work, to wait for all drawing.
 async function timed(drawing, clock, work) {
   const {gl} = drawing;

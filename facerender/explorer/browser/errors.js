@@ -1,7 +1,7 @@
 // Statistics of the current image's error, over the pixels that the mesh covers.
 const WITHIN = 0.999;  // Percentile, as a fraction of the covered pixels.
 
-// Returns for each measure the largest error, the 99.9th percentile, the mean, and the pixel of the
+// Returns for each kind of error the largest error, the 99.9th percentile, the mean, and the pixel of the
 // largest error. pixels: (N, 4), as error.glsl returns them.
 function statistics(pixels, width) {
   const covered = [];

@@ -1,6 +1,7 @@
 // Exact Fresnel reflectance of a dielectric in air for unpolarised light.
 // The code uses q = eta^2 - 1 and g - c = q/(g + c), so that no digits cancel for eta near 1. At q
-// = c = 0 the sum g + c is raised to 1e-20. This turns 0/0 into 0, the limit for c > 0.
+// = c = 0 the sum g + c is raised to 1e-20. This turns 0/0 into 0, the limit of a
+// for q = 0 and c > 0.
 //
 //   formula:  a^2 (1 + b^2)/2, a = (g - c)/(g + c), b = (c (g + c) - 1)/(c (g - c) + 1), c = V.H,
 //             g^2 = eta^2 + c^2 - 1, eta = (1 + sqrt(f0))/(1 - sqrt(f0))

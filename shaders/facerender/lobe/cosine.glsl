@@ -23,7 +23,7 @@
 //
 //   formula:  c^n
 //   n:        Exponent; clamped to at least 0.
-//   error:    The formula is exact. For its error as an approximation of E/c^k see fr_lobe_cosine.
+//   error:    The formula is exact. For the difference between c^n and E/c^k see fr_lobe_cosine.
 float fr_lobe_power(float c, float n) {
     return exp2(max(n, 0.0) * log2(clamp(c, 1e-30, 1.0)));
 }

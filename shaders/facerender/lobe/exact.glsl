@@ -33,7 +33,7 @@ float fr_slope_factor(float x) {
     return exp2(-FR_LOG2_E * x);
 }
 
-// Exact lobe from tan^2(gamma) instead of c, which keeps the digits of small angles.
+// Exact lobe from tan^2(gamma), which keeps the digits of small angles, unlike c.
 float fr_lobe_exact_tan2(float tan2, float m, int k) {
     float t = clamp(tan2, 0.0, FR_MAX_TAN2);
     float e = fr_slope_factor(t / (FR_SLOPE(m) * FR_SLOPE(m)));

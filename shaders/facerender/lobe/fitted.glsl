@@ -20,7 +20,7 @@
 // #define FR_FITTED_FINE_COEFFICIENTS(m, k) vec4(...)
 // The module facerender.lobes and the command facerender shaders flatten --m compute the
 // coefficients. Constant coefficients save up to 30 % of the cost of the specular term. On
-// llvmpipe, coefficients in a uniform cost more than computing them.
+// llvmpipe, reading coefficients from a uniform costs more than computing them.
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
@@ -40,7 +40,7 @@
 #define FR_FITTED_FINE_VARIABLE(u, inverse_m2, k) (u)
 #endif
 
-// Variable of the polynomials, u/m^2, with m clamped to its domain.
+// Variable of the polynomials, u/m^2, with m clamped to the lobe's domain.
 //
 //   formula:     u/m^2
 //   u:           1 - c, in [0, 1].
@@ -51,7 +51,7 @@ float fr_lobe_fitted_variable(float u, float inverse_m2, int k) {
     return u * max(inverse_m2, k == FR_K_COOK_TORRANCE ? 1.0 / 0.49 : 1.0);
 }
 
-// Numerators of the coefficients of fr_lobe_fitted.
+// Numerators of the polynomial coefficients in fr_lobe_fitted.
 //
 //   formula:  a1 m^2, a2 m^4, a3 m^6; each is a cubic in m^2
 //   returns:  Factors of u/m^2, (u/m^2)^2 and so on, in this order.
@@ -85,7 +85,7 @@ vec3 fr_lobe_fitted_coefficients(float m, int k) {
     return fr_lobe_fitted_numerators(m, k) * vec3(r, r * r, r * r * r);
 }
 
-// Fitted lobe for callers that already have 1/m^2: a clamped cubic to the power 5.
+// Fitted lobe for callers that already have 1/m^2: the fifth power of a clamped cubic in 1 - c.
 //
 //   formula:     max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
 //   inverse_m2:  1/m^2.
@@ -98,7 +98,7 @@ float fr_lobe_fitted_within(float c, float m, float inverse_m2, int k) {
     return p2 * p2 * p;
 }
 
-// Fitted lobe: a clamped cubic to the power 5.
+// Fitted lobe: the fifth power of a clamped cubic in 1 - c.
 //
 //   formula:  max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
 //   error:    At most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward.
@@ -106,7 +106,7 @@ float fr_lobe_fitted(float c, float m, int k) {
     return fr_lobe_fitted_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
 }
 
-// Numerators of the coefficients of fr_lobe_fitted_fine.
+// Numerators of the polynomial coefficients in fr_lobe_fitted_fine.
 //
 //   formula:  a1 m^2, a2 m^4, a3 m^6, a4 m^8; each is a quartic in m^2
 //   returns:  Factors of u/m^2, (u/m^2)^2 and so on, in this order.
@@ -142,7 +142,7 @@ vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
     return fr_lobe_fitted_fine_numerators(m, k) * vec4(r, r * r, r * r * r, (r * r) * (r * r));
 }
 
-// Finer fitted lobe for callers that already have 1/m^2: a clamped quartic to the power 8.
+// Finer fitted lobe for callers that have 1/m^2: the eighth power of a clamped quartic in 1 - c.
 //
 //   formula:     max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
 //   inverse_m2:  1/m^2.
@@ -156,7 +156,7 @@ float fr_lobe_fitted_fine_within(float c, float m, float inverse_m2, int k) {
     return p4 * p4;
 }
 
-// Finer fitted lobe: a clamped quartic to the power 8.
+// Finer fitted lobe: the eighth power of a clamped quartic in 1 - c.
 //
 //   formula:  max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
 //   error:    At most 0.04 % of the peak for both models.

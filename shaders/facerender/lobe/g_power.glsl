@@ -1,4 +1,4 @@
-// g-power lobe: D4, D8 and D16, a clamped linear factor to the power g.
+// g-power lobes D4, D8 and D16: a factor linear in c, clamped and raised to the power g.
 // The clamp is necessary: an even power makes a negative base positive. Without a clamp, as
 // published by Romanyuk et al. (2020), D16 reaches 2.3e4 times its peak at m = 0.2 and 90 degrees.
 //
@@ -24,13 +24,13 @@
 
 #include "../constants.glsl"
 
-// Clamped linear factor to a power: the g-power lobe with free g and steepness.
+// Factor linear in c, clamped and raised to a power: the g-power lobe with free g and steepness.
 //
 //   formula:    max(1 - steepness (1 - c), 0)^g
-//   steepness:  Steepness of the linear factor, >= 0; (2/m^2 - k)/g gives the g-power lobe.
+//   steepness:  Steepness of the linear factor, >= 0; (2/m^2 - k)/g gives D4, D8 and D16.
 //   g:          Power, 1 to 31, a constant.
-//   error:      The formula is exact. As an approximation of E/c^k, its error depends on the
-//               steepness, which facerender plan fits to a slope.
+//   error:      The formula is exact. Its difference from E/c^k depends on the steepness, which
+//               facerender plan fits to a given m.
 //   source:     Lyon (1993).
 float fr_lobe_clamped_power(float c, float steepness, int g) {
     // Do not write steepness (c - 1) + 1: Mesa expands this product and loses the digits of small
@@ -47,7 +47,7 @@ float fr_lobe_clamped_power(float c, float steepness, int g) {
     return power;
 }
 
-// g-power lobe: D4, D8 and D16.
+// g-power lobe D4, D8 or D16, for g = 4, 8 or 16.
 float fr_lobe_g_power(float c, float m, int k, int g) {
     float n = 2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k);
     return fr_lobe_clamped_power(c, n / float(g), g);

@@ -9,8 +9,8 @@
 //   unit:              none
 //   returns:           In [0, 1].
 //   error:             The value is between 0.5 and 1 times fr_masking_v_cavity; in the mirror
-//                      direction both are equal. The command facerender plan measures the effect on
-//                      a scene.
+//                      direction both functions are equal. The command facerender plan measures the
+//                      effect on a scene.
 //   source:            Kelemen and Szirmay-Kalos (2001); for skin: GPU Gems 3, chapter 14 (2007).
 #ifndef FR_MASKING_KELEMEN_GLSL
 #define FR_MASKING_KELEMEN_GLSL
@@ -22,7 +22,7 @@ float fr_masking_kelemen(float v_dot_h, float n_dot_l, float n_dot_v) {
     return n_dot_l * inverse * (n_dot_v * inverse);
 }
 
-// Kelemen masking term G over (N.L)(N.V), as a pair (x, y) without the factor 1/h.h.
+// Kelemen masking term G divided by (N.L)(N.V): pair (x, y) whose quotient lacks the factor 1/h.h.
 //
 //   formula:           G/((N.L)(N.V)) = x/(y h.h)
 //   n_dot_l, n_dot_v:  dot(n, l) and dot(n, v) for the directions l to the light and v to the

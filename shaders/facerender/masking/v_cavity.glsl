@@ -18,7 +18,7 @@ float fr_masking_v_cavity(float n_dot_h, float v_dot_h, float n_dot_l, float n_d
     return min(1.0, 2.0 * n_dot_h * min(n_dot_l, n_dot_v) / v_dot_h);
 }
 
-// V-cavity masking term G over (N.L)(N.V), as a pair (x, y) without the factor 1/h.h.
+// V-cavity masking G divided by (N.L)(N.V): pair (x, y) whose quotient lacks the factor 1/h.h.
 //
 //   formula:           G/((N.L)(N.V)) = x/(y h.h), with FR_FLOOR added to y
 //   n_dot_h, h_dot_h:  dot(n, h) and dot(h, h) for the half vector h = l + v.
@@ -26,7 +26,7 @@ float fr_masking_v_cavity(float n_dot_h, float v_dot_h, float n_dot_l, float n_d
 //                      camera, in [-1, 1].
 //   unit:              none
 //   returns:           x >= 0 and y > 0; x is 0 if N.L or N.V is at most 0.
-//   error:             FR_FLOOR in y lowers x/y by at most FR_FLOOR/((N.L)(N.V)) times x/y.
+//   error:             FR_FLOOR in y lowers x/y by at most the fraction FR_FLOOR/((N.L)(N.V)).
 vec2 fr_masking_v_cavity_ratio(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v) {
     float lower = clamp(min(n_dot_l, n_dot_v), 0.0, 1.0);  // A clamp to [0, 1] is free on GPUs.
     return vec2(min(h_dot_h, 4.0 * abs(n_dot_h) * lower), abs(n_dot_l * n_dot_v) + FR_FLOOR);

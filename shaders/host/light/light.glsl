@@ -1,4 +1,4 @@
-// Light that arrives at a point: the common result of all kinds of lights.
+// Light that arrives at a point, from a light of any kind.
 #ifndef HOST_LIGHT_GLSL
 #define HOST_LIGHT_GLSL
 

@@ -26,7 +26,7 @@ Point point() {
     p.normal_x = dFdx(vertex_normal);
     p.normal_y = dFdy(vertex_normal);
 #endif
-    p.inside = gl_FrontFacing;  // Swapped, because the image is drawn upside down.
+    p.inside = gl_FrontFacing;  // True for back faces: the image is drawn upside down.
 #if defined(NORMAL_MAP) || defined(SHADOWS)
     p.position_x = dFdx(position);
     p.position_y = dFdy(position);

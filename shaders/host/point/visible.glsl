@@ -6,7 +6,7 @@
 #include "host/visible.glsl"
 
 uniform sampler2D triangle_setup;
-uniform vec3 ray;  // Vector from the camera to the first pixel's outer corner on the far plane.
+uniform vec3 ray;  // From the camera to the far plane, at the outer corner of the first pixel.
 uniform vec3 ray_x;  // Change of the ray to the next pixel to the right.
 uniform vec3 ray_y;
 
