@@ -295,7 +295,7 @@ def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     assert run(capsys, one, two, "--limits", path, "--block", 0.001)[0] == 1
     status, _, err = run(capsys, "--calibrate", wide, "-o", path)
     assert status == 2
-    assert f"{path} exists: give a new file, and copy its sections into it" in err
+    assert f"{path} exists: write to a new file" in err
     assert path.read_text() == out
 
 

@@ -143,7 +143,10 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     pairs = runs_of(options.calibrate)
     check_outputs([options.output], [options.mask])
     if options.output and os.path.exists(options.output):
-        raise InputError(f"{options.output} exists: give a new file, and copy its sections into it")
+        raise InputError(
+            f"{options.output} exists: write to a new file, then copy the sections of the new file into "
+            f"{options.output}"
+        )
     with progress_bar(options) as progress:
         found = calibration_of(pairs, mask, progress)
     for each in found:

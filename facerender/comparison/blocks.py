@@ -214,7 +214,7 @@ class BlockStatistics:
 
     @cached_property
     def judged(self) -> Mask:
-        """Mask of the blocks with enough pixels in enough cells."""
+        """Mask of blocks that have enough pixels and whose weight is spread over enough cells."""
         return np.asarray((self._cells > _SPREAD) & (self.sums.pixels[0] >= LEAST))
 
     @cached_property

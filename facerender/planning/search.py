@@ -105,8 +105,8 @@ class Choice:
     ) -> None:
         """Collect and price the shadings.
 
-        views : pixels at which single changes are evaluated. Changes that exceed the limit are not
-            tried. Empty: all changes are tried
+        views : pixels at which each change is first evaluated alone. A change whose error exceeds
+            the limit there is left out of the search. Empty: no change is left out
         """
         self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
         self.limit = budget.limit - ROUNDING[budget.unit]
