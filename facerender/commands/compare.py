@@ -144,8 +144,8 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     check_outputs([options.output], [options.mask])
     if options.output and os.path.exists(options.output):
         raise InputError(
-            f"{options.output} exists: write to a new file, then copy the sections of the new file into "
-            f"{options.output}"
+            f"{options.output} exists: write to a new file, then copy the sections of the new file "
+            f"into {options.output}"
         )
     with progress_bar(options) as progress:
         found = calibration_of(pairs, mask, progress)
