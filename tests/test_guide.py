@@ -14,10 +14,11 @@ import pytest
 
 import facerender as fr
 from facerender.commands import parser_of
+from tests.markdown import code, prose
+from tools.docs.blocks import by_hand
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-GENERATED = re.compile(r"<!-- python -m .*?<!-- end -->", re.DOTALL)
 NOT_GUIDE = {"api", "changelog", "index", "shader-functions"}
 GUIDE = [ROOT / "README.md", *(p for p in sorted(DOCS.glob("*.md")) if p.stem not in NOT_GUIDE)]
 PAGES = sorted(
@@ -25,15 +26,12 @@ PAGES = sorted(
     for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "examples/*/README.md")
     for page in ROOT.glob(pattern)
 )
-CODE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
-PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 COMMAND = re.compile(r"^facerender (.+?)(?: \| .*)?$", re.MULTILINE)
 SLOW = {"speed"}
 
 
 def words(page: Path) -> int:
-    return len(GENERATED.sub("", page.read_text(encoding="utf-8")).split())
+    return len(by_hand(page.read_text(encoding="utf-8")).split())
 
 
 def name(page: Path) -> str:
@@ -42,14 +40,17 @@ def name(page: Path) -> str:
 
 def commands(page: Path) -> list[str]:
     """Return the command lines of a page. Those of command-line.md are generated from parsers."""
-    blocks = FENCE.findall(GENERATED.sub("", page.read_text(encoding="utf-8")))
-    joined = (block.replace("\\\n", "") for language, block in blocks if not language)
-    return [line for block in joined for line in COMMAND.findall(block)]
+    blocks = code(by_hand(page.read_text(encoding="utf-8")), "")
+    return [line for block in blocks for line in COMMAND.findall(block.replace("\\\n", ""))]
+
+
+def python(page: Path) -> list[str]:
+    return code(page.read_text(encoding="utf-8"), "python")
 
 
 def pages_with_python() -> list[object]:
     """The examples of batch.md have tests in test_batch_jobs and test_batch_outputs."""
-    pages = (page for page in GUIDE if PYTHON.search(page.read_text("utf-8")))
+    pages = (page for page in GUIDE if python(page))
     return [
         pytest.param(page, marks=pytest.mark.slow if page.stem in SLOW else ())
         for page in pages
@@ -57,15 +58,11 @@ def pages_with_python() -> list[object]:
     ]
 
 
-def prose(page: Path) -> str:
-    return CODE.sub("", page.read_text(encoding="utf-8"))
-
-
 def anchors(page: Path) -> set[str]:
     """Return what GitHub lets a link name: headings in lower case, spaces as hyphens, no signs."""
     seen: Counter[str] = Counter()
     found = set()
-    for heading in re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE):
+    for heading in re.findall(r"^#+ (.+)$", prose(page.read_text("utf-8")), re.MULTILINE):
         slug = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
         found.add(f"{slug}-{seen[slug]}" if seen[slug] else slug)
         seen[slug] += 1
@@ -74,7 +71,7 @@ def anchors(page: Path) -> set[str]:
 
 def broken_links(page: Path) -> list[str]:
     broken = []
-    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text("utf-8"))):
         path, _, anchor = link.partition("#")
         target = page.parent / path if path else page
         if link.startswith(("http://", "https://")):
@@ -96,8 +93,8 @@ def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monke
     for m, file in ((0.3, "golden.exr"), (0.306, "new.exr")):  # images of compare.md
         fr.render(m=m, size=(64, 64)).save(file)
     names: dict[str, object] = {}
-    for code in PYTHON.findall(page.read_text(encoding="utf-8")):
-        exec(compile(code, name(page), "exec"), names)
+    for block in python(page):
+        exec(compile(block, name(page), "exec"), names)
 
 
 @pytest.mark.parametrize("page", [page for page in GUIDE if commands(page)], ids=name)

@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from tests.markdown import prose
+from tools.docs.blocks import by_hand
+
 ROOT = Path(__file__).parents[1]
 MARKDOWN = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")})
 PYTHON = sorted(ROOT.glob("facerender/**/*.py"))
 SHADERS = sorted(each for each in ROOT.glob("shaders/**/*") if each.is_file())
 GUIDE = [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md"))]
-GENERATED = re.compile(r"<!-- python -m .*?<!-- end -->", re.DOTALL)
 
 FAULTS = {
     "a clause in place of a noun": r"^(What|That which|Those|Whatever|Whichever|Whoever)\b[^?]*$",
@@ -32,7 +34,8 @@ FAULTS = {
     "'N'": r"\bso many\b",
 }
 SENTENCE = re.compile(r"(?<=[.;:?!])\s+(?=[A-Z`[])|\n\s*\n|\n\s*[-*|]\s")
-MESSAGES = {"InputError", "ContextError", "CannotDraw", "warn", "add_argument", "add_flag"}
+MESSAGES = {"InputError", "ContextError", "CannotDraw", "warn"}
+MESSAGES |= {"Help", "add_argument", "add_field", "add_flag", "add_number", "add_switch"}
 
 
 def sentences(text: str) -> Iterator[str]:
@@ -43,9 +46,7 @@ def sentences(text: str) -> Iterator[str]:
 
 
 def markdown_text(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    text = re.sub(r"^```.*?^```$", "\n\n", text, flags=re.DOTALL | re.MULTILINE)
-    return GENERATED.sub("", text)
+    return by_hand(prose(path.read_text(encoding="utf-8")))
 
 
 def python_text(source: str) -> str:

@@ -12,7 +12,7 @@ from functools import cache
 from numbers import Integral, Real
 from typing import Any
 
-from facerender.errors import InputError, check_switch, shown
+from facerender.errors import InputError, check_range, check_switch, shown
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,7 @@ class Range:
         ------
         InputError : the value is outside the range or has another type
         """
-        if value not in self:
-            ends = f"[{self.low:g}, {self.high:g}]"
-            raise InputError(
-                f"{name} = {shown(value)} is outside {ends}: give a value in this range"
-            )
+        check_range(name, value, self.low, self.high)
         return value
 
 

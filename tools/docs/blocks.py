@@ -58,6 +58,11 @@ def found(page: str) -> Iterator[re.Match[str]]:
         raise BlockError(f"{rest['name']} has no <!-- end -->")
 
 
+def by_hand(page: str) -> str:
+    """Return a page without its blocks."""
+    return _BLOCK.sub("", page)
+
+
 def fill(page: str, names: Collection[str] = ()) -> str:
     """Return a page with its blocks filled.
 

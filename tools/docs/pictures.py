@@ -50,18 +50,6 @@ def halved(image: Pixels) -> Pixels:
     return np.asarray(Image.fromarray(image).reduce(2))
 
 
-def head() -> None:
-    """Draw the front and three-quarter views of the built-in head, and its specular term."""
-    mesh = fr.load_mesh()
-    lights = tuple(replace(each, radius=5.0, shadow=True) for each in fr.Scene(mesh).lights)
-    scenes = [fr.Scene(mesh, camera, lights) for camera in (fr.Camera(), fr.Camera(-35.0, 4.0))]
-    with fr.Renderer((960, 960)) as renderer:
-        front, side = (renderer.render(scene).srgb8() for scene in scenes)
-        specular = renderer.render(scenes[1], only="specular").linear
-    shown = (front, side, encode_srgb8(specular[..., :3], 1.0))
-    save("head", [map(halved, shown)], 90)
-
-
 def exact_d16() -> None:
     """Draw the exact lobe, D16, and eight times their difference, with one m for all pixels."""
     scene = fr.Scene(fr.load_mesh().with_material(m=0.4), fr.Camera(-35.0, 4.0))
@@ -211,7 +199,7 @@ def readme() -> None:
 
 PICTURES: dict[str, Callable[[], None]] = {
     **{"gallery": gallery, "readme": readme},
-    **{"head": head, "exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
+    **{"exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
     **{"environment": environment, "lobes": lobes, "scattering": scattering, "shadows": shadows},
     "occlusion": occlusion,
 }

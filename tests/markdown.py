@@ -1,0 +1,17 @@
+"""Splits Markdown into prose and fenced code, for the tests of documents."""
+
+from __future__ import annotations
+
+import re
+
+_FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def prose(page: str) -> str:
+    """Return a page without its fenced code."""
+    return _FENCE.sub("", page)
+
+
+def code(page: str, language: str) -> list[str]:
+    """Return the fenced code of a page in one language; "" is code without a language."""
+    return [text for each, text in _FENCE.findall(page) if each == language]
