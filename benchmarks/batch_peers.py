@@ -77,7 +77,10 @@ def table_of(jobs: dict[str, Any]) -> str:
     """Return the same jobs as JSON lines for ``facerender batch``."""
     names = ("azimuth", "elevation", "irradiance")
     common = {
-        "lights": [dict(zip(names, light, strict=True)) for light in jobs["facerender_lights"]],
+        "lights": [
+            {**dict(zip(names, light, strict=True)), "shadow": False}
+            for light in jobs["facerender_lights"]
+        ],
         "mesh": jobs["mesh"],
         "ambient": 0.0,
         "background": jobs["facerender_background"],

@@ -21,6 +21,7 @@ from facerender.images.srgb import linear_to_srgb
 from facerender.measure.rendering import antialiasing
 from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio
+from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject
 
 SIZES = (512, 1024)
@@ -34,7 +35,7 @@ PLANS = {  # number of cameras, image size, budget, fraction of pixels that must
 def main() -> None:
     with fr.Renderer() as renderer:
         most = renderer.context.most_samples
-    head = fr.Scene(fr.load_mesh(), fr.Camera(-35.0))
+    head = fr.Scene(fr.load_mesh(), fr.Camera(-35.0), PLAIN_THREE)
     save(
         "frame",
         most_samples=most,
@@ -69,7 +70,7 @@ def deferred() -> list[dict[str, Any]]:
     names = {"head": "built-in head", "scan": "scan"}
     rows = []
     for name, mesh in meshes():
-        scene = fr.Scene(mesh, fr.Camera(-35.0))
+        scene = fr.Scene(mesh, fr.Camera(-35.0), PLAIN_THREE)
         times = {at: deferred_against_drawn(scene, n) for at, n in (("one", 1), ("four", 4))}
         triangles = sum(len(part.faces) for part in mesh.parts)
         rows.append({"scene": names[name], "triangles": triangles, **times})

@@ -17,6 +17,7 @@ from scipy.ndimage import distance_transform_edt
 
 import facerender as fr
 from benchmarks.data import meshes, save
+from tests.verification.lights import PLAIN_THREE
 
 SIZES = (1024, 512)
 SAMPLES = (1, 4)
@@ -43,7 +44,7 @@ def difference(a: fr.Frame, b: fr.Frame) -> list[float]:
 def frame_times(meshes: Sequence[fr.Mesh], size: int, samples: int) -> list[float]:
     """Return each mesh's frame time relative to the first; CPU time, to exclude other load."""
     with fr.Renderer((size, size), samples=samples) as renderer:
-        scenes = [fr.Scene(mesh, CAMERAS[1]) for mesh in meshes]
+        scenes = [fr.Scene(mesh, CAMERAS[1], PLAIN_THREE) for mesh in meshes]
         times: list[list[float]] = []
         for _ in range(ROUNDS + 1):
             times.append([])
@@ -58,7 +59,9 @@ def frame_times(meshes: Sequence[fr.Mesh], size: int, samples: int) -> list[floa
 def changes(meshes: Sequence[fr.Mesh], size: int) -> list[dict[str, object]]:
     """Return the error and the relative time of each mesh against the first, the full mesh."""
     with fr.Renderer((size, size), samples=4) as renderer:
-        frames = [[renderer.render(fr.Scene(mesh, at)) for at in CAMERAS] for mesh in meshes]
+        frames = [
+            [renderer.render(fr.Scene(mesh, at, PLAIN_THREE)) for at in CAMERAS] for mesh in meshes
+        ]
     ratios = [frame_times(meshes, size, samples) for samples in SAMPLES]
     rows = []
     for index, mesh in enumerate(meshes):

@@ -29,6 +29,7 @@ import numpy as np
 import facerender as fr
 from facerender.images.srgb import linear_to_srgb
 from facerender.system.data import data_dir
+from tests.verification.lights import PLAIN_THREE
 
 HERE = Path(__file__).parent
 HEAD = data_dir("assets") / "head.glb"
@@ -71,7 +72,7 @@ def process(folder: str, *arguments: str) -> Callable[[int], object]:
 
 def cold(repeats: int, peers: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        render = ("-m", "facerender", "render", str(HEAD), "--samples", "1", "-o")
+        render = ("-m", "facerender", "render", str(HEAD), "--samples", "1", "--no-shadows", "-o")
         actions = {
             "minimal script": process(
                 folder, str(HERE / "minimal_moderngl.py"), str(HEAD), f"{folder}/script.png"
@@ -109,7 +110,9 @@ def steady(frames: int, samples: int, peers: Sequence[str]) -> None:
     script = Script(str(HEAD), samples=samples if samples > 1 else 0)
     mesh = fr.load_mesh(HEAD)
     with fr.Renderer(samples=samples) as renderer, ExitStack() as stack:
-        scenes = [fr.Scene(mesh, fr.Camera(azimuth=2.0 * turn)) for turn in range(frames)]
+        scenes = [
+            fr.Scene(mesh, fr.Camera(azimuth=2.0 * turn), PLAIN_THREE) for turn in range(frames)
+        ]
 
         def by_script(turn: int) -> np.ndarray:
             with script.ctx:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from benchmarks.data import save
+from tests.verification.lights import PLAIN_THREE
 
 Float = NDArray[np.float64]
 SLOPES, DEGREES, COUNT = (0.1, 0.3, 0.5), (30, 60), 200_000
@@ -48,7 +49,7 @@ def _weights(n: Float, l: Float, v: Float, m: float, density: Float) -> Float:
 def coupled() -> dict[str, float]:
     """Return the effect of coupled diffuse light on the lit pixels of the head: mean and 99th
     percentile of the difference, in levels."""
-    scene = fr.Scene(fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35))
+    scene = fr.Scene(fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35), PLAIN_THREE)
     with fr.Renderer((420, 420)) as renderer:
         shadings = fr.Shading(), fr.Shading(diffuse="coupled")
         plain, own = (renderer.render(scene, each).srgb8().astype(int) for each in shadings)

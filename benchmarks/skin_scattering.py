@@ -18,7 +18,7 @@ from tests.verification.scattering import SUBJECTS, scatter_errors
 
 SAMPLES = (8, 16, 32, 64)
 COUNT = 20_000  # randomly chosen pixels
-LIGHTS = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, 0.5))
+LIGHTS = (fr.Light(-50.0, 42.0, 3.0), fr.Light(80.0, 20.0, 0.5, shadow=False))
 
 
 def main() -> None:

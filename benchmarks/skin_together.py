@@ -19,6 +19,7 @@ from benchmarks.data import save, scenes
 from benchmarks.frame import medians, plan_of
 from facerender.pricing.frame import seconds
 from facerender.scenes.environment import Environment, studio
+from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject
 
 REPEATS = 11
@@ -28,7 +29,7 @@ SCAN_MILLIMETRES = 53.0  # per unit of the head scan's file
 
 def main() -> None:
     with fr.Renderer() as renderer:
-        measured = costs(renderer, fr.Scene(fr.load_mesh(), fr.Camera(-35.0)))
+        measured = costs(renderer, fr.Scene(fr.load_mesh(), fr.Camera(-35.0), PLAIN_THREE))
     with fr.Renderer((PLAN_SIZE, PLAN_SIZE)) as renderer:
         plans = [plan_of(renderer, with_all(each), 1, "1/255", "99.9%") for each in scenes()]
     save("skin_together", costs=measured, plans=plans, median=medians(plans))

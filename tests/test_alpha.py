@@ -201,7 +201,7 @@ def test_a_simplified_mesh_keeps_second_coordinates():
 
 # --- rendering -----------------------------------------------------------------------------------
 
-LIGHTS = tuple(map(parse_light, ("key,shadow", "rim", "fill")))
+LIGHTS = tuple(map(parse_light, ("key,radius=0", "rim,no-shadow", "fill,no-shadow")))
 FRONT = fr.Camera(fov=20.0)
 WHITE = Material((1.0, 1.0, 1.0), ks=0.0)
 
@@ -316,7 +316,7 @@ def test_shells_cast_no_shadow_and_lashes_cast_shadows_of_hairs(single):
     slabs = [*mesh.materials]
     slabs[lashes] = replace(slabs[lashes], alpha="opaque")
     camera = fr.Camera(10.0, zoom=6.0, target=(0.032, 0.0, 0.08))
-    above = (parse_light("0,75,3,shadow"),)
+    above = (parse_light("0,75,3"),)
     seen, part = [], []
     bare = [*mesh.parts]
     bare[at] = replace(bare[at], faces=bare[at].faces[:1], positions=0.0 * bare[at].positions)

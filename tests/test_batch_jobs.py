@@ -200,7 +200,7 @@ def test_row_overrides_common_values():
     assert first.tables["camera"] == {"fov": 30, "zoom": 2}
     lights = Job.from_dict(first.tables).lights
     assert lights[0] == parse_light("key")
-    assert lights[1] == parse_light("5,33,2.4,2.5,2.7")
+    assert lights[1] == parse_light("5,33,2.4,2.5,2.7,radius=4")
     assert lights[2] == parse_light("fill")
     assert first.outputs == ("depth",)
     assert second.tables["lights"] == []
@@ -884,11 +884,11 @@ FILES |= {
 KEY_AND_RIM = [
     {
         **{"azimuth": -50.0, "elevation": 42.0, "irradiance": [3.6, 3.4, 3.1]},
-        **{"radius": 0.0, "shadow": False},
+        **{"radius": 4.0, "shadow": True},
     },
     {
         **{"azimuth": 100.0, "elevation": 33.0, "irradiance": [2.4, 2.5, 2.7]},
-        **{"radius": 0.0, "shadow": False},
+        **{"radius": 4.0, "shadow": True},
     },
 ]
 HEAD = {"path": "head.glb"}
@@ -942,7 +942,7 @@ EXPECTED = {  # of each file the number of its rows, and the first ones: id, out
                 "mesh": HEAD,
                 "lights": [
                     {"azimuth": 45},
-                    {**KEY_AND_RIM[1], "irradiance": [2.5, 2.5, 2.5]},
+                    {**KEY_AND_RIM[1], "irradiance": [2.5, 2.5, 2.5], "radius": 0.0},
                 ],
                 "image": {"size": [640, 480]},
             },

@@ -27,14 +27,14 @@ from facerender.planning.search import Choice
 from facerender.planning.views import DrawnViews, Viewpoint
 from facerender.pricing.frame import Line, ratio
 from facerender.scenes.file import load_scene
-from facerender.scenes.light import LIGHTS
 from facerender.scenes.lod import LevelOfDetail, Planned
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli
+from tests.verification.lights import PLAIN
 
 SIZES = [(48, 48), (64, 40)]
 CAMERAS = (fr.Camera(20.0), fr.Camera(-40.0, 10.0))
-FACE = (MINI_HEAD, "--size", "48", "--light", "key", "--m", "0.3")
+FACE = (MINI_HEAD, "--size", "48", "--light", "key,radius=0,no-shadow", "--m", "0.3")
 WIDE = "200/255"
 
 
@@ -57,7 +57,7 @@ def drawing(egl):
 @pytest.fixture(scope="module")
 def scene():
     mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)
-    return fr.Scene(mesh, lights=(LIGHTS["key"],))
+    return fr.Scene(mesh, lights=(PLAIN["key"],))
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +258,7 @@ def test_one_sample_stays_one(egl, scene):
 
 def test_without_meshoptimizer_triangles_stay(drawing, no_meshoptimizer, tmp_path):
     mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)  # has no simplified mesh yet
-    scene = fr.Scene(mesh, lights=(LIGHTS["key"],))
+    scene = fr.Scene(mesh, lights=(PLAIN["key"],))
     plan = fr.plan(scene, WIDE, renderer=drawing)
     assert plan.detail == LevelOfDetail(1, None, cull_back_faces=True)
     assert "triangles" not in lines_of(plan)

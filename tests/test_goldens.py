@@ -111,7 +111,7 @@ def test_terms(small, meshes, agrees, only: Only):
 
 def test_shadows(small, meshes, agrees):
     mesh = meshes["bare"]
-    lights = [replace(light, shadow=True) for light in fr.Scene(mesh).lights]
+    lights = [replace(light, radius=0.0) for light in fr.Scene(mesh).lights]
     place = tuple(mesh.center + mesh.radius * np.array([0.4, 2.0, 1.5]))
     near = fr.Light(irradiance=1.0, position=place, radius=6.0, shadow=True)
     agrees(small.render(fr.Scene(mesh, CLOSE, (*lights, near))), "bare-shadows")
@@ -120,7 +120,7 @@ def test_shadows(small, meshes, agrees):
 def test_point_light_before_nothing(small, meshes, agrees):
     mesh = meshes["head"]
     place = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
-    light = fr.Light(irradiance=(3.0, 1.5, 0.6), position=place)
+    light = fr.Light(irradiance=(3.0, 1.5, 0.6), position=place, shadow=False)
     scene = fr.Scene(mesh, CLOSE, (light, LIGHTS["rim"]), ambient=0.0, background=None)
     agrees(small.render(scene), "head-point-light", maps=True)
 

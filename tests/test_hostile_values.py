@@ -392,10 +392,10 @@ def ends(head: fr.Mesh) -> dict[str, tuple[dict[str, Any], dict[str, Any], dict[
         "rough": ({}, {}, {"m": 2, "f0": 0, "ks": 0, "kd": 0, "albedo": 0}),
         "two lobes": ({}, STRONG, {"m": 0.01, "second_slope": 100, "lobe_weight": 0.5}),
         "far light": ({}, STRONG | {"position": near(9.9e5, 0, 0), "shadow": True}, {}),
-        "light within": ({}, STRONG | {"position": near(0, 0, 1e-5)}, {}),
+        "light within": ({}, STRONG | {"position": near(0, 0, 1e-5), "shadow": False}, {}),
         "on a vertex": (
             {},
-            STRONG | {"position": tuple(head.parts[0].positions[100].tolist())},
+            STRONG | {"position": tuple(head.parts[0].positions[100].tolist()), "shadow": False},
             {},
         ),
         "wide light": ({}, STRONG | {"radius": 20, "shadow": True}, {}),

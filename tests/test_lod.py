@@ -15,6 +15,7 @@ import facerender as fr
 from facerender.scenes.mesh import Part
 from facerender.system import meshoptimizer
 from tests.awkward_files import MINI_HEAD
+from tests.verification.lights import PLAIN_THREE
 
 Ints = NDArray[np.int64]
 
@@ -238,7 +239,7 @@ def test_missing_meshoptimizer_is_reported_with_a_remedy(no_meshoptimizer):
 def test_image_changes_little(head, renderer, triangles, share, median):
     """``share`` limits the percentage of covered pixels that change by more than one level."""
     exact, level = (
-        renderer.render(fr.Scene(mesh, fr.Camera(azimuth=-35)))
+        renderer.render(fr.Scene(mesh, fr.Camera(azimuth=-35), PLAIN_THREE))
         for mesh in (head, fr.simplified(head, triangles))
     )
     covered = (exact.linear[..., 3] > 0.0) | (level.linear[..., 3] > 0.0)

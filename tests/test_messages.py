@@ -93,7 +93,7 @@ MESSAGES = [
         (
             "unknown light 'moon'; give key, rim, fill, front, top, or "
             "AZIMUTH,ELEVATION[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then optionally "
-            ",radius=DEGREES for an area light and ,shadow"
+            ",radius=DEGREES for an area light and ,no-shadow"
         ),
     ),
     (

@@ -19,6 +19,7 @@ from facerender.comparison.result import HIGHEST
 from facerender.errors import InputError
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
+from tests.verification.lights import PLAIN_THREE
 
 SIZE = (160, 160)
 STRANDS = 40
@@ -46,7 +47,7 @@ def strands() -> fr.Mesh:
 
 class Studio:
     def __init__(self, renderer: fr.Renderer, mesh: fr.Mesh) -> None:
-        self.renderer, self.scene = renderer, fr.Scene(mesh)
+        self.renderer, self.scene = renderer, fr.Scene(mesh, lights=PLAIN_THREE)
         self.calls = 0
 
     def draw(self, x: float = 0.0, y: float = 0.0) -> fr.Frame:

@@ -15,6 +15,7 @@ from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Program, scene_uniforms
 from facerender.drawing.resolve import resolve
 from facerender.scenes.view import view_of
+from tests.verification.lights import PLAIN_THREE
 
 SHADERS = {
     "depth.frag": "out vec4 depth;\nvoid main() { depth = vec4(gl_FragCoord.z); }\n",
@@ -52,7 +53,7 @@ def renderer(egl, monkeypatch, tmp_path):
 )
 def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, deferred, monkeypatch):
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *scene: deferred)
-    scene = fr.Scene(head.with_material(m=0.3), background=None)
+    scene = fr.Scene(head.with_material(m=0.3), lights=PLAIN_THREE, background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
     part = scene.mesh.parts[0]
@@ -95,6 +96,6 @@ def test_only_needed_passes_are_drawn(renderer, head, monkeypatch):
         monkeypatch.setattr(
             "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
         )
-        renderer.render(fr.Scene(head))
-        renderer.render(fr.Scene(head), only="normal")
+        renderer.render(fr.Scene(head, lights=PLAIN_THREE))
+        renderer.render(fr.Scene(head), only="normal")  # with shadows, which are not drawn
     assert drawn == ["shade", "surface", "visible", "shade", "visible", "surface"]

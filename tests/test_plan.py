@@ -34,17 +34,17 @@ from facerender.planning.candidates import (
 from facerender.pricing.table import load_prices
 from facerender.scenes.camera import turntable
 from facerender.scenes.file import load_scene, scene_toml
-from facerender.scenes.light import LIGHTS
 from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run
 from tests.verification import metal
+from tests.verification.lights import PLAIN, PLAIN_THREE
 from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
 from tests.verification.targets import compiled
 
-KEY = (LIGHTS["key"],)
-POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
+KEY = (PLAIN["key"],)
+POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5), shadow=False)
 COMPILER, SLOW = pytest.mark.compiler, pytest.mark.slow
 CAMERAS = (fr.Camera(10.0, 5.0), fr.Camera(-30.0))  # from behind, hardly any candidate fits
 
@@ -82,9 +82,9 @@ def subject(bare):
         "constant m": (bare.with_material(m=0.3), KEY, Shading()),
         "m and ks of maps": (varying, KEY, Shading()),
         "point light": (bare.with_material(m=0.2), (POINT,), Shading()),
-        "frontal": (bare.with_material(m=0.3, ks=0.3), (LIGHTS["rim"], *KEY), Shading()),
+        "frontal": (bare.with_material(m=0.3, ks=0.3), (PLAIN["rim"], *KEY), Shading()),
         "frontal, three": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
-        "frontal, point": (bare, (LIGHTS["rim"], POINT, *KEY), Shading(m=0.25)),
+        "frontal, point": (bare, (PLAIN["rim"], POINT, *KEY), Shading(m=0.25)),
         "Ward": (bare.with_material(m=0.45), KEY, Shading("ward")),
         "as printed": (bare, KEY, Shading("ward-printed", m=0.3)),
         "dielectric": (bare.with_material(m=0.2), KEY, Shading(fresnel="dielectric")),
@@ -261,7 +261,7 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
 
 def test_lights_are_ordered_by_their_contribution(small, subject):
     scene = subject("frontal, three").scene
-    scene = replace(scene, lights=(*scene.lights, replace(LIGHTS["front"], irradiance=9.0)))
+    scene = replace(scene, lights=(*scene.lights, replace(PLAIN["front"], irradiance=9.0)))
     constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
     gbuffer = small.gbuffer(scene)
     whole, near = (
@@ -301,7 +301,7 @@ def test_a_huge_budget_drops_every_highlight(small, subject):
 
 
 def test_smallest_error_breaks_ties_of_cost(small, bare):
-    matt = fr.Scene(bare.with_material(ks=0.0))
+    matt = fr.Scene(bare.with_material(ks=0.0), lights=PLAIN_THREE)
     plan = fr.plan(matt, "1e9%", cost="auto", renderer=small)
     assert plan.shading == Shading(ambient=False)
 
@@ -369,7 +369,7 @@ def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypa
     [
         ("0.5/255", {"m": 0.3}, KEY, 0.0),
         pytest.param(  # frontal
-            *("4/255", {"m": 0.3, "ks": 0.3}, (*KEY, LIGHTS["rim"], POINT), 0.0), marks=SLOW
+            *("4/255", {"m": 0.3, "ks": 0.3}, (*KEY, PLAIN["rim"], POINT), 0.0), marks=SLOW
         ),
         ("3/255", {}, (*KEY, POINT), 1.0),
         ("2%", {"m": 0.12}, KEY, -1.0),
@@ -465,10 +465,10 @@ def plans(small, head, bare, subject):
     mesh = head.with_material(m=0.3)
     scenes = (
         (subject("frontal").scene, "0.5/255"),
-        (fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"])), "8/255"),
+        (fr.Scene(bare.with_material(m=0.3), lights=(*KEY, PLAIN["rim"])), "8/255"),
         (subject("constant m").scene, "0.5/255"),
         (fr.Scene(mesh, lights=KEY), "12/255"),
-        (fr.Scene(bare.with_material(ks=0.3), lights=(LIGHTS["rim"],)), "2/255"),  # constant m
+        (fr.Scene(bare.with_material(ks=0.3), lights=(PLAIN["rim"],)), "2/255"),  # constant m
         (fr.Scene(bare, lights=(POINT, *KEY)), "2/255"),
         (fr.Scene(bare, lights=KEY), "0"),
         (fr.Scene(mesh.with_material(ks=0.1), lights=KEY, ambient=0.0), "30%"),
@@ -700,7 +700,7 @@ FILES = {
     "defaults": (fr.Camera(), KEY, {}, Shading()),
     "everything": (
         fr.Camera(30.0, -10.0, 40.0, 1.5, (0.01, 0.0, 0.02), (0.3, 0.1, 1.2)),
-        (POINT, fr.Light(10.0, 20.0, (1.0, 0.5, 1e-5)), LIGHTS["rim"]),
+        (POINT, fr.Light(10.0, 20.0, (1.0, 0.5, 1e-5)), PLAIN["rim"]),
         {"ambient": (0.1, 0.0, 0.2), "background": None},
         Shading(
             lobe=GPower(6, 0.27425, -1.5e-5),

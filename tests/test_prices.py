@@ -29,15 +29,15 @@ from facerender.pricing.fragment import PARTS, parts_of, program_of, samples, sc
 from facerender.pricing.interval import Interval
 from facerender.pricing.table import Prices, load_prices, variants
 from facerender.pricing.variants import INPUTS, of_model
-from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import PROPERTY_MAPS
 from facerender.shading import Shading
 from tests.conftest import missing
+from tests.verification.lights import PLAIN
 
 COMPILER = pytest.mark.compiler
-KEY = (LIGHTS["key"],)
+KEY = (PLAIN["key"],)
 PRICED = {part for part in (*fragment.PARTS, *scatter.PARTS) if "specular" not in part}
-POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
+POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5), shadow=False)
 MAPS = ("albedo_map", "normal_map", *PROPERTY_MAPS)
 WHOLE = (  # scenes, and whether their lights have specular terms
     (scene_with(directional=3), False),
@@ -87,7 +87,7 @@ def test_price_is_the_sum_of_its_parts(head, bare):
         "ward d8": (3e7, 3e8),
     }
     table = Prices("by hand", "beans", parts, terms)
-    scene = fr.Scene(head, lights=(*KEY, POINT, LIGHTS["rim"]))
+    scene = fr.Scene(head, lights=(*KEY, POINT, PLAIN["rim"]))
     one = 1.0 + 10.0 + 100.0 + 1e3 + 1e4 + 2e5 + 1e6
     for shading, total, specular in (
         (Shading(), one + 2.1e8, 2.1e8),
@@ -174,7 +174,7 @@ def compiled_for(scene, family, shadings):
 
 
 def test_compiler_agrees_with_the_table(family, bare):
-    scene = fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"]))
+    scene = fr.Scene(bare.with_material(m=0.3), lights=(*KEY, PLAIN["rim"]))
     wanted = [
         Shading(),
         Shading(m=0.3, lobe=GPower(6, 0.2), masking="kelemen"),
@@ -192,7 +192,7 @@ def test_compiler_agrees_with_the_table(family, bare):
 
 def test_prices_of_frontal_lights_add_up_to_a_program(family, bare):
     mesh = bare.with_material(m=0.3, occlusion_map=None)
-    scene = fr.Scene(mesh, lights=(LIGHTS["rim"], *KEY, LIGHTS["fill"]), ambient=0.0)
+    scene = fr.Scene(mesh, lights=(PLAIN["rim"], *KEY, PLAIN["fill"]), ambient=0.0)
     other = Shading(fresnel="dielectric", lobe="d8")
     wanted = [
         *(Shading(frontal_lights=frontal) for frontal in ((1,), (1, 2), (0, 1, 2))),

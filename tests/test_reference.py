@@ -21,6 +21,7 @@ from facerender.drawing.resolve import resolve
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
 from facerender.scenes.view import view_of
+from tests.verification.lights import PLAIN_THREE
 
 
 def shading_name(shading: fr.Shading) -> str:
@@ -60,11 +61,10 @@ LIGHTS_OF_THEIR_OWN = [  # different terms for some of five lights
 
 
 def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
-    """Return a scene with directional lights and a point light."""
-    scene = fr.Scene(mesh, SIDE, background=None)
-    point = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
-    lights = (*scene.lights, fr.Light(irradiance=(1.0, 0.5, 0.2), position=point))
-    return replace(scene, lights=lights, **changes)
+    """Return a scene with directional lights and a point light, without shadows."""
+    place = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
+    point = fr.Light(irradiance=(1.0, 0.5, 0.2), position=place, shadow=False)
+    return replace(fr.Scene(mesh, SIDE, (*PLAIN_THREE, point), background=None), **changes)
 
 
 def mixed(mesh: fr.Mesh) -> fr.Scene:
@@ -165,11 +165,11 @@ def plain(mesh: fr.Mesh, **material) -> fr.Scene:
 def areas(mesh: fr.Mesh) -> fr.Scene:
     """Return a scene with every kind of light, with and without a radius."""
     place = tuple(mesh.center + mesh.radius * np.array([-1.0, 1.2, 2.5]))
-    key, rim, fill = fr.Scene(mesh).lights
+    key, rim, fill = PLAIN_THREE
     lights = (
         *(replace(key, radius=8.0), rim, replace(fill, radius=20.0)),
-        fr.Light(irradiance=1.0, position=place, radius=10.0),
-        fr.Light(irradiance=0.3, position=place),
+        fr.Light(irradiance=1.0, position=place, radius=10.0, shadow=False),
+        fr.Light(irradiance=0.3, position=place, shadow=False),
     )
     return fr.Scene(mesh.with_material(m=0.2), SIDE, lights, background=None)
 
@@ -186,7 +186,7 @@ def shadows(mesh: fr.Mesh) -> fr.Scene:
     """Return a scene with all kinds of lights, with and without shadows, in mixed order."""
     lights = (
         key(mesh, 0.0, 2.0),
-        fr.Light(80.0, 20.0, 0.5),
+        fr.Light(80.0, 20.0, 0.5, shadow=False),
         key(mesh, 5.0, None),
         fr.Light(40.0, -10.0, (0.2, 0.4, 0.3), shadow=True),
         key(mesh, 3.0, 4.0),
@@ -196,7 +196,8 @@ def shadows(mesh: fr.Mesh) -> fr.Scene:
 
 def skin(mesh: fr.Mesh) -> fr.Scene:
     """Return a scene of the head's nose, near enough for four Gaussians at 96 pixels."""
-    lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, (0.2, 0.4, 0.3)))
+    side = fr.Light(80.0, 20.0, (0.2, 0.4, 0.3), shadow=False)
+    lights = (fr.Light(-50.0, 42.0, 3.0), side)
     mesh = mesh.with_material(scattering="skin")
     camera = fr.Camera(-35.0, zoom=5.0, target=(0.0, -0.03, 0.1))
     return fr.Scene(mesh, camera, lights, background=None)
@@ -298,22 +299,22 @@ def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
     assert (other - expected).min() > case.darkest
 
 
-def casting(mesh: fr.Mesh) -> tuple[fr.Light, ...]:
-    return tuple(replace(light, shadow=True) for light in fr.Scene(mesh).lights)
-
-
 @pytest.mark.parametrize(
     ("material", "changes", "off", "least"),
     [
         ({}, {"environment": ENVIRONMENT}, {"environment": False}, 0.1),
-        ({}, {"lights": casting}, {"shadow_lights": []}, 5e-3),
+        (
+            {},
+            {"lights": [replace(each, shadow=True) for each in PLAIN_THREE]},
+            {"shadow_lights": []},
+            5e-3,
+        ),
         ({"second_slope": 1.7, "lobe_weight": 0.85}, {}, {"two_lobes": False}, 1e-3),
         ({"scattering": "skin"}, {}, {"scatter_samples": 0}, 1e-3),
     ],
 )
 def test_disabled_feature_equals_a_scene_without_it(floats, head, material, changes, off, least):
-    changes = {name: x(head) if callable(x) else x for name, x in changes.items()}
-    plain = fr.Scene(head, fr.Camera(zoom=2.5))
+    plain = fr.Scene(head, fr.Camera(zoom=2.5), PLAIN_THREE)
     scene = replace(plain, mesh=head.with_material(**material), **changes)
     full, without, none = fr.Shading(), fr.Shading(**off), floats.render(plain).linear
     assert programs_of(scene, without) == programs_of(plain, full)
@@ -328,12 +329,12 @@ def test_disabled_feature_equals_a_scene_without_it(floats, head, material, chan
 def lone(mesh: fr.Mesh) -> fr.Scene:
     """Return a scene with two lobes under one light from the side."""
     mesh = mesh.with_material(normal_map=None, m=0.3, second_slope=1.7, lobe_weight=0.85)
-    return fr.Scene(mesh, fr.Camera(-35.0), fr.Scene(mesh).lights[1:2], ambient=0.0)
+    return fr.Scene(mesh, fr.Camera(-35.0), PLAIN_THREE[1:2], ambient=0.0)
 
 
 def dim(mesh: fr.Mesh) -> fr.Scene:
     mesh = mesh.with_material(normal_map=None, m=0.3, albedo_map=None, kd=0.1)
-    return fr.Scene(mesh, lights=fr.Scene(mesh).lights[:1], ambient=0.0)
+    return fr.Scene(mesh, lights=PLAIN_THREE[:1], ambient=0.0)
 
 
 def surrounded(mesh: fr.Mesh) -> fr.Scene:

@@ -50,6 +50,7 @@ from tests.test_reference import (
     shadows,
     skin,
 )
+from tests.verification.lights import PLAIN_THREE
 
 
 @pytest.fixture(scope="module")
@@ -275,10 +276,12 @@ def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypa
 
 
 def test_only_what_the_scene_needs_is_compiled(head):
-    scene = fr.Scene(head)
+    scene = fr.Scene(head, lights=PLAIN_THREE)
     (full,) = programs_of(scene, fr.Shading())
     assert {"ALBEDO_MAP", "NORMAL_MAP", "AMBIENT", "DIFFUSE"} <= set(full.features)
     assert full.lights == (LightGroup("directional", 0, 3),)
+    (default,) = programs_of(fr.Scene(head), fr.Shading())
+    assert default.lights == (LightGroup("disc", 0, 3, shadows=0),)
     plain = head.with_material(normal_map=None, roughness_map=None, occlusion_map=None, ks=0.0)
     dark = replace(scene, mesh=plain, ambient=0.0, lights=())
     assert programs_of(dark, fr.Shading()) == [
@@ -824,7 +827,7 @@ def test_lobe_of_each_part_depends_on_its_slopes(transparent, pair):
 
 
 def test_slope_range_chooses_the_form_of_the_half_vector(pair):
-    ranges = resolve(fr.Scene(pair), fr.Shading()).slopes
+    ranges = resolve(fr.Scene(pair, lights=PLAIN_THREE), fr.Shading()).slopes
     assert ranges[0] == (0.75, 0.75)
     texts = [prelude([fr.Term().for_slopes(*ends)], ends[0]) for ends in ranges]
     assert ["FR_SMALL_SLOPE 0" in text for text in texts] == [True, False]

@@ -135,11 +135,13 @@ def test_invalid_shadows_are_refused(renderer, head):
 
 
 def test_shadow_option_of_lights():
-    assert parse_light("key,shadow") == replace(fr.scenes.light.LIGHTS["key"], shadow=True)
-    light = parse_light("10,20,2,radius=3,shadow")
-    assert (light.azimuth, light.radius, light.shadow) == (10.0, 3.0, True)
-    assert parse_light("point:1,2,3,shadow,radius=1").shadow
-    for text in ("key,shadow,shadow", "key,shadows", "key,radius=1,radius=2", "shadow"):
+    assert parse_light("key,no-shadow") == replace(fr.scenes.light.LIGHTS["key"], shadow=False)
+    assert parse_light("key,radius=2") == replace(fr.scenes.light.LIGHTS["key"], radius=2.0)
+    light = parse_light("10,20,2,radius=3,no-shadow")
+    assert (light.azimuth, light.radius, light.shadow) == (10.0, 3.0, False)
+    assert not parse_light("point:1,2,3,no-shadow,radius=1").shadow
+    assert parse_light("10,20") == fr.Light(10.0, 20.0, radius=0.0, shadow=True)
+    for text in ("key,no-shadow,no-shadow", "key,shadows", "key,radius=1,radius=2", "no-shadow"):
         with pytest.raises(fr.InputError, match="unknown light"):
             parse_light(text)
 

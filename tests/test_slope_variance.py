@@ -20,6 +20,7 @@ from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_lod import mesh_of
 from tests.test_reference import SIDE, areas
+from tests.verification.lights import PLAIN_THREE
 from tests.verification.parts_head import ball
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
 
@@ -98,7 +99,7 @@ def test_slope_filter_can_be_disabled(renderer, head):
     covered = renderer.gbuffer(fr.Scene(mesh), off).part >= 0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), off).m[covered]) == 0.0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), fr.Shading()).m[covered]) > 0.01
-    assert resolve(fr.Scene(mesh), off).slopes == [(0.3, 0.3)]
+    assert resolve(fr.Scene(mesh, lights=PLAIN_THREE), off).slopes == [(0.3, 0.3)]
     light = fr.Light(irradiance=2.0)
     assert light.kind.name == "directional"
     assert replace(light, radius=0.1).kind.name == "disc"

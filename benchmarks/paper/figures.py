@@ -51,7 +51,7 @@ def charts() -> dict[str, bytes]:
 
 def faces(size: tuple[int, int], backend: Backend) -> bytes:
     """Draw figure 5, the head with both models; return PNG content."""
-    lights = (Light(120.0, 48.0, 6.5), Light(-60.0, 5.0, 0.9))
+    lights = tuple(Light(*each, shadow=False) for each in ((120.0, 48.0, 6.5), (-60.0, 5.0, 0.9)))
     head = load_mesh().with_material(m=FACE_SLOPE)
     scene = Scene(head, Camera(-15.0, zoom=1.2), lights)
     rows = []

@@ -172,7 +172,7 @@ def _add_lighting(scene: argparse._ArgumentGroup) -> None:
         note=f"Give {', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] in degrees, or "
         "point:X,Y,Z[,IRRADIANCE] in mesh units. IRRADIANCE is E or R,G,B, "
         f"{range_of(Light, 'irradiance')}. Append ,radius=DEGREES, {radius}, for the angular "
-        "radius of an area light, and ,shadow for shadows",
+        "radius of an area light, and ,no-shadow for a light without shadows",
     )
     scene.add_argument("--light", action="append", metavar="LIGHT", help=light)
     add_switch(scene, "shadows", "shadows of all lights", "as each light specifies")

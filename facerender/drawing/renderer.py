@@ -255,7 +255,8 @@ class Renderer:
 
     def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
         """Return the frame of a G-buffer term, with one sample per pixel."""
-        linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
+        drawn = shading if only == "visibility" else shading.replace(shadow_lights=())
+        linear = data_view(self.gbuffer(scene, drawn, blended=False), scene, only)
         _check(linear, scene)
         metadata = {**self.metadata, "samples": "1"}
         if only == "parts":

@@ -115,16 +115,17 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
 def _parts(scene: Scene) -> Iterator[tuple[str, list[_Setting]]]:
     """Yield each part of skin shading with its settings, from the simplest to the finest."""
     mesh, (key, *others) = scene.mesh, scene.lights
+    others = [replace(light, shadow=False) for light in others]
 
-    def lit(**changes: object) -> Scene:
-        return replace(scene, lights=(replace(key, **changes), *others))  # type: ignore[arg-type]
+    def lit(radius: float, shadow: bool) -> Scene:
+        return replace(scene, lights=(replace(key, radius=radius, shadow=shadow), *others))
 
     yield (
         f"shadow of a light of {_SOFT:g} degrees",
         [
-            _Setting("none", lit(radius=_SOFT)),
-            _Setting("hard", lit(shadow=True)),
-            _Setting("soft", lit(radius=_SOFT, shadow=True)),
+            _Setting("none", lit(_SOFT, False)),
+            _Setting("hard", lit(0.0, True)),
+            _Setting("soft", lit(_SOFT, True)),
         ],
     )
     sharper = all(0.5 * material.m >= MIN_SLOPE for material in mesh.materials)

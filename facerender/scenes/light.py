@@ -46,7 +46,8 @@ class Light:
     position : position of a point light in mesh units; replaces azimuth and elevation
     radius : angular radius in degrees, in [0, 20]; for a point light, as seen from the mesh's
         centre. A light of radius 0 has no area.
-    shadow : whether the mesh casts shadows in this light. Area lights have soft shadows.
+    shadow : whether the mesh casts shadows in this light; default true. Area lights have soft
+        shadows.
     """
 
     azimuth: float = ranged(AZIMUTHS, 0.0)
@@ -54,7 +55,7 @@ class Light:
     irradiance: float | Vector = ranged(COLORS, math.pi)
     position: Vector | None = ranged(POSITIONS, None)
     radius: float = ranged(Range(0.0, MAX_RADIUS, "degrees"), 0.0)
-    shadow: bool = False
+    shadow: bool = True
 
     def __post_init__(self) -> None:
         check_fields(self, "light ")
@@ -223,11 +224,11 @@ LIGHT_KINDS: dict[str, LightKind] = {
 
 # Key and rim light are high and oblique, so that skin shows its specular highlights.
 LIGHTS: Mapping[str, Light] = {
-    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1)),
-    "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(2.4, 2.5, 2.7)),
-    "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.34, 0.36, 0.4)),
-    "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5),
-    "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5),
+    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1), radius=4.0),
+    "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(2.4, 2.5, 2.7), radius=4.0),
+    "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.34, 0.36, 0.4), radius=4.0),
+    "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5, radius=4.0),
+    "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5, radius=4.0),
 }
 
 
@@ -279,7 +280,7 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
     if distance < NEAREST:
         raise InputError(
             f"point light {light.position} is too near to cast a shadow: it is {distance:.3g} mesh "
-            f"radii from the mesh's centre; give {NEAREST:g} or more, or no shadow"
+            f"radii from the mesh's centre; give {NEAREST:g} or more, or shadow=False (,no-shadow)"
         )
     axes = light_axes(light, mesh)
     scale = distance * math.sqrt(1.0 - 1.0 / distance**2)
@@ -303,18 +304,19 @@ def light_axes(light: Light, mesh: Mesh) -> Float:
 def parse_light(text: str) -> Light:
     """Parse a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
     ``point:X,Y,Z[,IRRADIANCE]``. IRRADIANCE is one number or R,G,B. Each form may end with
-    ``,radius=DEGREES`` and ``,shadow``.
+    ``,radius=DEGREES`` and ``,no-shadow``.
 
     Raises
     ------
     InputError : the name is unknown, or the text has another form
     """
-    first, *behind = re.split(r",(?=radius=|shadow\b)", text)
+    first, *behind = re.split(r",(?=radius=|no-shadow\b)", text)
     kind, _, rest = first.rpartition(":")
     try:
-        sizes = [float(word.removeprefix("radius=")) for word in behind if word != "shadow"]
-        own: dict[str, Any] = {"radius": sum(sizes, 0.0), "shadow": "shadow" in behind}
-        if len(behind) != len(sizes[:1]) + own["shadow"]:
+        own: dict[str, Any] = {"shadow": False} if "no-shadow" in behind else {}
+        for size in (word for word in behind if word != "no-shadow"):
+            own["radius"] = float(size.removeprefix("radius="))
+        if len(behind) != len(own):
             raise ValueError
         values = [] if first in LIGHTS else [float(word) for word in rest.split(",")]
         count = {"": 2, "point": 3}[kind]
@@ -325,7 +327,7 @@ def parse_light(text: str) -> Light:
         raise InputError(
             f"unknown light {shown(text)}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION"
             "[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then optionally ,radius=DEGREES for an "
-            "area light and ,shadow"
+            "area light and ,no-shadow"
         ) from None
     if first in LIGHTS:
         return replace(LIGHTS[first], **own)

@@ -16,7 +16,7 @@ from facerender.images.srgb import linear_to_srgb
 
 Float = NDArray[np.float64]
 
-LIGHT = fr.Light(azimuth=-50.0, elevation=42.0)
+LIGHT = fr.Light(azimuth=-50.0, elevation=42.0, shadow=False)
 CAMERA = fr.Camera(azimuth=-20.0)
 STEEPEST = 3.0  # largest slope of a relief's texel
 _SPREAD = 2  # the reference has this many pixels per pixel and axis, with _SAMPLES samples each

@@ -11,7 +11,7 @@ import numpy as np
 import facerender as fr
 from facerender.drawing.reference import shade
 from facerender.planning.budget import Budget
-from facerender.scenes.light import LIGHTS
+from tests.verification.lights import PLAIN, PLAIN_THREE
 
 BUDGETS = ("0.5/255", "1/255", "4/255")
 KINDS = ("llvmpipe", "navi21", "vega10")
@@ -28,7 +28,7 @@ class Subject:
 
 def subjects(head: fr.Mesh, scan: fr.Mesh | None) -> Iterator[Subject]:
     """Yield ten scenes, or eight if there is no scan."""
-    front, key, three = (LIGHTS["front"],), (LIGHTS["key"],), fr.Scene(head).lights
+    front, key, three = (PLAIN["front"],), (PLAIN["key"],), PLAIN_THREE
     dielectric = fr.Shading(fresnel="dielectric")
 
     def at(m: float | None, ks: float = 1.0, mesh: fr.Mesh = head) -> fr.Mesh:

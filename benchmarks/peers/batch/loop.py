@@ -8,7 +8,7 @@ import facerender as fr
 
 def scene_of(mesh, jobs, turn):
     azimuth, elevation = turn
-    lights = [fr.Light(*light) for light in jobs["facerender_lights"]]
+    lights = [fr.Light(*light, shadow=False) for light in jobs["facerender_lights"]]
     camera = fr.Camera(azimuth, elevation)
     return fr.Scene(mesh, camera, lights, ambient=0.0, background=jobs["facerender_background"])
 

@@ -58,7 +58,7 @@ class Setting:
         if self.point is not None:
             position, irradiance = self.point
             place = tuple(mesh.to_mesh_space(position).tolist())
-            lights = (*lights, fr.Light(irradiance=irradiance, position=place))
+            lights = (*lights, fr.Light(irradiance=irradiance, position=place, shadow=False))
         around = fr.Environment(studio()) if self.environment else None
         return fr.Scene(mesh, camera, lights, self.ambient, self.background, around)
 
@@ -86,9 +86,9 @@ def wrinkles(size: int = 512) -> fr.Texture:
     return fr.Texture.from_array(0.5 + 0.5 * normals, "wrinkles")
 
 
-KEY = fr.Light(-50.0, 42.0, (3.6, 3.4, 3.1))
-RIM = fr.Light(100.0, 33.0, (2.4, 2.5, 2.7))
-FILL = fr.Light(50.0, 5.0, (0.34, 0.36, 0.4))
+KEY = fr.Light(-50.0, 42.0, (3.6, 3.4, 3.1), shadow=False)
+RIM = fr.Light(100.0, 33.0, (2.4, 2.5, 2.7), shadow=False)
+FILL = fr.Light(50.0, 5.0, (0.34, 0.36, 0.4), shadow=False)
 
 _SETTINGS = (
     Setting(
@@ -103,7 +103,7 @@ _SETTINGS = (
     ),
     Setting(
         *("head-profile", "tune", "head", 768, 1, fr.Camera(80.0, 4.0)),
-        lights=(fr.Light(150.0, 25.0, 3.0), fr.Light(30.0, 20.0, 1.2)),
+        lights=(fr.Light(150.0, 25.0, 3.0, shadow=False), fr.Light(30.0, 20.0, 1.2, shadow=False)),
         material={"m": 0.2, "normal_map": None},
         shading=fr.Shading("ward"),
     ),
@@ -127,19 +127,25 @@ _SETTINGS = (
     ),
     Setting(
         *("scan-front", "report", "scan", 512, 4, fr.Camera(6.0, 3.0)),
-        lights=(fr.Light(40.0, 35.0, (3.2, 3.0, 2.9)), fr.Light(-120.0, 25.0, (2.2, 2.4, 2.6))),
+        lights=(
+            fr.Light(40.0, 35.0, (3.2, 3.0, 2.9), shadow=False),
+            fr.Light(-120.0, 25.0, (2.2, 2.4, 2.6), shadow=False),
+        ),
         material={"m": 0.25},
         background=None,
     ),
     Setting(
         *("scan-three-quarter", "report", "scan", 1024, 1, fr.Camera(42.0, -6.0)),
-        lights=(fr.Light(112.0, 34.0, 3.8, shadow=True), fr.Light(-20.0, 10.0, 0.9)),
+        lights=(fr.Light(112.0, 34.0, 3.8, shadow=True), fr.Light(-20.0, 10.0, 0.9, shadow=False)),
         material={"m": 0.35},
         background=(0.2, 0.21, 0.24),
     ),
     Setting(
         *("scan-profile", "report", "scan", 768, 4, fr.Camera(-86.0, 8.0, frame="head")),
-        lights=(fr.Light(-168.0, 24.0, (3.2, 3.3, 3.6)), fr.Light(-45.0, 50.0, 1.4)),
+        lights=(
+            fr.Light(-168.0, 24.0, (3.2, 3.3, 3.6), shadow=False),
+            fr.Light(-45.0, 50.0, 1.4, shadow=False),
+        ),
         material={"m": 0.3, "normal_map": None},
         shading=fr.Shading("ward"),
         ambient=(0.03, 0.03, 0.04),
@@ -154,14 +160,14 @@ _SETTINGS = (
     ),
     Setting(
         *("mini-below", "report", "mini", 256, 4, fr.Camera(-24.0, -22.0)),
-        lights=(fr.Light(20.0, 25.0, 1.5),),
+        lights=(fr.Light(20.0, 25.0, 1.5, shadow=False),),
         material={"m": 0.3},
         ambient=(0.0, 0.0, 0.0),
         environment=True,
     ),
     Setting(
         *("mini-above", "report", "mini", 512, 1, fr.Camera(25.0, 36.0)),
-        lights=(fr.Light(5.0, 12.0, 2.0), fr.Light(-140.0, 30.0, 2.2)),
+        lights=(fr.Light(5.0, 12.0, 2.0, shadow=False), fr.Light(-140.0, 30.0, 2.2, shadow=False)),
         material={"m": 0.5},
         background=None,
     ),
