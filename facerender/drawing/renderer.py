@@ -332,6 +332,7 @@ class Renderer:
             images = self._draw([*shadows, *passes[:-1], look], scene, known)
             number = len(lighting.shadowed)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
+        material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             position=position[..., :3],
@@ -348,6 +349,7 @@ class Renderer:
             facing=uv[..., 3] if scatters else None,
             emission=others[0][..., :3] if shines else None,
             opacity=uv[..., 3] if blended_part else None,
+            transmission=material.transmission if material else 0.0,
         )
         return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 

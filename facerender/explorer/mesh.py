@@ -57,7 +57,7 @@ def drawable(mesh: Mesh) -> Mesh:
         if not material.packs:
             maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
         removed = dict.fromkeys((*second, "opacity_map", "emissive_map"))
-        plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": ()}
+        plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
         strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
         materials.append(replace(material, **{**maps, **removed, **plain, **strengths}))
     if lost:

@@ -37,6 +37,9 @@ uniform vec3 ambient;  // Irradiance, the same for every normal.
 #ifdef VISIBLE
 uniform vec3 background;
 #endif
+#ifdef TRANSMISSION
+uniform float transmission;  // Fraction of the light from behind that passes.
+#endif
 #ifdef SCATTER
 // Inputs of scatter.frag in addition to the radiance. With APART, another pass draws the radiance.
 #include "facerender/scatter.glsl"
@@ -218,6 +221,8 @@ void main() {
     radiance = vec4(shaded(point()), 1.0);
     radiance.a = share_left();  // With multisampling OpenGL then sets alpha to 1 (alpha to one).
 }
+#elif defined(TRANSMISSION)
+void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0 - transmission); }
 #elif defined(ALPHA_BLEND)
 void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0); }
 #else

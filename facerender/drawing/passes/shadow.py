@@ -85,7 +85,10 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
 
 
 def _cut(material: Material) -> Hashable:
-    """Return the values of a material's alpha mask, which the ``Pass.key`` of shadow maps has."""
+    """Return the values of a material that its shadow depends on, for the ``Pass.key`` of shadow
+    maps."""
+    if material.transmission > 0.0:
+        return "no shadow"
     map_ = material.opacity_map and ref(material.opacity_map)
     own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
     return (material.alpha, map_, *own) if material.alpha != "opaque" else None
