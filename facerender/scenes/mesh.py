@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import InputError, check_range, check_type, clipped, each_of, reason, shown
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
+from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
@@ -276,19 +277,30 @@ class Mesh:
         """Map points (..., 3) from the renderer's space back to mesh space."""
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 
-    def with_material(self, **changes: Any) -> Mesh:
-        """Return a copy of the mesh in which ``changes`` replace fields of every material. The copy
+    def with_material(
+        self, parts: str | Iterable[str] = (), preset: str | None = None, **changes: Any
+    ) -> Mesh:
+        """Return a copy of the mesh in which ``changes`` replace fields of the materials. The copy
         shares geometry and maps with this mesh.
 
         A new ``m`` also removes the roughness maps.
 
+        Parameters
+        ----------
+        parts : names of the parts whose materials change, as in :meth:`select`; default: all parts
+        preset : name of a preset, whose fields apply before ``changes``; see docs/skin.md
+
         Raises
         ------
-        InputError : a value outside its range
+        InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
-        if "m" in changes:
-            changes = {"roughness_map": None, **changes}
-        return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))
+        names = names_of("parts", parts)
+        chosen = {i for name in names for i in self._called(name)} or {*range(len(self.parts))}
+        table = changes if preset is None else {"preset": preset, **changes}
+        materials = (
+            changed(each, table) if i in chosen else each for i, each in enumerate(self.materials)
+        )
+        return replace(self, materials=tuple(materials))
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:

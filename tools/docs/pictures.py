@@ -119,7 +119,7 @@ def lobes(size: int = 420) -> None:
     mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35)
     with fr.Renderer((size, size)) as renderer:
 
-        def drawn(shading: fr.Shading = fr.Shading(), **material: object) -> Pixels:
+        def drawn(shading: fr.Shading = fr.Shading(), **material: Any) -> Pixels:
             return renderer.render(
                 fr.Scene(mesh.with_material(**material), camera), shading
             ).srgb8()
