@@ -25,7 +25,7 @@ from facerender.scenes.file import (
 from facerender.scenes.light import Light
 from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
+from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
 from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
@@ -231,6 +231,8 @@ class Job:
             loaded = loaded.with_material(**self.material)
         for name, table in self.parts.items():
             loaded = loaded.with_material((name,), **table)
+        if self.mesh.lobe_map and not any(each.two_lobes for each in loaded.materials):
+            warn_of_one_lobe(loaded.name, "lobe_map")
         return Scene(
             loaded,
             self.camera,

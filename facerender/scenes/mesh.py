@@ -12,7 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, clipped, each_of, reason, shown
+from facerender.errors import (
+    InputError,
+    check_range,
+    check_type,
+    clipped,
+    each_of,
+    reason,
+    shown,
+    warn,
+)
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
 from facerender.scenes.presets import changed
@@ -283,7 +292,8 @@ class Mesh:
         """Return a copy of the mesh in which ``changes`` replace fields of the materials. The copy
         shares geometry and maps with this mesh.
 
-        A new ``m`` also removes the roughness maps.
+        A new ``m`` also removes the roughness maps. A new ``second_slope``, ``lobe_weight`` or
+        ``lobe_map`` that leaves a material with one lobe causes a warning.
 
         Parameters
         ----------
@@ -297,10 +307,10 @@ class Mesh:
         names = names_of("parts", parts)
         chosen = {i for name in names for i in self._called(name)} or {*range(len(self.parts))}
         table = changes if preset is None else {"preset": preset, **changes}
-        materials = (
-            changed(each, table) if i in chosen else each for i, each in enumerate(self.materials)
-        )
-        return replace(self, materials=tuple(materials))
+        new = {i: changed(self.materials[i], table) for i in chosen}
+        _warn_of_lobes(self.name, changes, new.values())
+        materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
+        return replace(self, materials=materials)
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
@@ -331,6 +341,22 @@ def slope_range(part: Part, material: Material) -> tuple[float, float]:
     if coordinates(part, material, "roughness_map") is None:
         return material.with_second(material.m, material.m)
     return material.slopes
+
+
+def _warn_of_lobes(name: str, changes: Mapping[str, Any], materials: Iterable[Material]) -> None:
+    """Warn if changes ask for a second lobe, but none of the changed materials has one."""
+    unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
+    asked = [key for key, value in unused.items() if changes.get(key, value) != value]
+    if asked and not any(each.two_lobes for each in materials):
+        warn_of_one_lobe(name, asked[0])
+
+
+def warn_of_one_lobe(name: str, field: str) -> None:
+    """Warn that a field of the second lobe has no effect on the mesh of this name."""
+    warn(
+        f"{field} has no effect on {name}, because a second lobe needs a second_slope other than 1 "
+        "and a lobe_weight below 1: give both, such as 0.333 and 0.85"
+    )
 
 
 def names_of(option: str, names: Any) -> tuple[str, ...]:

@@ -59,8 +59,8 @@ def preset(name: Any) -> Mapping[str, Any]:
 def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """Return a material with the values of a table.
 
-    A new ``m`` also removes the roughness map. A preset leaves the opacity of a material with an
-    opacity map at 1.
+    A new ``m`` also removes the roughness map. A preset neither tints an albedo map nor reduces an
+    opacity map.
 
     Parameters
     ----------
@@ -72,10 +72,7 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """
     values = dict(table)
     if (name := values.pop("preset", None)) is not None:
-        own = dict(preset(name))
-        if material.opacity_map is not None:
-            own["opacity"] = 1.0
-        values = own | values
+        values = _fields_for(material, preset(name)) | values
     if "m" in values:
         values = {"roughness_map": None, **values}
     return replace(material, **values)
@@ -83,10 +80,19 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
 
 def preset_of(material: Material) -> str | None:
     """Return the name of the preset whose fields a material has, or None."""
+    if material.roughness_map is not None:
+        return None
     for name, own in PRESETS.items():
-        values = {**own, "opacity": 1.0} if material.opacity_map is not None else own
-        if material.roughness_map is None and all(
-            getattr(material, field) == value for field, value in values.items()
-        ):
+        values = _fields_for(material, own)
+        if all(getattr(material, field) == value for field, value in values.items()):
             return name
     return None
+
+
+def _fields_for(material: Material, own: Mapping[str, Any]) -> dict[str, Any]:
+    values = dict(own)
+    if material.albedo_map is not None:
+        values.pop("albedo", None)
+    if material.opacity_map is not None:
+        values["opacity"] = 1.0
+    return values
