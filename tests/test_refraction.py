@@ -194,15 +194,17 @@ def fov(x):
 
 
 def test_many_regions_share_one_map(single):
-    sheet = eye()
-    pieces = [replace(sheet.parts[CLEAR], faces=sheet.parts[CLEAR].faces[i::7]) for i in range(7)]
-    loose = joined([replace(p, uv=p.positions[:, :2]) for p in pieces])
-    loose = replace(loose, positions=loose.positions * 1.0)
-    mesh = Mesh.of("loose", [*sheet.parts[:CLEAR], loose], sheet.materials)
-    assert len(regions_of(triangle_setup_of(mesh.parts[CLEAR], mesh))) == 1
-    scene = fr.Scene(mesh, camera(0.0), LIGHTS)
-    whole = single.render(replace(scene, mesh=sheet)).linear
-    assert np.abs(single.render(scene).linear - whole).mean() < 1e-3
+    lens = eye().parts[CLEAR]
+    row = [
+        replace(lens, positions=lens.positions + (14.0 * i, 0.0, 0.0), uv=lens.positions[:, :2])
+        for i in range(9)
+    ]
+    for count, maps in ((1, 1), (8, 8), (9, 1)):
+        mesh = Mesh.of("lenses", [joined(row[:count])], eye().materials[CLEAR:])
+        regions = regions_of(triangle_setup_of(mesh.parts[0], mesh))
+        assert len(regions) == maps
+        assert sum(len(each.faces) for each in regions) == len(mesh.parts[0].faces)
+    agrees(single, fr.Scene(mesh, fr.Camera(), LIGHTS))
 
 
 def test_features_without_refraction_warn():

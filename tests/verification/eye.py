@@ -78,17 +78,11 @@ def eye(rings: int = 12, sectors: int = 32, **cornea: Any) -> Mesh:
         disc(12, 2 * sectors),
         cap(-CORNEA, CORNEA, 0.0, edge, rings, sectors),
     )
-    clear: dict[str, Any] = {
-        "transmission": 1.0,
-        "refraction": INDEX,
-        "ks": 0.0,
-        "f0": 0.0207,
-        "m": 0.05,
-    }
+    clear: dict[str, Any] = {"transmission": 1.0, "refraction": INDEX, "f0": 0.0207}
     materials = (
         Material((0.8, 0.75, 0.7), ks=0.0),
         Material((1.0, 1.0, 1.0), ks=0.0),
-        Material((1.0, 1.0, 1.0), **{**clear, **cornea}),
+        Material((1.0, 1.0, 1.0), **{**clear, "ks": 0.0, "m": 0.05, **cornea}),
     )
     return Mesh.of("eye", parts, materials, millimetres=1.0)
 
