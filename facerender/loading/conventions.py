@@ -123,9 +123,8 @@ def _stem(piece: Piece) -> str:
 
 # --- ICT-FaceKit ---------------------------------------------------------------------------------
 # The iris mesh is a whole eyeball with an inside. Its texture coordinates have the front in a disc
-# of radius 0.5 around the centre, with the pupil as a hole of radius 0.09; the inside lies in discs
-# to the left. The lashes are six cards a side, one in each sixth of v, with the roots on top; the
-# lower three are those of the lower lid.
+# of radius 0.5 around the centre, with the pupil as a hole of radius 0.09. The lashes are six cards
+# a side, one in each sixth of v, with the roots on top; the lower three belong to the lower lid.
 _SIDE = 512
 _PUPIL, _LIMBUS = (0.1, 0.112), (0.385, 0.46)
 _STRANDS = 40
@@ -135,14 +134,28 @@ def _has_ict_iris(piece: Piece) -> bool:
     if piece.uv is None or not _is_bare(piece):
         return False
     radii = np.hypot(*(piece.uv - 0.5).T)
-    return bool(radii.min() > 0.08 and ((radii > 0.09) & (radii < 0.5)).any())
+    return bool(radii.min() > 0.08 and ((radii > 0.15) & (radii < 0.35)).any())
 
 
 def _paint_eye(piece: Piece) -> None:
+    """Close the pupil, through which a refracting cornea would show the back of the iris, and give
+    the eyeball its colours."""
     assert piece.uv is not None
-    u, v = piece.uv.T
-    inside = (np.hypot(u - 0.5, v - 0.5) > 0.51) & (u < 0.2) & (v > 0.112)
-    piece.colors = np.where(inside[:, None], 0.0, np.ones((1, 3)))
+    assert piece.normals is not None
+    offset = piece.uv - 0.5
+    radii = np.hypot(*offset.T)
+    rim = np.flatnonzero(radii < radii.min() + 1e-3)
+    rim = rim[np.unique(np.round(np.arctan2(*offset[rim].T), 3), return_index=True)[1]]
+    middle = np.full_like(rim, len(piece.positions))
+    fan = np.stack([middle, rim, np.roll(rim, -1)], axis=1)
+    front = piece.normals[(radii > 0.15) & (radii < 0.35)].mean(axis=0)
+    positions = np.vstack([piece.positions, piece.positions[rim].mean(axis=0)])
+    corners = positions[fan]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    piece.faces = np.vstack([piece.faces, fan if across @ front > 0.0 else fan[:, ::-1]])
+    piece.positions, piece.uv = positions, np.vstack([piece.uv, (0.5, 0.5)])
+    piece.normals = np.vstack([piece.normals, front / np.linalg.norm(front)])
+    piece.uv2 = None
     piece.material = replace(
         piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=_eye_map(piece.material.albedo)
     )

@@ -114,7 +114,7 @@ def environment(size: int = 420) -> None:
 def lobes(size: int = 420) -> None:
     """Draw one lobe, two lobes and sweat; draw the Lambert and the coupled diffuse term, and eight
     times their difference."""
-    skin: dict[str, Any] = {"second_slope": 1.7, "lobe_weight": 0.85}
+    skin: dict[str, Any] = {"second_slope": 0.333, "lobe_weight": 0.85}
     sweat: dict[str, Any] = {"second_slope": 0.35, "lobe_weight": 0.5, "lobe_map": _film()}
     mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35)
     with fr.Renderer((size, size)) as renderer:
