@@ -84,7 +84,12 @@ def _lights(table: Schema) -> Schema:
 def _parts() -> Schema:
     factors = _fields("material", Material)
     table = _object({"preset": _enum(PRESETS)} | _without_defaults(factors))
-    return {"type": "object", "patternProperties": {"^.+$": table}, "default": {}}
+    return {
+        "type": "object",
+        "patternProperties": {"^[^.]+$": table},
+        "additionalProperties": table,  # names with dots, which a dotted key cannot have
+        "default": {},
+    }
 
 
 def _without_defaults(properties: Mapping[str, Schema]) -> dict[str, Schema]:

@@ -232,9 +232,9 @@ def add_as_is(command: argparse._ActionsContainer) -> None:
 def part_materials(
     options: argparse.Namespace, known: Mapping[str, Mapping[str, Any]] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Return the materials of --part, added to those of a scene file. Later options win.
+    """Return the materials of parts of the scene file and of --part. Later options win.
 
-    known : materials of the scene file, as in :func:`facerender.scenes.file.part_tables`
+    known : tables of the scene file, as in :func:`facerender.scenes.file.part_tables`
     """
     tables = {name: dict(table) for name, table in (known or {}).items()}
     for name, table in map(parse_part, options.part or ()):

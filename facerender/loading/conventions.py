@@ -2,9 +2,9 @@
 
 A part gets a preset if the name of its material, or else its own name, is known, and if the file
 has no better material for it: neither maps nor vertex colours, opacity or transmission. The rule
-applies before the caller's maps and factors, which therefore win. The known names are those of
-ICT-FaceKit, Character Creator, MetaHuman, Ready Player Me, MakeHuman and FLAME, and words of
-anatomy. ICT-FaceKit's eyes and lashes have texture coordinates but no textures: they also get
+applies before the caller's maps and factors, which therefore win. The known names come
+from ICT-FaceKit, Character Creator, MetaHuman, Ready Player Me, MakeHuman and FLAME, or are words
+of anatomy. ICT-FaceKit's eyes and lashes have texture coordinates but no textures: they also get
 painted maps."""
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _AFFIXES = {
     *("m", "mi", "std", "cc", "base", "game", "wolf", "d", "lod", "mesh", "geo", "shape", "sg"),
     *("mat", "mtl", "material", "shader", "primitive"),
 }
-# Known names: the letters of a name without affixes and sides, and in lower case.
+# Known names: the letters of a name without affixes and sides, also after "eye", in lower case.
 _NAMES = {
     "cornea": "cornea",
     **dict.fromkeys(("sclera", "eyeball", "eyeballs"), "sclera"),
@@ -45,8 +45,8 @@ _NAMES = {
     **dict.fromkeys(("lip", "lips", "tongue", "gum", "gums", "gumstongue"), "lips"),
     **dict.fromkeys(("haircard", "haircards", "eyebrow", "eyebrows"), "hair-card"),
 }
-# Known names of one convention: all letters. Plain words such as "head" or "eye" are not known,
-# because any file may use them for anything.
+# Known names of one convention: all letters. "head", "face" and "eye" are not known names, because
+# a file of any kind may use these words.
 _WHOLE = {
     **dict.fromkeys(("mface", "mbackhead"), "skin"),
     **dict.fromkeys(("wolfdhead", "wolfdskin", "wolfdbody", "headlodmesh"), "skin"),
@@ -58,7 +58,7 @@ _WHOLE = {
     **dict.fromkeys(("wolfdhair", "wolfdbeard", "wolfdeyebrow"), "hair-card"),
 }
 _IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
-_EYES = ("highpoly", "lowpoly")  # eyes of MakeHuman, known beside its lashes or teeth
+_EYES = ("highpoly", "lowpoly")  # eyes of MakeHuman, known in a file with lashes or teeth
 
 
 def preset_for(name: str) -> str | None:
@@ -66,7 +66,9 @@ def preset_for(name: str) -> str | None:
     words = [each.lower() for each in _WORD.findall(name)]
     bare = [each for each in words if each not in _AFFIXES]
     whole = _WHOLE.get("".join(words)) or _WHOLE.get("".join(bare))
-    return whole or _NAMES.get("".join(each for each in bare if each not in _SIDES))
+    own = [each for each in bare if each not in _SIDES]
+    of_eye = own[1:] if own[:1] in (["eye"], ["eyes"]) else own
+    return whole or _NAMES.get("".join(own)) or _NAMES.get("".join(of_eye))
 
 
 def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
@@ -74,7 +76,7 @@ def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
 
     Returns
     -------
-    the pieces that may get maps of the caller: all except those with painted maps
+    the pieces without painted maps, which may get maps of the caller
     """
     found: dict[str, list[str]] = {}
     painted: list[Piece] = []
@@ -122,9 +124,9 @@ def _stem(piece: Piece) -> str:
 
 
 # --- ICT-FaceKit ---------------------------------------------------------------------------------
-# The iris mesh is a whole eyeball with an inside. Its texture coordinates have the front in a disc
-# of radius 0.5 around the centre, with the pupil as a hole of radius 0.09. The lashes are six cards
-# a side, one in each sixth of v, with the roots on top; the lower three belong to the lower lid.
+# The iris mesh is a whole eyeball. Its texture coordinates show the front as a disc of radius 0.5
+# around the centre; the pupil is a hole of radius 0.09. The lashes are six cards a side, one in
+# each sixth of v, with the roots on top; the lower three belong to the lower lid.
 _SIDE = 512
 _PUPIL, _LIMBUS = (0.1, 0.112), (0.385, 0.46)
 _STRANDS = 40
