@@ -298,14 +298,14 @@ def test_no_shell_hides_the_iris_and_no_card_is_black(ict, azimuth):
     shells = "M_Sclera*,M_EyeBlend,M_EyeOcclusion,M_LacrimalFluid"
     with fr.Renderer((256, 256)) as renderer:
         scene = fr.Scene(ict, camera)
-        image = renderer.render(scene, only="diffuse").linear[..., :3]
+        image = renderer.render(scene).linear[..., :3]
         bare = fr.Scene(ict.select(hide=shells), camera)
-        without = renderer.render(bare, only="diffuse").linear[..., :3]
+        without = renderer.render(bare).linear[..., :3]
         part = renderer.gbuffer(bare, blended=False).part
     iris = part == names(bare.mesh).index("M_IrisLeft")
-    assert iris.sum() > 5000
+    assert iris.sum() > 4000
     # The shells darken, and the cornea moves the iris by refraction, but the colours remain.
-    ratio = image[iris].mean(axis=0) / without[iris].mean(axis=0)
+    ratio = np.median(image[iris], axis=0) / np.median(without[iris], axis=0)
     assert (ratio > 0.75).all(), ratio
     assert (ratio < 1.05).all(), ratio
     dark, warm = image[iris].max(axis=1) < 0.01, image[iris][:, 0] > 1.6 * image[iris][:, 2]
