@@ -25,6 +25,7 @@ from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.passes.transparency import (
     PREVIOUS_LAYER,
     BlendedPart,
+    blended_area,
     blended_parts,
     with_blended,
 )
@@ -267,8 +268,8 @@ class Renderer:
         """Return whether a frame with `samples` per pixel can have ``shading_rate="pixel"``.
 
         `samples` must be the driver's largest number of samples, and more than 1. The scene may
-        have up to 16 million triangles. All its parts must be opaque and use one set of texture
-        coordinates. No channel of the background may exceed 1000.
+        have up to 16 million triangles. No part may have an alpha mask. Parts that are not blended
+        must use one set of texture coordinates. No channel of the background may exceed 1000.
         """
         _check_scene(scene)
         _LIMITS["samples"].check("samples", samples)
@@ -315,7 +316,7 @@ class Renderer:
         Without a layer, the second result is empty.
         """
         scene, lighting = resolved.scene, resolved.lighting
-        visibility = self._visibility(scene, view, 1)
+        visibility = None if blended_part else self._visibility(scene, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
         refraction, shadows = _refraction(scene, view, self.size), shadow_passes(resolved)
         surface = surface_pass(resolved, view, visibility, scatters, blended_part, refraction)
@@ -397,12 +398,13 @@ class Renderer:
                 light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
                 passes += _from_visibility(light, one, image.cull_back_faces)
             how = resolved.shading.scatter_samples, background, not beside, area
-            last = [scatter_pass(view, scattering, *how)]
-            if blended_parts(scene, view):
-                whole = shade_pass(resolved, view, samples, only, refraction=refraction)
-                whole = replace(whole, cull_back_faces=image.cull_back_faces)
-                last = with_blended(whole, *last)
-            passes += last
+            passes.append(scatter_pass(view, scattering, *how))
+        over = blended_area(scene, view, self.size)
+        if (scattering or visibility) and all(over[2:]):
+            whole = shade_pass(resolved, view, samples, only, refraction=refraction)
+            whole = replace(whole, cull_back_faces=image.cull_back_faces)
+            visible = visibility.target if visibility else None
+            passes += with_blended(whole, passes.pop(), over, visible)
         before = shadow_passes(resolved)
         if refraction:
             before += refraction.passes(resolved, before)
@@ -448,7 +450,8 @@ class Renderer:
                 drawn[ENVIRONMENT_MAP] = self._resources.table(scene.environment.panorama)
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
-                if step.target.samples > 1 and step.target.values == "color":
+                kind = step.target
+                if kind.samples > 1 and kind.values == "color" and kind.resolved:
                     single = self._resources.target(replace(step.target, samples=1))
                     gl.copy_framebuffer(single, target)
                     target = single

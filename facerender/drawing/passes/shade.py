@@ -38,7 +38,7 @@ def shade_pass(
     samples : samples per pixel
     only : term to draw, "specular" or "diffuse"; None for the whole image
     visibility : visibility pass that deferred shading reads, with as many samples as this pass;
-        None: forward shading
+        None: forward shading. Deferred shading omits blended parts
     scattering : scattering of the scene. If given, the pass also draws the input images of the
         scatter pass, and omits background and blended parts
     apart : whether to draw only the input images of the scatter pass
@@ -70,7 +70,8 @@ def shade_pass(
     if scattering:
         drawn = _with_scatter_images(drawn, scattering, apart)
     shown = unblended(scene, drawn.draws)
-    shown += () if scattering else blended_draws(scene, view, drawn.draws)
+    if not (scattering or visibility):
+        shown += blended_draws(scene, view, drawn.draws)
     drawn = replace(drawn, draws=shown)
     return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
 
