@@ -71,7 +71,7 @@ def _frames(plain: fr.Scene) -> Mapping[str, tuple[fr.Scene, fr.Shading]]:
     every, key = fr.Shading(), plain.lights[0]
     coupled = fr.Shading(diffuse="coupled")
 
-    def having(lights: int = 0, **material: object) -> fr.Scene:
+    def having(lights: int = 0, **material: Any) -> fr.Scene:
         mesh = plain.mesh.with_material(**material) if material else plain.mesh
         return replace(plain, mesh=mesh, lights=_soft(plain.lights, lights))
 

@@ -14,11 +14,18 @@ from facerender.images.write import format_of
 from facerender.loading import cached_mesh, load_mesh
 from facerender.loading.source import check_normal_map_y
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
+from facerender.scenes.file import (
+    KEYS,
+    EnvironmentFile,
+    from_table,
+    part_tables,
+    scene_value,
+    toml_text,
+)
 from facerender.scenes.light import Light
 from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
+from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
 from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
@@ -56,6 +63,7 @@ class MeshFile:
     parts: tuple[str, ...] | None = None
     hide: tuple[str, ...] | None = None
     normal_map_y: str = "up"
+    as_is: bool = False
 
     def __post_init__(self) -> None:
         for name in ("parts", "hide"):
@@ -153,6 +161,9 @@ class Job:
     ----------
     mesh : files of the mesh
     material : factors of :class:`facerender.Material` that replace the factors of all parts
+    parts : factors of some parts, applied after ``material`` in the order of the table: for each
+        name of parts, with wildcards, a table of factors and ``preset``; see
+        :meth:`facerender.Mesh.with_material`
     camera, lights, ambient, background : see :class:`facerender.Scene`
     environment : file of the environment map, or None
     shading : see :class:`facerender.Shading`
@@ -176,6 +187,7 @@ class Job:
     image: ImageSettings = ImageSettings()
     outputs: tuple[Output, ...] = ()
     environment: EnvironmentFile | None = None
+    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_type("mesh", self.mesh, MeshFile, "a MeshFile")
@@ -195,6 +207,7 @@ class Job:
             for name, value in self.material.items()
         }
         object.__setattr__(self, "material", material)
+        object.__setattr__(self, "parts", part_tables("parts", self.parts))
         check_fields(self)
 
     def scene(self, mesh: Mesh | None = None) -> Scene:
@@ -214,8 +227,14 @@ class Job:
             from facerender.loading.environment import load_environment
 
             environment = load_environment(self.environment)
+        if self.material:
+            loaded = loaded.with_material(**self.material)
+        for name, table in self.parts.items():
+            loaded = loaded.with_material((name,), **table)
+        if self.mesh.lobe_map and not any(each.two_lobes for each in loaded.materials):
+            warn_of_one_lobe(loaded.name, "lobe_map")
         return Scene(
-            loaded.with_material(**self.material) if self.material else loaded,
+            loaded,
             self.camera,
             self.lights,
             self.ambient,
@@ -248,6 +267,7 @@ class Job:
         return {
             "mesh": _plain(self.mesh),
             "material": dict(self.material),
+            **({"parts": dict(self.parts)} if self.parts else {}),
             "camera": _plain(self.camera),
             "lights": [_plain(light) for light in self.lights],
             **({"environment": _plain(self.environment)} if self.environment else {}),

@@ -40,6 +40,8 @@ FACTORS = {
     "normal_strength": 0.5,
     "occlusion_strength": 0.25,
     "second_uv": ("occlusion_map", "opacity_map"),
+    "transmission": 0.25,
+    "refraction": 1.25,
 }
 
 
@@ -71,6 +73,8 @@ def test_material_fields_are_checked():
         ("second_uv", ("bump_map",), "second_uv = "),
         ("second_uv", "albedo_map", "second_uv = "),
         ("opacity_map", "lashes.png", "opacity_map = "),
+        ("transmission", 1.5, "transmission = 1.5"),
+        ("refraction", 0.9, "refraction = 0.9"),
     ):
         with pytest.raises(InputError, match=message.replace("(", r"\(")):
             Material(**{name: value})
@@ -84,6 +88,41 @@ def test_material_is_solid_if_opacity_has_no_effect():
     assert Material(alpha="mask", opacity_map=holes, alpha_cutoff=0.2).solid
     assert not Material(alpha="mask", opacity_map=holes).solid
     assert not Material(alpha="blend", opacity=0.99).solid
+
+
+def test_transmission_scales_the_diffuse_term_and_the_coverage(single):
+    """The highlight, the emission and the opacity do not depend on the transmission."""
+    lights = {"lights": (parse_light("0,10"),), "ambient": 1.0}
+    front = replace(WHITE, ks=1.0, m=0.3, opacity=0.5, emissive=0.1)
+    for alpha, cover in (("opaque", 1.0), ("blend", 0.5), ("mask", 1.0)):
+        own = replace(front, alpha=alpha, alpha_cutoff=0.4, transmission=0.75)
+        scene = scene_of([quad(0.0), quad(0.5, 0.5)], [WHITE, own], **lights)
+        gbuffer = agrees(single, scene)[1]
+        (layer,) = gbuffer.transparent_layers
+        assert layer.transmission == 0.75
+        assert layer.opacity[48, 48] == cover
+        alone = scene_of([quad(0.5, 0.5)], [own], **lights)
+        assert agrees(single, alone)[0][48, 48, 3] == pytest.approx(0.25 * cover)
+        bare = replace(alone, mesh=mesh_of(alone.mesh.parts, [replace(own, kd=0.0)]))
+        thick = replace(bare, mesh=mesh_of(bare.mesh.parts, [replace(front, kd=0.0)]))
+        shine = [single.render(each).linear[48, 48, :3] for each in (bare, thick)]
+        np.testing.assert_allclose(shine[0], cover * shine[1], rtol=1e-6)
+    cut = replace(own, alpha_cutoff=0.6)
+    hidden = scene_of([quad(0.0), quad(0.5, 0.5)], [WHITE, cut], **lights)
+    wall = single.render(scene_of([quad(0.0)], [WHITE], **lights)).linear
+    np.testing.assert_allclose(agrees(single, hidden)[0][48, 48], wall[48, 48], rtol=0.05)
+
+
+def test_parts_with_transmission_cast_no_shadow(single):
+    lights = (parse_light("0,30,3,shadow"),)
+    opaque, clear = Material(), Material(transmission=0.5)
+    seen = [
+        single.gbuffer(scene_of([quad(0.0), quad(0.5, 0.5)], own, lights=lights), blended=False)
+        for own in ([opaque, clear], [opaque, opaque], [opaque, clear])
+    ]
+    wall = (seen[0].part == 0) & (seen[1].part == 0)
+    assert seen[0].visibility[wall].min() == seen[2].visibility[wall].min() == 1.0
+    assert seen[1].visibility[wall].min() == 0.0
 
 
 def test_texture_sampling_is_stored_and_checked():
@@ -519,6 +558,41 @@ def test_blended_parts_are_composited_after_scattering(single):
     np.testing.assert_allclose(single.render(scene).linear[..., :3], over, atol=1e-4)
     whole = single.render(scene, samples=4).linear
     assert np.abs(whole - single.render(scene, samples=16).linear).mean() < 5e-3
+
+
+@pytest.mark.parametrize("scattering", [None, "skin"])
+def test_blended_parts_are_drawn_over_deferred_shading(backend, monkeypatch, scattering):
+    """They change only their own pixels, and look as in forward shading."""
+    whole = replace(parts_head(scattering=scattering), millimetres=1000.0)
+    shells = replace(whole, parts=whole.parts[:3], materials=whole.materials[:3])
+    bare = replace(whole, parts=whole.parts[:2], materials=whole.materials[:2])
+    settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
+    scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
+    assert can_defer(scene, 16384)
+    images = []
+    for deferred in (True, False):
+        name = "facerender.drawing.renderer.deferred_is_cheaper"
+        monkeypatch.setattr(name, lambda *_, on=deferred: on)
+        with fr.Renderer((160, 160), samples=4, backend=backend) as renderer:
+            images.append([renderer.render(scene, samples=n).linear for n in (1, 4, 16)])
+            backs = renderer.render(scene, cull_back_faces=True).linear
+            assert np.abs(backs - images[-1][1]).max() > 0.01
+            shine = [renderer.render(each, only="specular").linear for each in (scene, without)]
+            assert (shine[0] - shine[1]).max() > 0.05
+            if deferred:
+                behind = [renderer.render(without, samples=n).linear for n in (1, 4, 16)]
+                layers = renderer.gbuffer(scene).transparent_layers
+                rate = renderer.render(scene, shading_rate="pixel")
+                assert rate.metadata["shading_rate"] == "pixel"
+                assert np.abs(rate.linear - images[0][2]).mean() < 5e-3
+    covered = np.any([each.part >= 0 for each in layers], axis=0)
+    near = sum(np.roll(covered, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)) > 0
+    assert 100 < covered.sum() < 5000
+    for one, other, plain in zip(*images, behind, strict=True):
+        np.testing.assert_array_equal(one[~near], plain[~near])
+        assert np.abs(one - plain)[covered].max() > 0.05
+        assert np.abs(one - other)[near].mean() < 1e-3
+        assert np.quantile(np.abs(one - other)[near], 0.98) < 0.01
 
 
 def test_features_that_ignore_blended_parts_warn():

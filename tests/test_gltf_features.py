@@ -590,14 +590,33 @@ LAYERS = {
     "KHR_materials_unlit": {},
     "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
     "KHR_materials_sheen": {"sheenColorFactor": [0, 0.1, 0]},
-    "KHR_materials_transmission": {"transmissionFactor": 0.5},
     "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.5},
     "KHR_materials_anisotropy": {"anisotropyStrength": 0.5},
     "KHR_materials_iridescence": {"iridescenceFactor": 0.5},
 }
 
 
-@case(*LAYERS, "KHR_materials_volume", "KHR_materials_dispersion")
+@case("KHR_materials_transmission", "KHR_materials_volume")
+def _(folder):
+    file = File()
+    own: dict[str, Any] = {"KHR_materials_volume": {"thicknessFactor": 1}}
+    file.material["extensions"] = own
+    material = file.quiet(folder).materials[0]
+    assert (material.transmission, material.refraction) == (0.0, 1.0)
+    own["KHR_materials_transmission"] = {"transmissionFactor": 0.75}
+    material = file.quiet(folder).materials[0]
+    assert (material.transmission, material.refraction) == (0.75, 1.5)
+    own["KHR_materials_ior"] = {"ior": 1.336}
+    assert file.quiet(folder).materials[0].refraction == 1.336
+    own["KHR_materials_volume"] = {}
+    assert file.quiet(folder).materials[0].refraction == 1.0
+    own["KHR_materials_transmission"]["transmissionTexture"] = file.texture(flat(9))
+    material, messages = file.load(folder)[0].materials[0], file.load(folder)[1]
+    assert messages == ["a.glb has a transmission map: ignored, only the factor is used"]
+    assert material.transmission == 0.75
+
+
+@case(*LAYERS, "KHR_materials_dispersion")
 def _(folder):
     for key, own in LAYERS.items():
         file = File(nodes=({}, {"translation": [9, 0, 0]}))
@@ -615,8 +634,7 @@ def _(folder):
             file.material["extensions"] = {key: {}}
             file.quiet(folder)
     file = File()
-    own = {"thicknessFactor": 1}
-    file.material["extensions"] = {"KHR_materials_volume": own, "KHR_materials_dispersion": {}}
+    file.material["extensions"] = {"KHR_materials_dispersion": {}}
     file.quiet(folder)
 
 

@@ -140,7 +140,7 @@ MESSAGES = [
         "render --scene unknown.toml -o x.png",
         (
             "unknown.toml: unknown key 'unknown'; known: camera, cameras, lights, environment, "
-            "material, shading, planned, ambient, background"
+            "material, parts, shading, planned, ambient, background"
         ),
     ),
     (
@@ -250,8 +250,8 @@ MESSAGES = [
         "batch jobs.csv --check",
         (
             "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, scene, "
-            "mesh, camera, lights, environment, material, shading, planned, ambient, background, "
-            "image"
+            "mesh, camera, lights, environment, material, parts, shading, planned, ambient, "
+            "background, image"
         ),
     ),
     (

@@ -58,7 +58,7 @@ def row(*parts):
         (("",), [""]),
         (("g skin",), ["skin"]),
         (("o Head", "o Hair"), ["Head", "Hair"]),
-        (("o Head\ng face", "g lashes", "o Eye\ng eye"), ["face", "lashes", "eye"]),
+        (("o Head\ng face", "g fringe", "o Eye\ng eye"), ["face", "fringe", "eye"]),
         (("usemtl a", "usemtl b", "usemtl a"), ["a", "b"]),
         (("", "g hair"), ["part1", "hair"]),
         (("g body\nusemtl a", "usemtl b", "g hair"), ["body.a", "body.b", "hair"]),
@@ -213,7 +213,7 @@ def test_names_survive_simplification_occlusion_and_the_cache(tmp_path, cache_fo
 
 
 def test_mesh_file_selects_and_hides_parts(tmp_path):
-    obj(tmp_path / "a.obj", "g eye", "g hair", "g lash")
+    obj(tmp_path / "a.obj", "g eye", "g hair", "g cap")
     path = str(tmp_path / "a.obj")
     file = fr.MeshFile(path, parts="eye, hair", hide=["hair"])
     assert (file.parts, file.hide) == (("eye", "hair"), ("hair",))

@@ -115,7 +115,7 @@ def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]
     scenes = [fragment.scene_with(), fragment.scene_with(directional=2)]
     dull = [fragment.estimate(fragment.program_of(scene), costs) for scene in scenes]
 
-    def specular(terms: Mapping[str, Term], **material: float) -> dict[str, Pair]:
+    def specular(terms: Mapping[str, Term], **material: Any) -> dict[str, Pair]:
         changed = [replace(each, mesh=each.mesh.with_material(**material)) for each in scenes]
         programs = [
             fragment.program_of(scene, Shading(term=term))

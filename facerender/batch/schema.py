@@ -14,6 +14,7 @@ from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
+from facerender.scenes.presets import PRESETS
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import Vector
 from facerender.shading import DIFFUSE, OUTSIDE, SCATTER_SAMPLES, Shading, Term
@@ -43,7 +44,7 @@ def schema() -> Schema:
     for name in ("ambient", "background"):
         tables[name] = _default(_of_range(range_of(Scene, name)), getattr(Scene, name))
     tables["background"]["anyOf"].insert(0, {"const": "none"})
-    tables |= {"lights": _lights(lights), "shading": _shading()}
+    tables |= {"lights": _lights(lights), "parts": _parts(), "shading": _shading()}
     outputs = {"type": "array", "items": _enum(OUTPUTS), "minItems": 1, "uniqueItems": True}
     own: dict[str, Schema] = {
         "id": {
@@ -80,12 +81,27 @@ def _lights(table: Schema) -> Schema:
     return _default({"anyOf": [text, _array({"anyOf": [text, table]})]}, names)
 
 
+def _parts() -> Schema:
+    factors = _fields("material", Material)
+    table = _object({"preset": _enum(PRESETS)} | _without_defaults(factors))
+    return {
+        "type": "object",
+        "patternProperties": {"^[^.]+$": table},
+        "additionalProperties": table,  # names with dots, which a dotted key cannot have
+        "default": {},
+    }
+
+
+def _without_defaults(properties: Mapping[str, Schema]) -> dict[str, Schema]:
+    return {
+        name: {key: own[key] for key in own if key != "default"} for name, own in properties.items()
+    }
+
+
 def _shading() -> Schema:
     terms = _fields("shading", Term)
     # No defaults: a field that a light lacks gets the value that applies to all lights.
-    lights = _object(
-        {name: {key: each[key] for key in each if key != "default"} for name, each in terms.items()}
-    )
+    lights = _object(_without_defaults(terms))
     parameters = inspect.signature(Shading).parameters.values()
     defaults = {each.name: each.default for each in parameters if each.name not in terms}
     del defaults["term"], defaults["lights"]

@@ -83,7 +83,7 @@ def merged(base: Table, over: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists, except ``shading.lights``.
+    """Convert tables with the keys 0, 1, 2, ... into lists, except ``shading.lights``, ``parts``.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def listed(value: Any, name: str) -> Any:
             key: listed(each, f"{name}.{key}") if type(each) in (dict, list) else each
             for key, each in value.items()
         }
-        if not items or not _places(items) or name == "shading.lights":
+        if not items or not _places(items) or name in ("shading.lights", "parts"):
             return items
         for place in range(len(items)):
             if str(place) not in items:
@@ -151,7 +151,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
         each = _plain(each, full, depth + 1)
         if each == {} and value[key]:  # the value contained only None
             continue
-        if "." in key:
+        if "." in key and name != "parts":  # the names of parts may contain dots
             key, *parts = key.split(".")
             if depth + len(parts) > _DEEPEST:
                 raise InputError(f"key {shown(full)} has too many dots: use at most {_DEEPEST}")

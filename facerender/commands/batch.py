@@ -23,6 +23,7 @@ from facerender.commands.common import (
     add_quiet,
     add_size,
     check_outputs,
+    part_materials,
 )
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
@@ -148,6 +149,7 @@ def _table(options: argparse.Namespace) -> JobTable:
 
     common = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
     common |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
+    common |= {"mesh.as_is": options.as_is or None, "parts": part_materials(options) or None}
     common |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
     return JobTable(options.jobs, common)
 

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from facerender.errors import InputError
 from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
 from facerender.loading.references import named_files
 from facerender.loading.source import GLTF
+from facerender.scenes.file import parse_part
+from facerender.scenes.presets import PRESETS
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, Range, range_of
@@ -206,12 +208,38 @@ def add_allow_outside(command: argparse._ActionsContainer) -> None:
 
 
 def add_parts(command: argparse._ActionsContainer) -> None:
-    """Add --parts and --hide."""
+    """Add --parts, --hide, --part and --as-is."""
     names = "Names may contain the wildcards *, ? and [...]; facerender info lists the names"
     parts = Help("render only these parts of the mesh", "all", note=names)
     command.add_argument("--parts", metavar="NAME,...", help=parts)
     hidden = Help("do not render these parts, which are named as in --parts", "none")
     command.add_argument("--hide", metavar="NAME,...", help=hidden)
+    note = (
+        "Give NAME=PRESET, NAME,FACTOR=VALUE,... or both, such as 'eye*=sclera' or "
+        "'lash*,alpha=blend,opacity=0.8'. Factors are the fields of Material; presets: "
+        f"{', '.join(PRESETS)}"
+    )
+    own = Help("material of some parts; repeat for other parts", "the mesh file's", note=note)
+    command.add_argument("--part", action="append", metavar="NAME=PRESET", help=own)
+    add_as_is(command)
+
+
+def add_as_is(command: argparse._ActionsContainer) -> None:
+    note = "By default, a part with a known name and without maps or opacity gets a preset"
+    add_flag(command, "as-is", "draw every part with the material of the mesh file", note)
+
+
+def part_materials(
+    options: argparse.Namespace, known: Mapping[str, Mapping[str, Any]] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return the materials of parts of the scene file and of --part. Later options win.
+
+    known : tables of the scene file, as in :func:`facerender.scenes.file.part_tables`
+    """
+    tables = {name: dict(table) for name, table in (known or {}).items()}
+    for name, table in map(parse_part, options.part or ()):
+        tables[name] = {**tables.pop(name, {}), **table}
+    return tables
 
 
 def check_outputs(

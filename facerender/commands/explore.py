@@ -16,6 +16,7 @@ from facerender.commands.common import (
     check_outputs,
     import_trimesh,
     mesh_files,
+    part_materials,
     progress_bar,
 )
 from facerender.commands.help import Help
@@ -59,14 +60,16 @@ def run(options: argparse.Namespace) -> int:
         allow_outside=options.allow_outside,
         parts=options.parts,
         hide=options.hide,
+        as_is=options.as_is,
     )
+    job = Job(file, parts=part_materials(options))
     check_outputs([options.output], mesh_files(file))
     import_trimesh(options.mesh)
     with progress_bar(options) as progress:
         progress("mesh", 0.0)
-        mesh = file.load()
+        mesh = job.scene().mesh
         progress("page", 0.0)
-        page = explorer_page(Job(file), mesh)
+        page = explorer_page(job, mesh)
     write_text(options.output, page)
     print_result(options.output)
     return 0

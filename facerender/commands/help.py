@@ -10,6 +10,7 @@ EXAMPLES = {
         "facerender render -o head.png",
         "facerender render scan.obj --albedo skin.jpg --camera three-quarter -o scan.png",
         "facerender render head.glb --hide '*lash*,hair' --m 0.25 --light key -o head.exr",
+        "facerender render head.obj --part 'eye*=cornea' --part 'lash*,opacity=0.8' -o eyes.png",
         "facerender render --camera front --camera profile -o 'head-{name}.jpg'",
         "facerender render --camera turntable:24 --frame head -o head.gif",
         "facerender render --budget 1/255 --size 512 -o cheap.png",

@@ -5,40 +5,52 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import add_allow_outside, add_flag, add_mesh, import_trimesh
+from facerender.commands.common import (
+    add_allow_outside,
+    add_as_is,
+    add_flag,
+    add_mesh,
+    import_trimesh,
+)
 from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.presets import PRESETS, preset_of
 from facerender.system.data import data_dir
 
 _HEAD = 230.0  # approximate mm from chin to crown, to guess the length of a mesh unit
 _SRGB = ("albedo_map", "emissive_map")
-_ALWAYS = ("albedo", "f0", "ks", "alpha")  # listed even if the values are defaults
+_ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
+_HEAD_OF_TABLE = ("part", "triangles", "preset", "maps", "material")
 
 
 def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
-        "List the contents of a mesh file as facerender draws them: parts, vertices,\n"
-        "triangles, materials, maps, bounds, size, length of a unit, repairs and\n"
+        "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
+        "of a unit, and for each part triangles, preset, maps and factors; repairs and\n"
         "omissions. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
-    add_flag(info, "json", "print the contents, with every material factor, as JSON")
+    add_as_is(info)
+    add_flag(
+        info, "json", "print all contents as JSON, also vertices, names of maps and every factor"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     import_trimesh(options.mesh)
     with warnings.catch_warnings(record=True) as caught:  # warnings are part of the result
         warnings.simplefilter("always", FacerenderWarning)
-        mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
+        mesh = load_mesh(options.mesh, allow_outside=options.allow_outside, as_is=options.as_is)
     path = Path(options.mesh) if options.mesh else data_dir("assets") / "head.glb"
     facts = {
         "file": str(path),
@@ -86,6 +98,7 @@ def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
         "triangles": len(part.faces),
         "has": [name for name in ("uv", "uv2", "colors") if getattr(part, name) is not None],
         "material": factors,
+        "preset": preset_of(material),
         "maps": {
             name: {
                 "name": texture.name,
@@ -108,18 +121,33 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         f"from ({low}) to ({high})",
         _size(facts),
     ]
-    for part in parts:
-        has = "".join(f", {each}" for each in part["has"])
-        name = part["name"] or "without a name"
-        lines += [
-            f"part {part['number']}: {name}",
-            f"    {part['vertices']} vertices, {part['triangles']} triangles{has}",
-            f"    {_factors(part)}",
-        ]
-        for kind, own in part["maps"].items():
-            width, height = own["size"]
-            lines.append(f"    {kind} {width} x {height}, {own['encoding']}: {own['name']}")
+    lines += _table([_HEAD_OF_TABLE, *map(_row, parts)])
     return lines + [f"warning: {each}" for each in facts["warnings"]]
+
+
+def _row(part: dict[str, Any]) -> tuple[str, ...]:
+    """Return a part's row of the table: name, triangles, preset, maps, factors."""
+    maps = [f"{name.removesuffix('_map')} {_size_of(own)}" for name, own in part["maps"].items()]
+    maps += ["vertex colours"] * ("colors" in part["has"]) + ["no uv"] * ("uv" not in part["has"])
+    name, count = part["name"] or "(no name)", str(part["triangles"])
+    return name, count, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
+
+
+def _size_of(texture: dict[str, Any]) -> str:
+    width, height = texture["size"]
+    return str(width) if width == height else f"{width}x{height}"
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return aligned lines; the second column is right-aligned."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            each.rjust(width) if number == 1 else each.ljust(width)
+            for number, (each, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def _size(facts: dict[str, Any]) -> str:
@@ -138,18 +166,19 @@ def _size(facts: dict[str, Any]) -> str:
 
 
 def _factors(part: dict[str, Any]) -> str:
-    defaults = {each.name: each.default for each in fields(Material)}
+    """Return the factors of a part that its preset or, without one, the defaults do not set."""
+    known = {each.name: each.default for each in fields(Material) if each.name not in _ALWAYS}
+    known |= PRESETS.get(part["preset"], {})
     own = dict(part["material"])
     own.pop("m" if "roughness_map" in part["maps"] else "roughness_factor")
-    always = (*_ALWAYS, "m", "roughness_factor")
     return ", ".join(
         f"{name} {_text(value)}"
         for name, value in own.items()
-        if name in always or value != defaults[name]
+        if name not in known or value != known[name]
     )
 
 
 def _text(value: Any) -> str:
     if isinstance(value, tuple | list):
-        return f"({', '.join(map(_text, value))})"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+        return " ".join(map(_text, value))
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -16,13 +16,13 @@ from facerender.commands.common import (
     check_outputs,
     import_trimesh,
     mesh_files,
+    part_materials,
     progress_bar,
 )
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
-from facerender.job import MeshFile
-from facerender.loading import load_mesh
+from facerender.job import Job, MeshFile
 from facerender.scenes.material import Material
 from facerender.system.atomic import make_folder
 from facerender.terms.ranges import range_of
@@ -57,11 +57,13 @@ def run(options: argparse.Namespace) -> int:
     range_of(Material, "m").check("m", options.m)
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
-    check_outputs(files, mesh_files(MeshFile(options.mesh)))
+    names = ("allow_outside", "parts", "hide", "as_is")
+    file = MeshFile(options.mesh, **{name: getattr(options, name) for name in names})
+    job = Job(file, parts=part_materials(options))
+    check_outputs(files, mesh_files(file))
     with progress_bar(options) as progress:
         import_trimesh(options.mesh)
-        mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
-        mesh = mesh.select(options.parts or (), options.hide or ())
+        mesh = job.scene().mesh
         measurement, triptychs = measure(
             mesh, options.m, options.quick, options.backend, progress=progress
         )

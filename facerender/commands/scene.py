@@ -22,6 +22,7 @@ from facerender.commands.common import (
     import_trimesh,
     mesh_files,
     numbers_of,
+    part_materials,
 )
 from facerender.commands.help import Help
 from facerender.drawing.prepare import start_maps
@@ -215,6 +216,7 @@ def job_of(
     shading = _shading(options, settings.pop("shading", {}))
     camera, cameras = _cameras(options, settings, size)
     material = settings.pop("material", {})
+    parts = part_materials(options, settings.pop("parts", {}))
     if options.roughness_map is not None:
         material.pop("m", None)
     settings |= _scene_settings(options)
@@ -229,6 +231,7 @@ def job_of(
     job = Job(
         mesh=MeshFile(options.mesh, **values_of(options, *names)),
         material=material | values_of(options, *_FACTORS),
+        parts=parts,
         camera=camera,
         shading=shading,
         image=ImageSettings(

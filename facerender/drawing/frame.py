@@ -197,6 +197,7 @@ class GBuffer:
     emission : (H, W, 3) float32, emitted radiance; None if no material emits light
     opacity : (H, W) float32, opacity of a blended part, 0 elsewhere; None in the G-buffer of parts
         that are not blended
+    transmission : of a blended part, see ``Material.transmission``
     transparent_layers : one G-buffer for each layer of the blended parts; layers behind parts
         that are not blended are left out. The layers at each pixel are in drawing order
     """
@@ -216,15 +217,17 @@ class GBuffer:
     facing: NDArray[np.float32] | None = None
     emission: NDArray[np.float32] | None = None
     opacity: NDArray[np.float32] | None = None
+    transmission: float = 0.0
     transparent_layers: tuple[GBuffer, ...] = ()
 
     @property
     def coverage(self) -> NDArray[np.float64]:
         """(H, W): 1 on parts that are not blended, elsewhere the combined opacity of blended
-        parts; 0 on the background."""
+        parts, reduced by their transmission; 0 on the background."""
         clear = (self.part < 0).astype(np.float64)
         for layer in self.transparent_layers:
-            clear = clear * (1.0 - layer.opacity) if layer.opacity is not None else clear
+            if layer.opacity is not None:
+                clear = clear * (1.0 - (1.0 - layer.transmission) * layer.opacity)
         return np.asarray(1.0 - clear)
 
     def __repr__(self) -> str:

@@ -133,6 +133,10 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
         names.append("OCCLUSION_STRENGTH")
     if alpha != "opaque":
         names.append(f"ALPHA_{alpha.upper()}")
+    if alpha == "blend" and material.alpha == "mask":
+        names.append("OPACITY_CUT")
+    if material.thin:
+        names.append("TRANSMISSION")
     if second:
         names += ["UV2", *(f"{name}_UV uv2" for name in second)]
     return tuple(names)
@@ -153,7 +157,7 @@ def shade_program(
     features = surface_features(part, material, shading)
     features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
-    features += ("DIFFUSE",) * (diffuse and material.kd > 0.0)
+    features += ("DIFFUSE",) * (diffuse and material.diffuse_weight > 0.0)
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
         features += ("COUPLED",)
     features += ("EMISSIVE",) * (emits and any(material.emissive))
@@ -218,11 +222,13 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
         "specular_weight": material.ks,
         "second_slope": material.second_slope,
         "lobe_weight": material.lobe_weight,
-        "diffuse_brdf": material.kd / np.pi,
+        "diffuse_brdf": material.diffuse_weight / np.pi,
         "f0": material.f0,
         "normal_strength": material.normal_strength,
         "occlusion_strength": material.occlusion_strength,
-        "opacity": material.opacity,
+        "opacity": 1.0 if material.alpha == "opaque" else material.opacity,
+        "transmission": material.transmission,
+        "refraction": material.refraction,
         "alpha_cutoff": material.alpha_cutoff,
         "emissive": np.asarray(material.emissive),
     }

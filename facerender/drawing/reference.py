@@ -85,7 +85,8 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     for layer in gbuffer.transparent_layers:
         assert layer.opacity is not None
         over = layer.opacity[..., None].astype(np.float64)
-        image = over * layers(layer, scene, shading).sum(shading) + (1.0 - over) * image
+        behind = 1.0 - (1.0 - layer.transmission) * over
+        image = over * layers(layer, scene, shading).sum(shading) + behind * image
     return image
 
 
@@ -181,7 +182,7 @@ class _Pixels:
             lobe_weight,
             values(gbuffer.specular_weight),
             values(gbuffer.occlusion),
-            material.kd / np.pi * values(gbuffer.albedo),
+            material.diffuse_weight / np.pi * values(gbuffer.albedo),
         )
 
     def coupling(self, material: Material, shading: Shading) -> _Coupling | None:

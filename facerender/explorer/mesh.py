@@ -44,7 +44,8 @@ def drawable(mesh: Mesh) -> Mesh:
     -----
     FacerenderWarning : a feature is left out
     """
-    alphas = [*map(drawn_alpha, mesh.parts, mesh.materials)]
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    alphas = ["blend" if pair[1].refracts else drawn_alpha(*pair) for pair in pairs]
     lost = ["blended parts"] * ("blend" in alphas) + ["masks"] * ("mask" in alphas)
     materials = []
     for material in mesh.materials:
@@ -57,7 +58,7 @@ def drawable(mesh: Mesh) -> Mesh:
         if not material.packs:
             maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
         removed = dict.fromkeys((*second, "opacity_map", "emissive_map"))
-        plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": ()}
+        plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
         strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
         materials.append(replace(material, **{**maps, **removed, **plain, **strengths}))
     if lost:

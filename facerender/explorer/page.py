@@ -21,6 +21,7 @@ from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_sou
 from facerender.job import Job
 from facerender.page.document import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
+from facerender.scenes.file import part_text
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
@@ -193,7 +194,7 @@ def _words(job: Job) -> dict[str, Any]:
     file = job.mesh
     names = ("albedo", "normal_map", "specular_map", "roughness_map")
     maps = {name: value for name in names if (value := getattr(file, name)) is not None}
-    switches = [name for name in ("flip_v", "allow_outside") if getattr(file, name)]
+    switches = [name for name in ("flip_v", "allow_outside", "as_is") if getattr(file, name)]
     parts = {"parts": file.parts, "hide": file.hide}
     selected = {name: ",".join(values) for name, values in parts.items() if values}
     path = [file.path] if file.path else []
@@ -204,14 +205,19 @@ def _words(job: Job) -> dict[str, Any]:
             for name, value in values.items()
         }
 
-    def keywords(values: Mapping[str, object]) -> list[str]:
+    def keywords(values: Mapping[str, Any]) -> list[str]:
         return [f"{name}={value!r}" for name, value in values.items()]
 
     flags = [f"--{name.replace('_', '-')}" for name in switches]
     arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True))]
     select = f".select({', '.join(keywords(selected))})" if selected else ""
+    materials = [f"--part {shlex.quote(part_text(*each))}" for each in job.parts.items()]
+    for name, table in job.parts.items():
+        select += f".with_material({', '.join([repr(name), *keywords(table)])})"
     return {
-        "shell": " ".join([*map(shlex.quote, path), *flags, *options(selected).values()]),
+        "shell": " ".join(
+            [*map(shlex.quote, path), *flags, *options(selected).values(), *materials]
+        ),
         "maps": options(maps),
         "python": f"fr.load_mesh({', '.join(arguments)}){select}",
     }

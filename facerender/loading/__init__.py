@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_switch, check_type, noting, warn
+from facerender.loading.conventions import with_presets
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.mesh_cache import MeshFiles
 from facerender.loading.read import read
@@ -46,10 +47,12 @@ def load_mesh(
     allow_outside: bool = False,
     kind: str | None = None,
     normal_map_y: str = "up",
+    as_is: bool = False,
 ) -> Mesh:
     """Load a mesh from a file or a trimesh object, or load the built-in head.
 
-    Missing textures, dropped faces and repaired normals are reported as FacerenderWarning.
+    Missing textures, dropped faces, repaired normals and presets that parts get by their names are
+    reported as FacerenderWarning.
 
     Parameters
     ----------
@@ -70,6 +73,8 @@ def load_mesh(
     kind : "glb", "gltf", "obj", "ply" or "stl"; required if neither the file name nor the bytes
         identify the format
     normal_map_y : direction of green in normal maps: "up" (OpenGL, glTF) or "down" (DirectX)
+    as_is : keep the materials of the file. By default, a part with a known name gets a preset if
+        it has no maps, vertex colours or transparency; see docs/formats.md
 
     Raises
     ------
@@ -83,7 +88,8 @@ def load_mesh(
         roughness_map=roughness_map,
         lobe_map=lobe_map,
     )
-    mesh = _loaded(source, kind, *maps, Orientation(flip_v, normal_map_y), allow_outside, cache)
+    orientation = Orientation(flip_v, normal_map_y)
+    mesh = _loaded(source, kind, *maps, orientation, allow_outside, cache, as_is)
     return _scaled(mesh, millimetres)
 
 
@@ -94,11 +100,13 @@ def cached_mesh(
     flip_v: bool = False,
     allow_outside: bool = False,
     normal_map_y: str = "up",
+    as_is: bool = False,
     **maps: Path_ | None,
 ) -> Mesh | None:
     """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
     paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
-    files = MeshFiles(source_of(source), paths, Orientation(flip_v, normal_map_y), allow_outside)
+    orientation = Orientation(flip_v, normal_map_y)
+    files = MeshFiles(source_of(source), paths, orientation, allow_outside, as_is)
     mesh = files.find()
     return None if mesh is None else _scaled(mesh, millimetres)
 
@@ -111,17 +119,20 @@ def _loaded(
     orientation: Orientation,
     allow_outside: bool,
     cache: bool,
+    as_is: bool,
 ) -> Mesh:
     """Return the mesh of a source; ``paths`` and ``textures`` replace maps of the source."""
     check_switch("cache", cache)
     check_switch("allow_outside", allow_outside)
+    check_switch("as_is", as_is)
     if is_object(source):
         name = name_of(source)
         overrides = {key: Texture.open(path) for key, path in paths.items()} | {**textures}
         with np.errstate(all="ignore"):
             pieces = pieces_of(source, name)
-            return _assembled(pieces, name, overrides, orientation, millimetres_of(source))
-    files = MeshFiles(source_of(source, kind), paths, orientation, allow_outside)
+            unit = millimetres_of(source)
+            return _assembled(pieces, name, overrides, orientation, unit, as_is)
+    files = MeshFiles(source_of(source, kind), paths, orientation, allow_outside, as_is)
     if not cache or textures:
         return _read(files, textures)[0]
     if (found := files.find()) is not None:
@@ -165,8 +176,8 @@ def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, Refe
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
         found, references = read(source, "albedo_map" in overrides, files.allow_outside)
         millimetres = 1000.0 if source.suffix in GLTF else None
-        mesh = _assembled(found, source.name, overrides, files.orientation, millimetres)
-        return mesh, references
+        given = overrides, files.orientation, millimetres, files.as_is
+        return _assembled(found, source.name, *given), references
 
 
 def _assembled(
@@ -175,15 +186,17 @@ def _assembled(
     overrides: Mapping[str, Texture],
     orientation: Orientation,
     millimetres: float | None,
+    as_is: bool,
 ) -> Mesh:
     pieces = clean(found, name)
+    mapped = pieces if as_is else with_presets(pieces, name)
     if orientation.flip_v:
         for piece in pieces:
             for key in ("uv", "uv2"):
                 if (uv := getattr(piece, key)) is not None:
                     setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
     if overrides:
-        _override(pieces, overrides, name)
+        _override(mapped, overrides, name)
     if orientation.normal_map_y == "down":
         _turn_normal_maps(pieces)
     return Mesh.assembled(pieces, name, millimetres)

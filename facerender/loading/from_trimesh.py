@@ -152,6 +152,7 @@ def piece_of(
         material=material,
         out_of_range=int((~known).sum()),
         uv2=uv2,
+        material_name=str(getattr(own, "name", None) or ""),
     )
 
 

@@ -413,6 +413,7 @@ class _File:
                 shape, normals, mirrored = skinned(shape, normals, *influences, matrices)
                 faces = faces[:, ::-1] if mirrored else faces
         number = properties.get("material")
+        called = "" if number is None else self.document["materials"][number].get("name", "")
         colors = primitive.column("COLOR_0", 3, 4)
         look = self.materials.look(number, colors is not None)
         if colors is not None and colors.shape[1] == 4 and look.material.alpha != "opaque":
@@ -426,8 +427,9 @@ class _File:
             colors=None if colors is None else unit_colors(colors),
             material=self._drawn_material(look, uv is not None, uv2 is not None),
             out_of_range=primitive.out_of_range,
-            name="" if number is None else self.document["materials"][number].get("name", ""),
+            name=called,
             uv2=None if uv is None else uv2,
+            material_name=called,
         )
 
     def _drawn_material(self, look: Look[TextureTransform], first: bool, second: bool) -> Material:

@@ -117,7 +117,11 @@ _OBJECTS: dict[str, dict[str, Any]] = {
             "KHR_materials_unlit": {},
             "KHR_materials_clearcoat": {"clearcoatFactor": "number"},
             "KHR_materials_sheen": {"sheenColorFactor": "3 number"},
-            "KHR_materials_transmission": {"transmissionFactor": "number"},
+            "KHR_materials_transmission": {
+                "transmissionFactor": "number",
+                "transmissionTexture": "map",
+            },
+            "KHR_materials_volume": {"thicknessFactor": "number"},
             "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": "number"},
             "KHR_materials_anisotropy": {"anisotropyStrength": "number"},
             "KHR_materials_iridescence": {"iridescenceFactor": "number"},

@@ -95,8 +95,17 @@ FEATURES = (
     Feature("KHR_materials_unlit", "warned", "drawn with lighting"),
     Feature("KHR_materials_clearcoat", "warned", "drawn without the coat", "clearcoatFactor"),
     Feature("KHR_materials_sheen", "warned", "drawn without sheen", "sheenColorFactor"),
-    Feature("KHR_materials_transmission", "warned", "drawn as opaque", "transmissionFactor"),
-    Feature("KHR_materials_volume", "ignored", "has an effect only with transmission"),
+    Feature(
+        "KHR_materials_transmission",
+        "drawn",
+        "the factor is the transmission; a texture is ignored with a warning",
+    ),
+    Feature(
+        "KHR_materials_volume",
+        "drawn",
+        "with transmission and a thickness above 0 the surface refracts with the ior of "
+        "KHR_materials_ior; the thickness itself and the attenuation are ignored",
+    ),
     Feature("KHR_materials_dispersion", "ignored", "has an effect only with transmission"),
     Feature(
         "KHR_materials_diffuse_transmission",

@@ -26,6 +26,7 @@ from facerender.loading.references import inline
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
 from facerender.scenes.vectors import HIGHEST
+from facerender.terms.ranges import range_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -138,6 +139,7 @@ class Materials:
             normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
             occlusion_strength=self._strength(source, "occlusionTexture", "strength", 1.0),
             second_uv=tuple(key for key in maps if maps[key] and places[key] != first),
+            **self._transmission(extensions),
             **maps,
         )
         return Look(material, first, second)
@@ -202,6 +204,20 @@ class Materials:
             self.warn(f"{self.name} has a specular colour (KHR_materials_specular): drawn grey")
         grey = self._factor("specularColor", sum(tint) / 3.0, HIGHEST)
         return min(f0 * grey, 0.999)
+
+    def _transmission(self, extensions: Doc) -> dict[str, Any]:
+        """Return the fields transmission and refraction. Without a thickness the surface is thin
+        and does not refract."""
+        own = extensions.get("KHR_materials_transmission", {})
+        passes = self._factor("transmission", own.get("transmissionFactor", 0.0))
+        if not passes:
+            return {}
+        if "transmissionTexture" in own:
+            self.warn(f"{self.name} has a transmission map: ignored, only the factor is used")
+        thickness = extensions.get("KHR_materials_volume", {}).get("thicknessFactor", 0.0)
+        ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5) if thickness > 0.0 else 1.0
+        most = range_of(Material, "refraction").high
+        return {"transmission": passes, "refraction": min(max(ior, 1.0), most)}
 
     def _look_for_metal(self, metallic: Doc) -> None:
         """Warn of a metallic material. This check decodes the metallic map unless it is large."""

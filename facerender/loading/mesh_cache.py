@@ -54,18 +54,19 @@ class MeshFiles:
     ----------
     source : the mesh file
     maps : image files that replace the mesh file's maps, keyed by the field of :class:`Material`
-    orientation, allow_outside : see :func:`facerender.load_mesh`
+    orientation, allow_outside, as_is : see :func:`facerender.load_mesh`
     """
 
     source: Source
     maps: Mapping[str, Path]
     orientation: Orientation
     allow_outside: bool
+    as_is: bool
 
     def digest(self) -> str | None:
         """Return the name of the cache entry, or None if a file cannot be read."""
         names = [self.source.path.name, *((field, each.name) for field, each in self.maps.items())]
-        options = self.orientation, self.allow_outside
+        options = self.orientation, self.allow_outside, self.as_is
         facts = __version__, _code(), names, self.source.suffix, options
         try:
             maps = [read_file(each, "a file") for each in self.maps.values()]

@@ -212,17 +212,16 @@ def _read_obj(data: bytes, name: str, references: References, without_albedo: bo
         if out_of_range and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
             raise ValueError(f"none of its {out_of_range} faces has valid references")
         geometries = _geometries(data, ".obj", name, library)
-    pieces: list[tuple[int, Piece, str]] = []
+    pieces: list[tuple[int, Piece]] = []
     for key, geometry in geometries.items():
         number = int(key.partition("_")[0]) if len(names) > 1 else 0
-        material = str(getattr(getattr(geometry.visual, "material", None), "name", ""))
-        pieces.append((number, piece_of(geometry, name, {}, False, library), material))
+        pieces.append((number, piece_of(geometry, name, {}, False, library)))
         pieces[-1][1].name = names[number]
     pieces[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
     pieces.sort(key=lambda each: each[0])
     found = [
-        part for _, piece, material in pieces for part in _with_tiles(piece, material, library)
+        part for _, piece in pieces for part in _with_tiles(piece, piece.material_name, library)
     ]
     check_count(len(found), name)
     _warn_of_missing(references, without_albedo)

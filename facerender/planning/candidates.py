@@ -119,7 +119,7 @@ def _surfaces(
     if full.two_lobes:
         slopes += [(False, m) for m in constants.single if fits(full.replace(two_lobes=False, m=m))]
     cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
-    scatters = any(each.scattering and each.kd > 0.0 for each in materials)
+    scatters = any(each.scattering and each.diffuse_weight > 0.0 for each in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
     around = scene.environment is not None and full.environment
     samples = [each for each in ENVIRONMENT_SAMPLES if around and each < full.environment_samples]

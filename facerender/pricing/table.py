@@ -114,7 +114,7 @@ class Prices:
             shine = self._specular([term_name(each, smallest) for each in terms])
             if material.two_lobes:
                 shine += self._specular([second_name(each, smallest) for each in terms])
-        diffuse = material.kd > 0.0
+        diffuse = material.diffuse_weight > 0.0
         ambient = diffuse and any(scene.ambient)  # type: ignore[arg-type]
         coupled = shading.diffuse == "coupled" and diffuse and material.ks > 0.0
         whole = self.parts["base program"] + shine + lights
@@ -154,7 +154,7 @@ class Prices:
         occlusion = (material.occlusion_map,) * ambient
         read = (*occlusion, *(material.roughness_map, material.specular_map) * shines)
         has = {
-            "albedo map": material.albedo_map is not None and material.kd > 0.0,
+            "albedo map": material.albedo_map is not None and material.diffuse_weight > 0.0,
             "normal map": material.normal_map is not None,
             "property map": any(each is not None for each in read),
         }

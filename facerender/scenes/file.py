@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
@@ -16,6 +17,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
+from facerender.scenes.presets import PRESETS, preset
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import AZIMUTHS, HIGHEST
 from facerender.shading import Shading
@@ -24,9 +26,10 @@ from facerender.terms.ranges import Range, check_fields, range_of, ranged
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Environment
+    from facerender.scenes.mesh import Mesh
 
 KEYS = (
-    *("camera", "cameras", "lights", "environment", "material", "shading", "planned"),
+    *("camera", "cameras", "lights", "environment", "material", "parts", "shading", "planned"),
     *("ambient", "background"),
 )
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
@@ -84,7 +87,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     dict with the keys that the file contains: camera (Camera), cameras (tuple of Camera, the camera
     path of ``facerender plan``), lights (tuple of Light), environment (EnvironmentFile), ambient
     and background (as in :class:`Scene`), material (dict of the factors of :class:`Material`),
-    shading (dict for :meth:`Shading.from_dict`), planned (Planned)
+    parts (see :func:`part_tables`), shading (dict for :meth:`Shading.from_dict`), planned (Planned)
 
     Raises
     ------
@@ -124,6 +127,8 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "material":
         from_table(Material, key, value, without=MAPS)  # only checks the values
         return value
+    if key == "parts":
+        return part_tables(key, value)
     if key == "environment":
         text = isinstance(value, str)
         return parse_environment(value) if text else from_table(EnvironmentFile, key, value)
@@ -134,20 +139,103 @@ def scene_value(key: str, value: Any) -> Any:
     raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
 
 
+def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
+    """Check the materials of parts.
+
+    Parameters
+    ----------
+    name : name of the value, for messages
+    tables : for each name of parts, which may have wildcards, a table of fields of
+        :class:`Material` except its maps, and ``preset``
+
+    Raises
+    ------
+    InputError : a value of a wrong type, an unknown key or preset, or a value outside its range
+    """
+    check_type(name, tables, Mapping, "a table of parts, such as {'lash*': {'preset': 'lashes'}}")
+    found = {}
+    for pattern, table in tables.items():
+        if not isinstance(pattern, str) or not pattern.strip():
+            raise InputError(f"{name} has the key {shown(pattern)}: give the name of a part")
+        own = f"{name}.{pattern}"
+        check_type(own, table, Mapping, "a table of factors, or a preset, such as {'m': 0.3}")
+        values = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
+        }
+        rest = {key: value for key, value in values.items() if key != "preset"}
+        base = preset(values["preset"]) if "preset" in values else {}
+        from_table(Material, own, {**base, **rest}, without=MAPS)  # only checks the values
+        found[pattern] = values
+    return found
+
+
+def parse_part(text: str) -> tuple[str, dict[str, Any]]:
+    """Parse the material of parts from the text ``NAME=PRESET``, ``NAME,FIELD=VALUE,...`` or
+    ``NAME=PRESET,FIELD=VALUE,...``. A colour is three numbers with commas.
+
+    Raises
+    ------
+    InputError : the text has another form, or a value is outside its range
+    """
+    first, *words = text.split(",")
+    pattern, _, preset = first.partition("=")
+    values: dict[str, list[str]] = {}
+    for word in words:
+        field, equals, value = word.partition("=")
+        if equals:
+            values[field.strip()] = [value]
+        elif values:
+            next(reversed(values.values())).append(word)
+        else:
+            break
+    if not pattern or not (preset or values) or (words and not values):
+        raise InputError(
+            f"--part {shown(text)}: give NAME=PRESET or NAME,FIELD=VALUE, such as 'eye*=sclera' or "
+            f"'lash*,opacity=0.8'; presets: {', '.join(PRESETS)}"
+        )
+    table: dict[str, Any] = {"preset": preset} if preset else {}
+    table |= {field: _value(each) for field, each in values.items()}
+    return pattern, part_tables("--part", {pattern: table})[pattern]
+
+
+def _value(words: list[str]) -> Any:
+    try:
+        numbers = tuple(map(float, words))
+    except ValueError:
+        return ",".join(words)
+    return numbers if len(numbers) > 1 else numbers[0]
+
+
+def part_text(pattern: str, table: Mapping[str, Any]) -> str:
+    """Return the text of the materials of parts that :func:`parse_part` parses."""
+    values = dict(table)
+    preset = f"={values.pop('preset')}" if "preset" in values else ""
+    words = [
+        f"{name}={','.join(f'{each:g}' for each in value)}"
+        if isinstance(value, tuple | list)
+        else f"{name}={value}"
+        for name, value in values.items()
+    ]
+    return ",".join([f"{pattern}{preset}", *words])
+
+
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
     """Return a scene, without its mesh and maps, as TOML text that :func:`load_scene` parses.
 
-    The table ``material`` contains the factors that are equal for all parts. The table ``planned``
-    contains the fields of :class:`Planned`.
+    The table ``material`` contains the factors that are equal for all parts, the table ``parts``
+    the factors of each part that differ. The table ``planned`` contains the fields of
+    :class:`Planned`.
     """
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
+    shared = _shared_factors(scene.mesh.materials)
+    differing = _differing_factors(scene.mesh, shared)
     tables: list[tuple[str, Mapping[str, Any]]] = [
         ("", {"ambient": scene.ambient, "background": background} | dark),
         ("[camera]", _changes(scene.camera)),
         *(("[[lights]]", _changes(light)) for light in scene.lights),
         *([("[environment]", _environment(scene.environment))] if scene.environment else []),
-        ("[material]", _shared_factors(scene.mesh.materials)),
+        *(("[material]", shared), *([("[parts]", differing)] if differing else [])),
         ("[shading]", shading.as_dict()),
         *([("[planned]", asdict(planned))] if planned else []),
     ]
@@ -158,7 +246,8 @@ def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """Return TOML text for tables (header, values). Keys whose value is None are omitted."""
     blocks = []
     for head, table in tables:
-        lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
+        given = {key: value for key, value in table.items() if value is not None}
+        lines = [f"{_key(key)} = {_toml(value)}" for key, value in given.items()]
         blocks.append("\n".join(filter(None, [head, *lines])) + "\n")
     return "\n".join(blocks)
 
@@ -184,13 +273,33 @@ def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
     return {name: found.pop() for name, found in values.items() if len(found) == 1}
 
 
+def _differing_factors(mesh: Mesh, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return, for each named part, the factors that are not equal for all parts."""
+    tables: dict[str, dict[str, Any]] = {}
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        unused = "m" if material.roughness_map is not None else "roughness_factor"
+        names = (each.name for each in fields(Material) if each.name not in (*MAPS, unused))
+        values = {name: getattr(material, name) for name in names if name not in shared}
+        if values and part.name:
+            tables[part.name] = {
+                name: "none" if value is None else value for name, value in values.items()
+            }
+    return tables
+
+
+def _key(name: str) -> str:
+    """Return a key of TOML, in quotes unless its characters need none."""
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+
+
 def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
+        items = (f"{_key(key)} = {_toml(item)}" for key, item in value.items())
+        return "{ " + ", ".join(items) + " }"
     if isinstance(value, tuple | list):
         return "[" + ", ".join(map(_toml, value)) + "]"
     return repr(value.item() if isinstance(value, np.generic) else value)

@@ -65,6 +65,12 @@ class Material:
     normal_strength : factor on x and y of the normal map's texels, in [0, 100]
     occlusion_strength : strength s of the occlusion map, in [0, 1]; occlusion = 1 + s (texel - 1)
     second_uv : names of the maps that use the part's second texture coordinates
+    transmission : fraction of the diffuse light that passes through the surface instead, in [0, 1],
+        as in KHR_materials_transmission of glTF. The diffuse term is multiplied by
+        1 - transmission, the specular term is not. A part with transmission casts no shadow. With
+        ``refraction`` 1 it is drawn as a transparent part, whatever ``alpha`` is
+    refraction : index of refraction behind a surface with transmission, in [1, 3]; 1 is a thin
+        surface, which does not bend light
     """
 
     albedo: Vector = ranged(COLORS, SKIN_ALBEDO)
@@ -91,6 +97,8 @@ class Material:
     normal_strength: float = ranged(Range(0.0, MAX_NORMAL_STRENGTH), 1.0)
     occlusion_strength: float = ranged(FRACTION, 1.0)
     second_uv: tuple[str, ...] = ()
+    transmission: float = ranged(FRACTION, 0.0)
+    refraction: float = ranged(Range(1.0, 3.0), 1.0)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -169,6 +177,26 @@ class Material:
         """
         names = PROPERTY_MAPS if name == "property_map" else (name,)
         return any(each in self.second_uv and getattr(self, each) is not None for each in names)
+
+    @property
+    def thin(self) -> bool:
+        """Whether light passes through the surface without being refracted."""
+        return self.transmission > 0.0 and self.refraction == 1.0
+
+    @property
+    def refracts(self) -> bool:
+        """Whether light passes through the surface and is refracted."""
+        return self.transmission > 0.0 and self.refraction > 1.0
+
+    @property
+    def emits(self) -> bool:
+        """Whether the surface shows light that it does not reflect: emitted or refracted light."""
+        return any(self.emissive) or self.refracts
+
+    @property
+    def diffuse_weight(self) -> float:
+        """Weight of the diffuse term."""
+        return self.kd * (1.0 - self.transmission)
 
     @cached_property
     def solid(self) -> bool:

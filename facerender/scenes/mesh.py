@@ -12,9 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, clipped, each_of, reason, shown
+from facerender.errors import (
+    InputError,
+    check_range,
+    check_type,
+    clipped,
+    each_of,
+    reason,
+    shown,
+    warn,
+)
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
+from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
@@ -276,19 +286,31 @@ class Mesh:
         """Map points (..., 3) from the renderer's space back to mesh space."""
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 
-    def with_material(self, **changes: Any) -> Mesh:
-        """Return a copy of the mesh in which ``changes`` replace fields of every material. The copy
+    def with_material(
+        self, parts: str | Iterable[str] = (), preset: str | None = None, **changes: Any
+    ) -> Mesh:
+        """Return a copy of the mesh in which ``changes`` replace fields of the materials. The copy
         shares geometry and maps with this mesh.
 
-        A new ``m`` also removes the roughness maps.
+        A new ``m`` also removes the roughness maps. A new ``second_slope``, ``lobe_weight`` or
+        ``lobe_map`` that leaves a material with one lobe causes a warning.
+
+        Parameters
+        ----------
+        parts : names of the parts whose materials change, as in :meth:`select`; default: all parts
+        preset : name of a preset, whose fields apply before ``changes``; see docs/skin.md
 
         Raises
         ------
-        InputError : a value outside its range
+        InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
-        if "m" in changes:
-            changes = {"roughness_map": None, **changes}
-        return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))
+        names = names_of("parts", parts)
+        chosen = {i for name in names for i in self._called(name)} or {*range(len(self.parts))}
+        table = changes if preset is None else {"preset": preset, **changes}
+        new = {i: changed(self.materials[i], table) for i in chosen}
+        _warn_of_lobes(self.name, changes, new.values())
+        materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
+        return replace(self, materials=materials)
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
@@ -298,8 +320,10 @@ def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64
 
 
 def drawn_alpha(part: Part, material: Material) -> Alpha:
-    """Return the alpha mode with which a part is drawn: "opaque" if its opacity has no effect.
-    Decodes the opacity map if necessary."""
+    """Return the alpha mode with which a part is drawn: "blend" if it is thin and
+    clear, otherwise "opaque" if its opacity has no effect. Decodes the opacity map if necessary."""
+    if material.thin:
+        return "blend"
     if material.opacity_map is not None and coordinates(part, material, "opacity_map") is None:
         material = replace(material, opacity_map=None)
     return "opaque" if material.solid else material.alpha
@@ -317,6 +341,22 @@ def slope_range(part: Part, material: Material) -> tuple[float, float]:
     if coordinates(part, material, "roughness_map") is None:
         return material.with_second(material.m, material.m)
     return material.slopes
+
+
+def _warn_of_lobes(name: str, changes: Mapping[str, Any], materials: Iterable[Material]) -> None:
+    """Warn if changes ask for a second lobe, but none of the changed materials has one."""
+    unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
+    asked = [key for key, value in unused.items() if changes.get(key, value) != value]
+    if asked and not any(each.two_lobes for each in materials):
+        warn_of_one_lobe(name, asked[0])
+
+
+def warn_of_one_lobe(name: str, field: str) -> None:
+    """Warn that a field of the second lobe has no effect on the mesh of this name."""
+    warn(
+        f"{field} has no effect on {name}, because a second lobe needs a second_slope other than 1 "
+        "and a lobe_weight below 1: give both, such as 0.333 and 0.85"
+    )
 
 
 def names_of(option: str, names: Any) -> tuple[str, ...]:

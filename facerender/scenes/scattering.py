@@ -47,7 +47,9 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     InputError : the size of the mesh in millimetres is unknown
     """
     mesh = scene.mesh
-    profiles_of_parts = [each.scattering if each.kd > 0.0 else None for each in mesh.materials]
+    profiles_of_parts = [
+        each.scattering if each.diffuse_weight > 0.0 else None for each in mesh.materials
+    ]
     if not any(profiles_of_parts):
         return None
     if mesh.millimetres is None:

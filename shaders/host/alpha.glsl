@@ -1,6 +1,7 @@
 // Opacity of a fragment.
 // With ALPHA_MASK, fragments with an opacity below alpha_cutoff are discarded. With ALPHA_BLEND,
-// fragments are blended with the surfaces behind them.
+// fragments are blended with the surfaces behind them. With OPACITY_CUT the opacity of a blended
+// fragment is 0 below alpha_cutoff, otherwise 1.
 #ifndef HOST_ALPHA_GLSL
 #define HOST_ALPHA_GLSL
 
@@ -11,11 +12,20 @@ uniform float opacity;
 uniform sampler2D opacity_map;
 #endif
 
+#if defined(ALPHA_MASK) || defined(OPACITY_CUT)
+uniform float alpha_cutoff;
+#endif
+
 float opacity_here() {
 #ifdef OPACITY_MAP
-    return opacity * texture(opacity_map, OPACITY_MAP_UV).r;
+    float own = opacity * texture(opacity_map, OPACITY_MAP_UV).r;
 #else
-    return opacity;
+    float own = opacity;
+#endif
+#ifdef OPACITY_CUT
+    return own < alpha_cutoff ? 0.0 : 1.0;
+#else
+    return own;
 #endif
 }
 
@@ -35,8 +45,6 @@ void discard_previous_layers() {
 #endif
 
 #ifdef ALPHA_MASK
-uniform float alpha_cutoff;
-
 // Return the fraction of a fragment that remains after the alpha cutoff.
 // TO_COVERAGE is the number of samples per pixel. If it is defined, the fraction may lie between 0
 // and 1 in a pixel where the opacity crosses the cutoff. OpenGL converts the fraction to n covered

@@ -28,6 +28,9 @@
 #ifdef EMISSIVE
 #include "host/emission.glsl"
 #endif
+#ifdef REFRACTIONS
+#include "host/refraction.glsl"
+#endif
 
 uniform float diffuse_brdf;  // kd/pi.
 uniform float f0;
@@ -36,6 +39,9 @@ uniform vec3 ambient;  // Irradiance, the same for every normal.
 #endif
 #ifdef VISIBLE
 uniform vec3 background;
+#endif
+#ifdef TRANSMISSION
+uniform float transmission;  // Fraction of the light from behind that passes.
 #endif
 #ifdef SCATTER
 // Inputs of scatter.frag in addition to the radiance. With APART, another pass draws the radiance.
@@ -159,6 +165,9 @@ vec3 shaded(Point p) {
 #ifdef EMISSIVE
     result += emission(p);
 #endif
+#ifdef REFRACTIONS
+    result += refracted(s, f0);
+#endif
     return result;
 }
 
@@ -213,11 +222,28 @@ void main() {
         triangle = next;
     } while (triangle < count);
 }
+#elif defined(BEHIND_REFRACTION)
+// Radiance and z in a map of refraction.glsl. Fragments in front of the refracting part are
+// discarded.
+uniform mat4 to_map;
+uniform sampler2D refraction_surface;
+
+void main() {
+    float z = (to_map * vec4(position, 1.0)).z;
+    float front = texelFetch(refraction_surface, ivec2(gl_FragCoord.xy), 0).r;
+    if (z > front + 0.02) discard;  // The rim of a cornea may be just below the sclera.
+    radiance = vec4(shaded(point()), z);
+#ifdef ALPHA_MASK
+    share_left();
+#endif
+}
 #elif defined(ALPHA_MASK)
 void main() {
     radiance = vec4(shaded(point()), 1.0);
     radiance.a = share_left();  // With multisampling OpenGL then sets alpha to 1 (alpha to one).
 }
+#elif defined(TRANSMISSION)
+void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0 - transmission); }
 #elif defined(ALPHA_BLEND)
 void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0); }
 #else

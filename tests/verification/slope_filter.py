@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,8 @@ class Bench:
     @classmethod
     def of(cls, mesh: fr.Mesh, texture: fr.Texture, m: float, size: int) -> Bench:
         """Return a bench for a mesh with a relief and roughness m, without other specular maps."""
-        maps = {"normal_map": texture, "specular_map": None, "occlusion_map": None}
+        maps: dict[str, Any] = dict.fromkeys(("specular_map", "occlusion_map"))
+        maps["normal_map"] = texture
         return cls(mesh.with_material(m=m, ks=1.0, **maps), size)
 
     def image(

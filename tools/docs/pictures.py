@@ -114,12 +114,12 @@ def environment(size: int = 420) -> None:
 def lobes(size: int = 420) -> None:
     """Draw one lobe, two lobes and sweat; draw the Lambert and the coupled diffuse term, and eight
     times their difference."""
-    skin: dict[str, Any] = {"second_slope": 1.7, "lobe_weight": 0.85}
+    skin: dict[str, Any] = {"second_slope": 0.333, "lobe_weight": 0.85}
     sweat: dict[str, Any] = {"second_slope": 0.35, "lobe_weight": 0.5, "lobe_map": _film()}
     mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35)
     with fr.Renderer((size, size)) as renderer:
 
-        def drawn(shading: fr.Shading = fr.Shading(), **material: object) -> Pixels:
+        def drawn(shading: fr.Shading = fr.Shading(), **material: Any) -> Pixels:
             return renderer.render(
                 fr.Scene(mesh.with_material(**material), camera), shading
             ).srgb8()

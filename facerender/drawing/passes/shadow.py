@@ -70,7 +70,7 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
     draws = []
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         alpha = drawn_alpha(part, material)
-        if alpha == "blend":
+        if alpha == "blend" or material.transmission > 0.0:
             continue
         features = mask_features(surface_features(part, material, Shading()))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
@@ -85,7 +85,10 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
 
 
 def _cut(material: Material) -> Hashable:
-    """Return the values of a material's alpha mask, which the ``Pass.key`` of shadow maps has."""
+    """Return the values of a material that its shadow depends on, for the ``Pass.key`` of shadow
+    maps."""
+    if material.transmission > 0.0:
+        return "no shadow"
     map_ = material.opacity_map and ref(material.opacity_map)
     own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
     return (material.alpha, map_, *own) if material.alpha != "opaque" else None

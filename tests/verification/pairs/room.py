@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing import get_context
 from types import MappingProxyType
-from typing import cast
+from typing import Any, cast
 
 import moderngl
 import numpy as np
@@ -112,7 +112,7 @@ class Room:
         """The G-buffer of the scene, without blended parts."""
         return self.renderer.gbuffer(self.scene, self.setting.shading, blended=False)
 
-    def with_material(self, **changes: object) -> Linear:
+    def with_material(self, **changes: Any) -> Linear:
         """Draw with fields of every material replaced."""
         return self.draw(mesh=self.scene.mesh.with_material(**changes))
 

@@ -1,0 +1,203 @@
+"""Presets of parts with known names.
+
+A part gets a preset if the name of its material, or else its own name, is known, and if the file
+has no better material for it: neither maps nor vertex colours, opacity or transmission. The rule
+applies before the caller's maps and factors, which therefore win. The known names come
+from ICT-FaceKit, Character Creator, MetaHuman, Ready Player Me, MakeHuman and FLAME, or are words
+of anatomy. ICT-FaceKit's eyes and lashes have texture coordinates but no textures: they also get
+painted maps."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import clipped, warn
+from facerender.images.srgb import linear_to_srgb
+from facerender.scenes.material import MAPS, SKIN_ALBEDO
+from facerender.scenes.presets import PRESETS, changed
+from facerender.scenes.repair import Piece
+from facerender.scenes.texture import Texture
+from facerender.scenes.vectors import Vector
+
+_LONGEST = 400  # characters of the warning
+_GREY = 0.02  # largest difference of the channels of an albedo that counts as no colour
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+_SIDES = {"l", "r", "left", "right", "upper", "lower"}
+_AFFIXES = {
+    *("m", "mi", "std", "cc", "base", "game", "wolf", "d", "lod", "mesh", "geo", "shape", "sg"),
+    *("mat", "mtl", "material", "shader", "primitive"),
+}
+# Known names: the letters of a name without affixes and sides, also after "eye", in lower case.
+_NAMES = {
+    "cornea": "cornea",
+    **dict.fromkeys(("sclera", "eyeball", "eyeballs"), "sclera"),
+    **dict.fromkeys(("iris", "irises"), "iris"),
+    **dict.fromkeys(("lacrimalfluid", "tearline", "tearfilm", "tear", "tears"), "tear"),
+    **dict.fromkeys(("eyeblend", "eyeedge", "cartilage", "saliva"), "tear"),
+    **dict.fromkeys(("eyeocclusion", "eyeao", "eyeshell"), "eye-occlusion"),
+    **dict.fromkeys(("lash", "lashes", "eyelash", "eyelashes"), "lashes"),
+    **dict.fromkeys(("teeth", "tooth"), "teeth"),
+    **dict.fromkeys(("lip", "lips", "tongue", "gum", "gums", "gumstongue"), "lips"),
+    **dict.fromkeys(("haircard", "haircards", "eyebrow", "eyebrows"), "hair-card"),
+}
+# Known names of one convention: all letters. "head", "face" and "eye" are not known names, because
+# a file of any kind may use these words.
+_WHOLE = {
+    **dict.fromkeys(("mface", "mbackhead"), "skin"),
+    **dict.fromkeys(("wolfdhead", "wolfdskin", "wolfdbody", "headlodmesh"), "skin"),
+    **dict.fromkeys(
+        [f"stdskin{each}" for each in ("head", "body", "arm", "leg")] + ["ccbasehead"], "skin"
+    ),
+    **dict.fromkeys(("eyeleft", "eyeright", "lefteye", "righteye"), "sclera"),
+    **dict.fromkeys(("wolfdeye", "stdeyel", "stdeyer", "ccbaseeye"), "sclera"),
+    **dict.fromkeys(("wolfdhair", "wolfdbeard", "wolfdeyebrow"), "hair-card"),
+}
+_IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
+_EYES = ("highpoly", "lowpoly")  # eyes of MakeHuman, known in a file with lashes or teeth
+
+
+def preset_for(name: str) -> str | None:
+    """Return the preset of a part's or material's name, or None if the name is not known."""
+    words = [each.lower() for each in _WORD.findall(name)]
+    bare = [each for each in words if each not in _AFFIXES]
+    whole = _WHOLE.get("".join(words)) or _WHOLE.get("".join(bare))
+    own = [each for each in bare if each not in _SIDES]
+    of_eye = own[1:] if own[:1] in (["eye"], ["eyes"]) else own
+    return whole or _NAMES.get("".join(own)) or _NAMES.get("".join(of_eye))
+
+
+def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
+    """Give presets to pieces with known names, and warn of it.
+
+    Returns
+    -------
+    the pieces without painted maps, which may get maps of the caller
+    """
+    found: dict[str, list[str]] = {}
+    painted: list[Piece] = []
+    presets = [_preset_of(piece) for piece in pieces]
+    eyes = [piece for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
+    for piece, known in zip(pieces, presets, strict=True):
+        if eyes and _stem(piece) == "msclera":
+            known = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
+        elif _stem(piece) in _EYES and {"lashes", "teeth"} & {*presets}:
+            known = "sclera"
+        if known is None or not _is_bare(piece):
+            continue
+        piece.material = changed(piece.material, {"preset": known})
+        if known == "skin" and np.ptp(piece.material.albedo) < _GREY:
+            piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
+        if any(piece is each for each in eyes):
+            _paint_eye(piece)
+            painted.append(piece)
+        elif _stem(piece) == _LASHES and piece.uv is not None:
+            _paint_lashes(piece)
+            painted.append(piece)
+        called = found.setdefault(known, [])
+        called.append(piece.name or piece.material_name)
+    if found:
+        all_ = "; ".join(f"{preset} for {', '.join(names)}" for preset, names in found.items())
+        warn(f"{name}: presets by name: {clipped(all_, _LONGEST)}; --as-is keeps the file's own")
+    return [piece for piece in pieces if not any(piece is each for each in painted)]
+
+
+def _preset_of(piece: Piece) -> str | None:
+    return preset_for(piece.material_name) or preset_for(piece.name)
+
+
+def _is_bare(piece: Piece) -> bool:
+    material = piece.material
+    mapped = any(getattr(material, each) is not None for each in MAPS)
+    clear = material.alpha != "opaque" or material.transmission > 0.0
+    return not mapped and not clear and piece.colors is None
+
+
+def _stem(piece: Piece) -> str:
+    """Return the letters of a material's or part's name without sides, in lower case."""
+    words = [each.lower() for each in _WORD.findall(piece.material_name or piece.name)]
+    return "".join(each for each in words if each not in _SIDES)
+
+
+# --- ICT-FaceKit ---------------------------------------------------------------------------------
+# The iris mesh is a whole eyeball. Its texture coordinates show the front as a disc of radius 0.5
+# around the centre; the pupil is a hole of radius 0.09. The lashes are six cards a side, one in
+# each sixth of v, with the roots on top; the lower three belong to the lower lid.
+_SIDE = 512
+_PUPIL, _LIMBUS = (0.1, 0.112), (0.385, 0.46)
+_STRANDS = 40
+
+
+def _has_ict_iris(piece: Piece) -> bool:
+    if piece.uv is None or not _is_bare(piece):
+        return False
+    radii = np.hypot(*(piece.uv - 0.5).T)
+    return bool(radii.min() > 0.08 and ((radii > 0.15) & (radii < 0.35)).any())
+
+
+def _paint_eye(piece: Piece) -> None:
+    """Close the pupil, through which a refracting cornea would show the back of the iris, and give
+    the eyeball its colours."""
+    assert piece.uv is not None
+    assert piece.normals is not None
+    offset = piece.uv - 0.5
+    radii = np.hypot(*offset.T)
+    rim = np.flatnonzero(radii < radii.min() + 1e-3)
+    rim = rim[np.unique(np.round(np.arctan2(*offset[rim].T), 3), return_index=True)[1]]
+    middle = np.full_like(rim, len(piece.positions))
+    fan = np.stack([middle, rim, np.roll(rim, -1)], axis=1)
+    front = piece.normals[(radii > 0.15) & (radii < 0.35)].mean(axis=0)
+    positions = np.vstack([piece.positions, piece.positions[rim].mean(axis=0)])
+    corners = positions[fan]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    piece.faces = np.vstack([piece.faces, fan if across @ front > 0.0 else fan[:, ::-1]])
+    piece.positions, piece.uv = positions, np.vstack([piece.uv, (0.5, 0.5)])
+    piece.normals = np.vstack([piece.normals, front / np.linalg.norm(front)])
+    piece.uv2 = None
+    piece.material = replace(
+        piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=_eye_map(piece.material.albedo)
+    )
+
+
+def _paint_lashes(piece: Piece) -> None:
+    piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
+
+
+def _eye_map(albedo: Vector) -> Texture:
+    """Return the colours of an eyeball: a black pupil, an iris with fibres, and a white sclera."""
+    x, y = np.meshgrid(*[(np.arange(_SIDE) + 0.5) / _SIDE - 0.5] * 2)
+    radius, angle = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
+    counts = np.arange(23, 89, 3)
+    fibres = np.cos(counts * angle + counts**2 + 3.0 * np.sin(20.0 * radius + counts)).mean(axis=-1)
+    depth = 1.0 + 0.8 * fibres[..., None] + 0.3 * np.cos(11.0 * radius)
+    ring = 1.0 - 0.7 * np.exp(-(((radius - _LIMBUS[0]) / 0.035) ** 2))
+    white = _ramp(radius, *_LIMBUS)
+    sclera = np.array(PRESETS["sclera"]["albedo"])
+    color = ((1.0 - white) * np.array(albedo) * depth + white * sclera) * ring
+    color = color * _ramp(radius, *_PUPIL)
+    return Texture.from_array(linear_to_srgb(np.clip(color, 0.0, 1.0)), "a painted eye")
+
+
+def _lash_map() -> Texture:
+    """Return the opacity of cards of lashes: strands that become thinner towards their tips."""
+    u, down = np.meshgrid((np.arange(2 * _SIDE) + 0.5) / _SIDE, (np.arange(64) + 0.5) / 64.0)
+    tiles = []
+    for row in range(6):
+        bend = 0.6 * np.sin(np.arange(_STRANDS + 1) * 2.4 + row)
+        place = (u % 1.0) * _STRANDS + 0.5 * row + 0.4 * down**2
+        number = np.floor(place).astype(int) % _STRANDS
+        off = np.abs(place % 1.0 - 0.5 - 0.3 * bend[number] * down)
+        length = (0.5 if row > 2 else 0.75) + 0.2 * np.cos(number * 1.7 + row)
+        width = 0.16 * np.clip(1.0 - down / length, 0.0, 1.0)
+        tiles.append(np.clip((width - off) * 12.0 + 0.5, 0.0, 1.0) * (width > 0.0))
+    return Texture.from_array(np.concatenate(tiles), "painted lashes")
+
+
+def _ramp(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
+    """Return a smooth step from 0 at low to 1 at high."""
+    t = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))

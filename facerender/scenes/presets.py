@@ -1,0 +1,98 @@
+"""Presets: factors of materials under a name. ``loading/conventions.py`` gives parts presets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from facerender.errors import InputError, shown
+from facerender.scenes.material import Material
+
+CORNEA = 1.336  # index of the aqueous; one surface stands for cornea and aqueous
+TEAR = 1.337  # index of the tear film
+_ENAMEL, _KERATIN = 1.62, 1.55
+
+
+def reflectance(index: float) -> float:
+    """Return the Fresnel reflectance at normal incidence, seen from air, of an index of refraction
+    (at least 1)."""
+    return ((index - 1.0) / (index + 1.0)) ** 2
+
+
+# The fields that every preset sets: these values, unless the preset has its own.
+_COMMON: dict[str, Any] = {
+    each.name: each.default
+    for each in fields(Material)
+    if each.name in ("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity")
+    or each.name in ("transmission", "refraction", "emissive")
+}
+_LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
+_OWN: dict[str, dict[str, Any]] = {
+    "skin": {"m": 0.3, "f0": 0.028, **_LOBES},
+    "lips": {"m": 0.2, "f0": 0.028, **_LOBES, "lobe_weight": 0.6},
+    "cornea": {"m": 0.03, "f0": reflectance(CORNEA), "transmission": 1.0, "refraction": CORNEA},
+    "tear": {"m": 0.03, "f0": reflectance(TEAR), "transmission": 1.0},
+    "sclera": {"albedo": (0.6, 0.55, 0.51), "m": 0.1, "f0": reflectance(TEAR)},
+    "iris": {"albedo": (0.15, 0.08, 0.035), "m": 0.3, "f0": 0.028, "ks": 0.0},
+    "eye-occlusion": {
+        **{"albedo": (0.0, 0.0, 0.0), "m": 0.3, "f0": 0.028, "ks": 0.0, "kd": 0.0},
+        **{"alpha": "blend", "opacity": 0.15},
+    },
+    "lashes": {
+        **{"albedo": (0.012, 0.009, 0.007), "m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.2},
+        **{"alpha": "blend", "opacity": 0.35},
+    },
+    "teeth": {"albedo": (0.6, 0.54, 0.44), "m": 0.12, "f0": reflectance(_ENAMEL)},
+    "hair-card": {"m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.5, "alpha": "mask"},
+}
+PRESETS: Mapping[str, Mapping[str, Any]] = {name: {**_COMMON, **own} for name, own in _OWN.items()}
+
+
+def preset(name: Any) -> Mapping[str, Any]:
+    """Return the fields of a preset; raise InputError if the name is unknown."""
+    if not isinstance(name, str) or name not in PRESETS:
+        raise InputError(f"unknown preset {shown(name)}; known: {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def changed(material: Material, table: Mapping[str, Any]) -> Material:
+    """Return a material with the values of a table.
+
+    A new ``m`` also removes the roughness map. A preset neither tints an albedo map nor reduces an
+    opacity map.
+
+    Parameters
+    ----------
+    table : fields of :class:`Material`, and ``preset``, whose fields apply first
+
+    Raises
+    ------
+    InputError : the preset is unknown, or a value is outside its range
+    """
+    values = dict(table)
+    if (name := values.pop("preset", None)) is not None:
+        values = _fields_for(material, preset(name)) | values
+    if "m" in values:
+        values = {"roughness_map": None, **values}
+    return replace(material, **values)
+
+
+def preset_of(material: Material) -> str | None:
+    """Return the name of the preset whose fields a material has, or None."""
+    if material.roughness_map is not None:
+        return None
+    for name, own in PRESETS.items():
+        values = _fields_for(material, own)
+        if all(getattr(material, field) == value for field, value in values.items()):
+            return name
+    return None
+
+
+def _fields_for(material: Material, own: Mapping[str, Any]) -> dict[str, Any]:
+    values = dict(own)
+    if material.albedo_map is not None:
+        values.pop("albedo", None)
+    if material.opacity_map is not None:
+        values["opacity"] = 1.0
+    return values

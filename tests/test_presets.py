@@ -1,0 +1,397 @@
+"""Tests presets, the materials of parts, and presets of parts with known names."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.images.read import read_image
+from facerender.loading.conventions import _eye_map, _lash_map, preset_for
+from facerender.scenes.file import parse_part, part_text, scene_toml
+from facerender.scenes.material import SKIN_ALBEDO, Material
+from facerender.scenes.presets import PRESETS, preset_of
+from tests.awkward_files import mini_head, write_glb
+from tests.conftest import missing, wait_for_cache
+from tests.test_parts import FACES, VERTICES, names, row, run
+from tests.verification.scan import TEST_DATA
+
+KNOWN = {
+    "skin": "M_Face M_BackHead Wolf3D_Head Wolf3D_Skin Std_Skin_Head Std_Skin_Leg head_lod0_mesh",
+    "cornea": "cornea Cornea_L Std_Cornea_R CC_Base_Cornea eye-cornea.001 Eyes.Cornea.Right",
+    "sclera": "M_ScleraLeft EyeLeft eyeRight_lod0_mesh Std_Eye_L CC_Base_Eye Wolf3D_Eye l_eyeball",
+    "iris": "M_IrisLeft Iris.R IRIS",
+    "tear": "M_LacrimalFluid M_EyeBlend Std_Tearline_L CC_Base_TearLine eyeEdge_lod0_mesh saliva",
+    "eye-occlusion": "M_EyeOcclusion Std_Eye_Occlusion_R CC_Base_EyeOcclusion EyeAO eyeshell_lod0",
+    "lashes": "M_EyeLashes Std_Eyelash eyelashes01 Eyelashes.002 lashes_upper_L lash",
+    "teeth": "M_Teeth Std_Upper_Teeth Wolf3D_Teeth teeth_base TEETH_MESH teeth_lod0_mesh",
+    "lips": "M_GumsTongue tongue01 Std_Tongue Lips",
+    "hair-card": "eyebrow001 Eyebrows Wolf3D_Hair hair_cards",
+}
+UNKNOWN = (
+    "head face skin eye eyes body hair Headscarf M_Headscarf Eyebrowser eyelid Eyelashes_Curler "
+    "toothbrush Irish corneal scleroderma teardrop lipstick slash Splash tearoff Eyeglasses part3 "
+    "M_Eye Std_Nails Std_Eyewear Wolf3D_Headwear Wolf3D_Glasses default Material.001 high-poly"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        *((name, preset) for preset, known in KNOWN.items() for name in known.split()),
+        *((name, None) for name in [*UNKNOWN.split(), "", "123", "Haut"]),
+    ],
+)
+def test_known_names(name, expected):
+    assert preset_for(name) == expected
+
+
+def test_presets_are_valid_and_told_apart():
+    for name in PRESETS:
+        material = row("a").with_material(preset=name).materials[0]
+        assert preset_of(material) == name
+        assert preset_of(replace(material, m=0.77)) is None
+    assert preset_of(Material()) is None
+    skin = Material(**PRESETS["skin"])
+    broad = np.sqrt(skin.m) / 1.3 * 0.75  # perceptual roughness of Unreal's narrow lobe
+    assert skin.second_slope == pytest.approx(broad**2 / skin.m, abs=1e-3)
+    for name, index in (("cornea", 1.336), ("tear", 1.337)):
+        assert PRESETS[name]["f0"] == pytest.approx(((index - 1.0) / (index + 1.0)) ** 2)
+    one = {each for each, own in PRESETS.items() if own["transmission"] == 1.0}
+    assert one == {"cornea", "tear"}
+
+
+def test_every_preset_replaces_the_fields_of_every_other():
+    for first in PRESETS:
+        for second in PRESETS:
+            mesh = row("a").with_material(preset=first).with_material(preset=second)
+            own = row("a").with_material(preset=second).materials[0]
+            albedo = {} if "albedo" in PRESETS[second] else {"albedo": own.albedo}
+            cutoff = {"alpha_cutoff": own.alpha_cutoff}
+            assert replace(mesh.materials[0], **albedo, **cutoff) == replace(own, **cutoff)
+
+
+def test_a_preset_keeps_maps_except_the_roughness_map():
+    texture = fr.Texture.from_array(np.full((2, 2), 0.5))
+    maps = dict.fromkeys(("albedo_map", "opacity_map", "roughness_map"), texture)
+    mesh = row("a").with_material(**maps, albedo=(1.0, 1.0, 1.0)).with_material(preset="lashes")
+    found = mesh.materials[0]
+    assert (found.albedo_map, found.opacity_map, found.roughness_map) == (texture, texture, None)
+    assert (found.albedo, found.opacity) == ((1.0, 1.0, 1.0), 1.0)
+    assert preset_of(found) == "lashes"
+
+
+def test_with_material_changes_the_named_parts():
+    mesh = row("eye", "hair", "eye.2")
+    changed = mesh.with_material("eye*", preset="cornea", m=0.05)
+    assert [each.transmission for each in changed.materials] == [1.0, 0.0, 1.0]
+    assert [each.m for each in changed.materials] == [0.05, 0.3, 0.05]
+    assert changed.parts == mesh.parts
+    assert changed.with_material(["hair", "eye"], ks=0.5).materials[2].ks == 1.0
+    with pytest.raises(fr.InputError, match=r"no part of row is called 'lash\*': its parts are"):
+        mesh.with_material("lash*", m=0.3)
+    with pytest.raises(fr.InputError, match=r"unknown preset 'glass'; known: skin, lips, cornea"):
+        mesh.with_material(preset="glass")
+
+
+PARTS = [
+    ("eye*=cornea", ("eye*", {"preset": "cornea"})),
+    ("a,m=0.2", ("a", {"m": 0.2})),
+    (
+        "a b.2=skin,albedo=0.5,0.25,0.125",
+        ("a b.2", {"preset": "skin", "albedo": (0.5, 0.25, 0.125)}),
+    ),
+    ("[ab]?,alpha=blend,opacity=0.8", ("[ab]?", {"alpha": "blend", "opacity": 0.8})),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), PARTS)
+def test_part_options_are_parsed_and_written(text, expected):
+    assert parse_part(text) == expected
+    assert part_text(*expected) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("eye", "give NAME=PRESET or NAME,FIELD=VALUE"),
+        ("eye,0.5", "give NAME=PRESET or NAME,FIELD=VALUE"),
+        ("=skin", "give NAME=PRESET or NAME,FIELD=VALUE"),
+        ("eye=glass", "unknown preset 'glass'"),
+        ("eye,m=3", r"m = 3.0 is outside \[0.0001, 2\]"),
+        ("eye,m=soft", r"m = 'soft' is outside \[0.0001, 2\]"),
+        ("eye,gloss=1", "unknown key 'gloss' in --part.eye"),
+        ("eye,albedo_map=a.png", "unknown key 'albedo_map'"),
+    ],
+)
+def test_bad_part_options_are_refused(text, message):
+    with pytest.raises(fr.InputError, match=message):
+        parse_part(text)
+
+
+def test_jobs_carry_the_materials_of_parts():
+    tables = {"eye*": {"preset": "cornea"}, "*": {"m": 0.2, "albedo": [0.5, 0.4, 0.3]}}
+    job = fr.Job(parts=tables)
+    again = fr.Job.from_dict(json.loads(json.dumps(job.as_dict())))
+    assert again == job
+    assert '"eye*" = { preset = "cornea" }' in job.toml()
+    assert "parts" not in fr.Job().as_dict()
+    scene = job.scene(row("eye", "hair"))
+    assert [each.m for each in scene.mesh.materials] == [0.2, 0.2]
+    assert scene.mesh.materials[0].refraction == PRESETS["cornea"]["refraction"]
+    for bad, message in (
+        ({"eye": {"preset": 3}}, "unknown preset 3"),
+        ({"eye": 3}, r"parts.eye = 3: give a table"),
+        ({" ": {}}, "parts has the key ' '"),
+        ({"eye": {"m": 9.0}}, "m = 9.0 is outside"),
+        ([], "parts = \\[\\]: give a table of parts"),
+    ):
+        with pytest.raises(fr.InputError, match=message):
+            fr.Job.from_dict({"parts": bad})
+
+
+def test_a_scene_file_stores_the_factors_that_differ(tmp_path):
+    scene = fr.Scene(row("eye", "hair [a]").with_material("eye", preset="cornea"))
+    text = scene_toml(scene, fr.Shading())
+    (tmp_path / "a.toml").write_text(text)
+    found = fr.load_scene(tmp_path / "a.toml")
+    bare = row("eye", "hair [a]").with_material(m=0.9)
+    job = fr.Job(material=found["material"], parts=found["parts"])
+    assert job.scene(bare).mesh.materials == scene.mesh.materials
+    alone = fr.Scene(row("eye"))
+    assert "[parts]" not in scene_toml(alone, fr.Shading())
+
+
+def obj(path, *materials):
+    """Write an OBJ file with a tetrahedron for each material; no MTL file."""
+    faces = "".join(f"usemtl {each}\n{FACES}" for each in materials)
+    path.write_text(VERTICES + faces)
+    return path
+
+
+def test_a_bare_part_with_a_known_name_gets_a_preset(tmp_path):
+    path = obj(tmp_path / "a.obj", "Std_Skin_Head", "Std_Cornea_L", "Std_Cornea_R", "shirt")
+    expected = (
+        "a.obj: presets by name: skin for Std_Skin_Head; cornea for Std_Cornea_L, Std_Cornea_R; "
+        "--as-is keeps the file's own"
+    )
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        mesh = fr.load_mesh(path)
+    assert [str(each.message) for each in caught] == [expected]
+    assert [*map(preset_of, mesh.materials)] == ["skin", "cornea", "cornea", None]
+    plain = fr.load_mesh(path, as_is=True)
+    assert [*map(preset_of, plain.materials)] == [None] * 4
+    assert fr.MeshFile(str(path), as_is=True).load().materials == plain.materials
+
+
+@pytest.mark.parametrize("made", ["map", "blend", "colours", "transmission"])
+def test_a_better_material_of_the_file_stays(made, tmp_path):
+    head = mini_head()
+    metallic = {"baseColorFactor": [0.5, 0.5, 0.5, 0.5]}
+    own = {
+        "map": {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}},
+        "blend": {"pbrMetallicRoughness": metallic, "alphaMode": "BLEND"},
+        "colours": {},
+        "transmission": {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}}},
+    }[made]
+    if made == "colours":
+        mesh = _vertex_colours(tmp_path)
+    else:
+        path = write_glb(
+            tmp_path / "a.glb", head, [{"name": "x"}], material={"name": "Std_Eyelash", **own}
+        )
+        mesh = fr.load_mesh(path)
+    assert preset_of(mesh.materials[0]) is None
+
+
+def _vertex_colours(folder):
+    lines = VERTICES.replace("\n", " 0.5 0.5 0.5\n")
+    (folder / "a.obj").write_text(f"{lines}usemtl Std_Eyelash\n{FACES}")
+    return fr.load_mesh(folder / "a.obj")
+
+
+def test_the_name_of_the_material_counts(tmp_path):
+    head = mini_head()
+    material = {"name": "Std_Eyelash"}
+    path = write_glb(tmp_path / "a.glb", head, [{"name": "Mesh12"}], material=material)
+    with pytest.warns(fr.FacerenderWarning, match="lashes for Mesh12"):
+        mesh = fr.load_mesh(path)
+    assert preset_of(mesh.materials[0]) == "lashes"
+
+
+def test_the_cache_repeats_presets_and_their_warning(tmp_path, cache_folder):
+    path = obj(tmp_path / "a.obj", "shirt", "Std_Eyelash")
+    for as_is, expected in ((False, "lashes"), (True, None), (False, "lashes")):
+        file = fr.MeshFile(str(path), as_is=as_is)
+        for load in (lambda file=file: file.load(cache=True), file.cached):
+            if expected:
+                with pytest.warns(fr.FacerenderWarning, match="lashes for Std_Eyelash"):
+                    mesh = load()
+            else:
+                mesh = load()
+            wait_for_cache()
+            assert preset_of(mesh.materials[1]) == expected
+
+
+def test_factors_of_the_caller_win(tmp_path):
+    path = obj(tmp_path / "a.obj", "Std_Skin_Head", "Std_Eyelash")
+    with pytest.warns(fr.FacerenderWarning, match="presets by name"):
+        scene = fr.Job(fr.MeshFile(str(path)), {"ks": 0.25}, parts={"*lash": {"m": 0.4}}).scene()
+    assert [each.ks for each in scene.mesh.materials] == [0.25, 0.25]
+    assert [each.m for each in scene.mesh.materials] == [0.3, 0.4]
+
+
+def test_a_grey_face_gets_the_albedo_of_skin(tmp_path):
+    path = obj(tmp_path / "a.obj", "M_Face", "M_BackHead")
+    path.write_text("mtllib a.mtl\n" + path.read_text())
+    (tmp_path / "a.mtl").write_text("newmtl M_Face\nKd 0.6 0.6 0.6\nnewmtl M_BackHead\nKd 1 0 0\n")
+    with pytest.warns(fr.FacerenderWarning, match="skin for M_Face, M_BackHead"):
+        mesh = fr.load_mesh(path)
+    assert [each.albedo for each in mesh.materials] == [SKIN_ALBEDO, (1.0, 0.0, 0.0)]
+
+
+def test_the_built_in_head_has_no_presets(head):
+    assert preset_of(head.materials[0]) is None
+
+
+# --- ICT-FaceKit ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def faces():
+    folder = TEST_DATA / "faces"
+    if not (folder / "ICT-FaceKit").is_dir():
+        missing(f"no ICT-FaceKit in {folder}: set FACERENDER_TEST_DATA")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def ict(faces):
+    return load_ict(faces)
+
+
+def load_ict(faces, **maps):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mesh = fr.load_mesh(faces / "ICT-FaceKit/generic_neutral_mesh.obj", **maps)
+    assert sum("presets by name" in str(each.message) for each in caught) == 1
+    return mesh
+
+
+def test_presets_of_ict_facekit(ict):
+    found = dict(zip(names(ict), map(preset_of, ict.materials), strict=True))
+    assert found["M_Face"] == "skin"
+    assert found["M_ScleraLeft"] == found["M_ScleraRight"] == "cornea"
+    assert found["M_IrisLeft"] == found["M_IrisRight"] == "iris"
+    assert found["M_EyeBlend"] == found["M_LacrimalFluid"] == "tear"
+    assert (found["M_EyeLashes"], found["M_EyeOcclusion"]) == ("lashes", "eye-occlusion")
+    assert None not in found.values()
+
+
+@pytest.mark.parametrize("azimuth", [0.0, -35.0])
+def test_no_shell_hides_the_iris_and_no_card_is_black(ict, azimuth):
+    camera = fr.Camera(azimuth, frame="face", target=(3.2, 3.6, 9.4), zoom=6.0)
+    shells = "M_Sclera*,M_EyeBlend,M_EyeOcclusion,M_LacrimalFluid"
+    with fr.Renderer((256, 256)) as renderer:
+        scene = fr.Scene(ict, camera)
+        image = renderer.render(scene).linear[..., :3]
+        bare = fr.Scene(ict.select(hide=shells), camera)
+        without = renderer.render(bare).linear[..., :3]
+        part = renderer.gbuffer(bare, blended=False).part
+    iris = part == names(bare.mesh).index("M_IrisLeft")
+    assert iris.sum() > 4000
+    # The shells darken, and the cornea moves the iris by refraction, but the colours remain.
+    ratio = np.median(image[iris], axis=0) / np.median(without[iris], axis=0)
+    assert (ratio > 0.75).all(), ratio
+    assert (ratio < 1.05).all(), ratio
+    dark, warm = image[iris].max(axis=1) < 0.01, image[iris][:, 0] > 1.6 * image[iris][:, 2]
+    assert 0.01 < dark.mean() < 0.2  # the pupil
+    assert warm.mean() > 0.2  # the iris
+    skin = part == names(bare.mesh).index("M_Face")
+    assert (image[skin].max(axis=1) < 0.01).mean() < 0.05  # strands of the lashes
+
+
+def test_maps_of_the_caller_do_not_replace_painted_maps(faces):
+    texture = fr.Texture.from_array(np.full((2, 2, 3), 0.25))
+    mesh = load_ict(faces, albedo=texture)
+    maps = dict(zip(names(mesh), (each.albedo_map for each in mesh.materials), strict=True))
+    assert maps["M_Face"] is texture
+    assert maps["M_IrisLeft"] is not texture
+    assert maps["M_EyeLashes"] is None
+
+
+def test_painted_maps():
+    eye = np.asarray(_eye_map((0.15, 0.08, 0.035)).rgb())
+    side = len(eye)
+    middle, rim, corner = (eye[side // 2, each] for each in (side // 2, int(0.8 * side), 2))
+    assert middle.max() == 0
+    assert rim[0] > rim[1] > rim[2] > 0
+    assert corner.min() > 180
+    lashes = np.asarray(_lash_map().rgb())[::-1, :, 0].reshape(6, 64, -1)
+    assert (lashes[:, :8].mean(axis=(1, 2)) > 40).all()  # roots
+    assert (lashes[:, -2:].max(axis=(1, 2)) < 60).all()  # tips
+    assert lashes.max() == 255
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+
+def test_render_takes_materials_of_parts(tmp_path, capsys):
+    path = obj(tmp_path / "a.obj", "eye", "shirt")
+    (tmp_path / "a.toml").write_text('[parts."eye"]\nm = 0.5\nks = 0.0\n[parts."*"]\nkd = 0.0\n')
+    small = ("--size", "16", "--samples", "1", "--no-cache")
+
+    status, _, err = run(
+        capsys, "render", path, *small, "-o", tmp_path / "x.png", "--part", "e=skin"
+    )
+    assert status == 2
+    assert err == ("facerender: error: no part of a.obj is called 'e': its parts are eye, shirt\n")
+    scene = ("--scene", tmp_path / "a.toml")
+    for words, level in ((scene, 0), ((*scene, "--part", "*,kd=1"), 1)):
+        out = tmp_path / "x.exr"
+        status, _, err = run(capsys, "render", path, *small, "--only", "diffuse", "-o", out, *words)
+        assert (status, err) == (0, "")
+        assert (read_image(out).pixels[..., :3].max() > 0.05) == bool(level)
+
+
+@pytest.mark.parametrize("command", ["plan", "measure", "explore", "batch"])
+def test_other_commands_take_materials_of_parts(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = obj(tmp_path / "a.obj", "eye", "shirt")
+    (tmp_path / "jobs.jsonl").write_text('{"mesh": "a.obj"}\n')
+    words = {
+        "plan": ("plan", path, "--budget", "1/255", "--size", "16"),
+        "measure": ("measure", path, "--quick", "-o", "out"),
+        "explore": ("explore", path, "-o", "a.html"),
+        "batch": ("batch", "jobs.jsonl", "--check"),
+    }[command]
+    status, _, err = run(capsys, *words, "--part", "eye=glass")
+    assert (status, "unknown preset 'glass'" in err) == (2, True)
+    if command == "explore":
+        status, _, err = run(capsys, *words, "--as-is", "--part", "eye,m=0.125")
+        assert status == 0
+        text = (tmp_path / "a.html").read_text()
+        assert ".with_material('eye', m=0.125)" in text
+        assert "--as-is --part eye,m=0.125" in text
+    elif command != "batch":
+        status, _, err = run(capsys, *words, "--part", "lash*=lashes")
+        assert (status, "its parts are eye, shirt" in err) == (2, True)
+
+
+def test_info_prints_a_row_for_each_part(tmp_path, capsys):
+    path = obj(tmp_path / "a.obj", *(f"part_{number}" for number in range(139)), "Std_Eyelash")
+    status, out, err = run(capsys, "info", path)
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("part  "))
+    rows = lines[start + 1 : start + 141]
+    assert [each.split()[0] for each in rows] == [*(f"part_{n}" for n in range(139)), "Std_Eyelash"]
+    assert rows[139].split() == ["Std_Eyelash", "4", "lashes", "no", "uv", "-"]
+    assert lines[start + 141].startswith("warning: a.obj: presets by name")
+    assert rows[0].endswith("no uv  albedo 0.48 0.28 0.21, m 0.3, f0 0.028, ks 1")
+    facts = json.loads(run(capsys, "info", path, "--json", "--as-is")[1])
+    assert (facts["parts"][139]["preset"], facts["warnings"]) == (None, [])
