@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
+from tests.verification.lights import PLAIN_THREE
 from tests.verification.pairs.changes import (
     CHANGES,
     SOFTPIPE,
@@ -32,9 +33,10 @@ DRIVERS = {name: SOFTPIPE | {"GALLIUM_DRIVER": name} for name in ("llvmpipe", "s
 
 
 def setting_of(mesh: str, camera: str, samples: int = 1, size: int = SIZE) -> Setting:
-    """Return a setting of the built-in "head" or the "scan" with the default lights."""
-    name, lights = f"{mesh}-{camera}", fr.Scene.lights
-    return Setting(name, "tune", mesh, size, samples, CAMERAS[camera], lights, float_albedo=True)
+    """Return a setting of the built-in "head" or the "scan" with the default lights, without
+    shadows."""
+    name, at = f"{mesh}-{camera}", CAMERAS[camera]
+    return Setting(name, "tune", mesh, size, samples, at, PLAIN_THREE, float_albedo=True)
 
 
 def images(make: Make) -> Callable[[Room], Images]:

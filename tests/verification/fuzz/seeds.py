@@ -239,7 +239,7 @@ def cameras(mesh: Mesh) -> Iterator[tuple[str, bytes]]:
 def options() -> Iterator[Sequence[str]]:
     """Yield command-line arguments of ``facerender render``."""
     yield (
-        *("--light", "key", "--light", "point:1,2,3,1.5,radius=3,shadow", "--light", "30,20,1,2,3"),
+        *("--light", "key", "--light", "point:1,2,3,1.5,radius=3", "--light", "30,20,1,2,3"),
         *("--camera", "-35,10,1.2", "--fov", "30", "--m", "0.25", "--ks", "0.18", "--kd", "0.8"),
         *("--model", "cook-torrance", "--lobe", "d16", "--f0", "0.04", "--samples", "1"),
         *("--background", "0.1,0.2,0.3", "--ambient", "0.1,0.1,0.1"),
