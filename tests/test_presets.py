@@ -325,7 +325,7 @@ def test_maps_of_the_caller_do_not_replace_painted_maps(faces):
 
 
 def test_painted_maps():
-    eye = np.asarray(_eye_map((0.15, 0.08, 0.035)).rgb())
+    eye = np.asarray(_eye_map().rgb())
     side = len(eye)
     middle, rim, corner = (eye[side // 2, each] for each in (side // 2, int(0.8 * side), 2))
     assert middle.max() == 0

@@ -22,7 +22,6 @@ from facerender.scenes.material import MAPS, SKIN_ALBEDO
 from facerender.scenes.presets import PRESETS, changed
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture
-from facerender.scenes.vectors import Vector
 
 _LONGEST = 400  # characters of the warning
 _GREY = 0.02  # largest difference of the channels of an albedo that counts as no colour
@@ -82,6 +81,7 @@ def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
     painted: list[Piece] = []
     presets = [_preset_of(piece) for piece in pieces]
     eyes = [piece for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
+    eye_map = _eye_map() if eyes else None
     for piece, known in zip(pieces, presets, strict=True):
         if eyes and _stem(piece) == "msclera":
             known = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
@@ -92,11 +92,13 @@ def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
         piece.material = changed(piece.material, {"preset": known})
         if known == "skin" and np.ptp(piece.material.albedo) < _GREY:
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
-        if any(piece is each for each in eyes):
-            _paint_eye(piece)
+        if eye_map and any(piece is each for each in eyes):
+            _close_pupil(piece)
+            white = (1.0, 1.0, 1.0)
+            piece.material = replace(piece.material, albedo=white, albedo_map=eye_map)
             painted.append(piece)
         elif _stem(piece) == _LASHES and piece.uv is not None:
-            _paint_lashes(piece)
+            piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
             painted.append(piece)
         called = found.setdefault(known, [])
         called.append(piece.name or piece.material_name)
@@ -127,7 +129,7 @@ def _stem(piece: Piece) -> str:
 # The iris mesh is a whole eyeball. Its texture coordinates show the front as a disc of radius 0.5
 # around the centre; the pupil is a hole of radius 0.09. The lashes are six cards a side, one in
 # each sixth of v, with the roots on top; the lower three belong to the lower lid.
-_SIDE = 512
+_SIDE = 256  # texels of a side of the eye's map; the map of the lashes is four times as wide
 _PUPIL, _LIMBUS = (0.1, 0.112), (0.385, 0.46)
 _STRANDS = 40
 
@@ -139,9 +141,8 @@ def _has_ict_iris(piece: Piece) -> bool:
     return bool(radii.min() > 0.08 and ((radii > 0.15) & (radii < 0.35)).any())
 
 
-def _paint_eye(piece: Piece) -> None:
-    """Close the pupil, through which a refracting cornea would show the back of the iris, and give
-    the eyeball its colours."""
+def _close_pupil(piece: Piece) -> None:
+    """Close the pupil, through which a refracting cornea would show the back of the iris."""
     assert piece.uv is not None
     assert piece.normals is not None
     offset = piece.uv - 0.5
@@ -158,33 +159,26 @@ def _paint_eye(piece: Piece) -> None:
     piece.positions, piece.uv = positions, np.vstack([piece.uv, (0.5, 0.5)])
     piece.normals = np.vstack([piece.normals, front / np.linalg.norm(front)])
     piece.uv2 = None
-    piece.material = replace(
-        piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=_eye_map(piece.material.albedo)
-    )
 
 
-def _paint_lashes(piece: Piece) -> None:
-    piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
-
-
-def _eye_map(albedo: Vector) -> Texture:
+def _eye_map() -> Texture:
     """Return the colours of an eyeball: a black pupil, an iris with fibres, and a white sclera."""
     x, y = np.meshgrid(*[(np.arange(_SIDE) + 0.5) / _SIDE - 0.5] * 2)
     radius, angle = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
-    counts = np.arange(23, 89, 3)
+    counts = np.arange(23, 89, 5)
     fibres = np.cos(counts * angle + counts**2 + 3.0 * np.sin(20.0 * radius + counts)).mean(axis=-1)
     depth = 1.0 + 0.8 * fibres[..., None] + 0.3 * np.cos(11.0 * radius)
     ring = 1.0 - 0.7 * np.exp(-(((radius - _LIMBUS[0]) / 0.035) ** 2))
     white = _ramp(radius, *_LIMBUS)
-    sclera = np.array(PRESETS["sclera"]["albedo"])
-    color = ((1.0 - white) * np.array(albedo) * depth + white * sclera) * ring
+    iris, sclera = (np.array(PRESETS[name]["albedo"]) for name in ("iris", "sclera"))
+    color = ((1.0 - white) * iris * depth + white * sclera) * ring
     color = color * _ramp(radius, *_PUPIL)
     return Texture.from_array(linear_to_srgb(np.clip(color, 0.0, 1.0)), "a painted eye")
 
 
 def _lash_map() -> Texture:
     """Return the opacity of cards of lashes: strands that become thinner towards their tips."""
-    u, down = np.meshgrid((np.arange(2 * _SIDE) + 0.5) / _SIDE, (np.arange(64) + 0.5) / 64.0)
+    u, down = np.meshgrid((np.arange(4 * _SIDE) + 0.5) / (2 * _SIDE), (np.arange(64) + 0.5) / 64.0)
     tiles = []
     for row in range(6):
         bend = 0.6 * np.sin(np.arange(_STRANDS + 1) * 2.4 + row)
