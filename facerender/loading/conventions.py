@@ -10,7 +10,7 @@ painted maps."""
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,43 +31,54 @@ _AFFIXES = {
     *("m", "mi", "std", "cc", "base", "game", "wolf", "d", "lod", "mesh", "geo", "shape", "sg"),
     *("mat", "mtl", "material", "shader", "primitive"),
 }
-# Known names: the letters of a name without affixes and sides, also after "eye", in lower case.
-_NAMES = {
-    "cornea": "cornea",
-    **dict.fromkeys(("sclera", "eyeball", "eyeballs"), "sclera"),
-    **dict.fromkeys(("iris", "irises"), "iris"),
-    **dict.fromkeys(("lacrimalfluid", "tearline", "tearfilm", "tear", "tears"), "tear"),
-    **dict.fromkeys(("eyeblend", "eyeedge", "cartilage", "saliva"), "tear"),
-    **dict.fromkeys(("eyeocclusion", "eyeao", "eyeshell"), "eye-occlusion"),
-    **dict.fromkeys(("lash", "lashes", "eyelash", "eyelashes"), "lashes"),
-    **dict.fromkeys(("teeth", "tooth"), "teeth"),
-    **dict.fromkeys(("lip", "lips", "tongue", "gum", "gums", "gumstongue"), "lips"),
-    **dict.fromkeys(("haircard", "haircards", "eyebrow", "eyebrows"), "hair-card"),
+# Words of anatomy that are known names, also with affixes and sides, or after "eye".
+_WORDS = {
+    "cornea": "Cornea",
+    "tear": "LacrimalFluid TearLine TearFilm Tear Tears EyeBlend EyeEdge Cartilage Saliva",
+    "sclera": "Sclera Eyeball Eyeballs",
+    "iris": "Iris Irises",
+    "eye-occlusion": "EyeOcclusion EyeAO EyeShell",
+    "lashes": "Lash Lashes Eyelash Eyelashes",
+    "teeth": "Teeth Tooth",
+    "lips": "Lip Lips Tongue Gum Gums GumsTongue",
+    "hair-card": "HairCard HairCards Eyebrow Eyebrows",
 }
-# Known names of one convention: all letters. "head", "face" and "eye" are not known names, because
-# a file of any kind may use these words.
+# Names that are known as a whole. "head", "face" and "eye" are not among them, because a file of
+# any kind may use these words.
 _WHOLE = {
-    **dict.fromkeys(("mface", "mbackhead"), "skin"),
-    **dict.fromkeys(("wolfdhead", "wolfdskin", "wolfdbody", "headlodmesh"), "skin"),
-    **dict.fromkeys(
-        [f"stdskin{each}" for each in ("head", "body", "arm", "leg")] + ["ccbasehead"], "skin"
-    ),
-    **dict.fromkeys(("eyeleft", "eyeright", "lefteye", "righteye"), "sclera"),
-    **dict.fromkeys(("wolfdeye", "stdeyel", "stdeyer", "ccbaseeye"), "sclera"),
-    **dict.fromkeys(("wolfdhair", "wolfdbeard", "wolfdeyebrow"), "hair-card"),
+    "skin": "M_Face M_BackHead Wolf3D_Head Wolf3D_Skin Wolf3D_Body Std_Skin_Head Std_Skin_Body "
+    "Std_Skin_Arm Std_Skin_Leg CC_Base_Head head_lod0_mesh",
+    "sclera": "EyeLeft EyeRight LeftEye RightEye Wolf3D_Eye Std_Eye_L Std_Eye_R CC_Base_Eye",
+    "hair-card": "Wolf3D_Hair Wolf3D_Beard",
 }
+KNOWN = {name: [*_WHOLE.get(name, "").split(), *_WORDS.get(name, "").split()] for name in PRESETS}
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name in lower case, without digits and separators."""
+    return [each.lower() for each in _WORD.findall(name)]
+
+
+def _by_letters(names: Mapping[str, str]) -> dict[str, str]:
+    return {
+        "".join(_words(each)): preset for preset, text in names.items() for each in text.split()
+    }
+
+
+_WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = _by_letters(_WORDS), _by_letters(_WHOLE)
 _IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
 _EYES = ("highpoly", "lowpoly")  # eyes of MakeHuman, known in a file with lashes or teeth
 
 
 def preset_for(name: str) -> str | None:
     """Return the preset of a part's or material's name, or None if the name is not known."""
-    words = [each.lower() for each in _WORD.findall(name)]
+    words = _words(name)
     bare = [each for each in words if each not in _AFFIXES]
-    whole = _WHOLE.get("".join(words)) or _WHOLE.get("".join(bare))
     own = [each for each in bare if each not in _SIDES]
     of_eye = own[1:] if own[:1] in (["eye"], ["eyes"]) else own
-    return whole or _NAMES.get("".join(own)) or _NAMES.get("".join(of_eye))
+    whole = (_WHOLE_BY_LETTERS.get("".join(each)) for each in (words, bare))
+    parts = (_WORDS_BY_LETTERS.get("".join(each)) for each in (own, of_eye))
+    return next(filter(None, (*whole, *parts)), None)
 
 
 def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
@@ -121,7 +132,7 @@ def _is_bare(piece: Piece) -> bool:
 
 def _stem(piece: Piece) -> str:
     """Return the letters of a material's or part's name without sides, in lower case."""
-    words = [each.lower() for each in _WORD.findall(piece.material_name or piece.name)]
+    words = _words(piece.material_name or piece.name)
     return "".join(each for each in words if each not in _SIDES)
 
 
