@@ -67,7 +67,7 @@ def _by_letters(names: Mapping[str, str]) -> dict[str, str]:
 
 _WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = _by_letters(_WORDS), _by_letters(_WHOLE)
 _IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
-_EYES = ("highpoly", "lowpoly")  # eyes of MakeHuman, known in a file with lashes or teeth
+_EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")  # MakeHuman, beside lashes or teeth
 
 
 def preset_for(name: str) -> str | None:

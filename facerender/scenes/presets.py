@@ -59,8 +59,8 @@ def preset(name: Any) -> Mapping[str, Any]:
 def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """Return a material with the values of a table.
 
-    A new ``m`` also removes the roughness map. A preset neither tints an albedo map nor reduces an
-    opacity map.
+    A new ``m`` also removes the roughness map. A preset does not tint an albedo map, and does not
+    change how an opacity map is used.
 
     Parameters
     ----------
@@ -93,6 +93,6 @@ def _fields_for(material: Material, own: Mapping[str, Any]) -> dict[str, Any]:
     values = dict(own)
     if material.albedo_map is not None:
         values.pop("albedo", None)
-    if material.opacity_map is not None:
-        values["opacity"] = 1.0
+    if material.opacity_map is not None and material.alpha != "opaque":
+        del values["alpha"], values["opacity"]
     return values
