@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender.commands.common import part_materials
 from facerender.images.read import read_image
 from facerender.loading.conventions import _eye_map, _lash_map, preset_for
 from facerender.scenes.file import parse_part, part_text, scene_toml
@@ -372,6 +374,16 @@ def test_render_takes_materials_of_parts(tmp_path, capsys):
         status, _, err = run(capsys, "render", path, *small, "--only", "diffuse", "-o", out, *words)
         assert (status, err) == (0, "")
         assert (read_image(out).pixels[..., :3].max() > 0.05) == bool(level)
+
+
+def test_later_options_add_to_earlier_ones_and_come_last():
+    options = Namespace(part=["eye,m=0.2", "*=skin", "eye,ks=0.5"])
+    found = part_materials(options, {"eye": {"kd": 0.0}, "lash": {"m": 0.1}})
+    assert [*found.items()] == [
+        ("lash", {"m": 0.1}),
+        ("*", {"preset": "skin"}),
+        ("eye", {"kd": 0.0, "m": 0.2, "ks": 0.5}),
+    ]
 
 
 @pytest.mark.parametrize("command", ["plan", "measure", "explore", "batch"])
