@@ -43,7 +43,7 @@ _WORDS = {
     "lips": "Lip Lips Tongue Gum Gums GumsTongue",
     "hair-card": "HairCard HairCards Eyebrow Eyebrows",
 }
-# Names that are known as a whole. "head", "face" and "eye" are not among them, because a file of
+# Names that are known as a whole. "head", "face" and "eye" are not known names, because a file of
 # any kind may use these words.
 _WHOLE = {
     "skin": "M_Face M_BackHead Wolf3D_Head Wolf3D_Skin Wolf3D_Body Std_Skin_Head Std_Skin_Body "
@@ -67,7 +67,8 @@ def _by_letters(names: Mapping[str, str]) -> dict[str, str]:
 
 _WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = _by_letters(_WORDS), _by_letters(_WHOLE)
 _IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
-_EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")  # MakeHuman, beside lashes or teeth
+# Names of MakeHuman's eyes, which are known in a file with lashes or teeth.
+_EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
 
 
 def preset_for(name: str) -> str | None:
