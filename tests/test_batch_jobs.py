@@ -717,6 +717,25 @@ def test_invalid_parquet_columns_are_refused():
         read_jobs("empty.parquet")
 
 
+def test_rows_have_materials_of_parts():
+    scene = 'background = "none"\n[parts."M_Eye.Blend*"]\npreset = "tear"\nks = 0.5\n'
+    write("scene.toml", scene)
+    lines = [
+        {"parts": {"M_Eye.Blend*": {"ks": 0.25}, "b": {"preset": "skin"}}},
+        {"parts.b.albedo.0": 0.5, "parts.b.albedo.1": 0.25, "parts.b.albedo.2": 0},
+        {},
+    ]
+    name = write("rows.jsonl", "\n".join(map(json.dumps, lines)))
+    common = {"scene": "scene.toml", "parts": {"b": {"m": 0.2}}}
+    rows = [Job.from_dict(row.tables).parts for row in JobTable(name, common)]
+    eye = {"preset": "tear", "ks": 0.5}
+    assert rows == [
+        {"M_Eye.Blend*": {**eye, "ks": 0.25}, "b": {"m": 0.2, "preset": "skin"}},
+        {"M_Eye.Blend*": eye, "b": {"m": 0.2, "albedo": (0.5, 0.25, 0)}},
+        {"M_Eye.Blend*": eye, "b": {"m": 0.2}},
+    ]
+
+
 # --- the schema ----------------------------------------------------------------------------------
 
 VALID = [
@@ -734,6 +753,8 @@ VALID = [
     {"background": [0, 0, 1]},
     {"material": {"m": 0.3, "albedo": [1, 1, 1], "scattering": "skin"}},
     {"material.scattering": [[1, 0.2, 0.2, 0.2]]},
+    {"parts": {"a.b*": {"preset": "cornea", "m": 0.1}, "0": {"albedo": [1, 0, 0]}}},
+    {"parts.eye*.preset": "cornea", "parts.eye*.m": 0.1, "parts.0.ks": 0, "mesh.as_is": True},
     {"shading": {"lobe": {"g": 6, "factor": 0.3}, "lights": {"1": {"fresnel": "dielectric"}}}},
     {"shading.lobe": "d16", "shading.specular_lights": [0, 1], "shading.scatter_samples": 8},
     {"image": {"size": [10, 20], "samples": 64}},
@@ -762,6 +783,12 @@ INVALID = [
     {"background": "transparent"},
     {"material": {"albedo_map": "a.png"}},
     {"material.scattering": "wax"},
+    {"parts": {"a.b": {"preset": "glass"}}},
+    {"parts": {"a": {"m": 0}}},
+    {"parts": {"a": 1}},
+    {"parts": ["a"]},
+    {"parts.a.gloss": 1},
+    {"parts.a.m": "x"},
     {"material.scattering": [[1, 2]]},
     {"shading.lobe": "d32"},
     {"shading.lobe": {"g": 32, "factor": 1}},

@@ -308,8 +308,14 @@ def test_info_prints_the_content_of_a_file(tmp_path, capsys):
     assert tuple(size) == mesh.materials[0].albedo_map.size  # type: ignore[union-attr]
     assert part["maps"]["albedo_map"]["encoding"] == "srgb"
     out = run(capsys, "info", path)[1]
-    assert "part 1: Head\n" in out
-    assert f"albedo_map {size[0]} x {size[1]}, srgb" in out
+    header, line = (each.split("  ") for each in out.splitlines()[4:6])
+    assert [each.strip() for each in header if each] == [
+        *("part", "triangles", "preset", "maps", "material")
+    ]
+    assert [each.strip() for each in line if each] == [
+        *("Head", str(facts["triangles"]), "-", f"albedo {size[0]}"),
+        "albedo 0.5 0.25 1, m 0.3, f0 0.028, ks 1, alpha mask",
+    ]
 
 
 def test_info_prints_repairs_and_a_size_for_heads(tmp_path, capsys):

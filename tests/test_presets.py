@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import warnings
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import facerender as fr
+from facerender.commands.common import part_materials
 from facerender.images.read import read_image
 from facerender.loading.conventions import _eye_map, _lash_map, preset_for
 from facerender.scenes.file import parse_part, part_text, scene_toml
@@ -78,11 +81,13 @@ def test_every_preset_replaces_the_fields_of_every_other():
 def test_a_preset_keeps_maps_except_the_roughness_map():
     texture = fr.Texture.from_array(np.full((2, 2), 0.5))
     maps = dict.fromkeys(("albedo_map", "opacity_map", "roughness_map"), texture)
-    mesh = row("a").with_material(**maps, albedo=(1.0, 1.0, 1.0)).with_material(preset="lashes")
-    found = mesh.materials[0]
-    assert (found.albedo_map, found.opacity_map, found.roughness_map) == (texture, texture, None)
-    assert (found.albedo, found.opacity) == ((1.0, 1.0, 1.0), 1.0)
-    assert preset_of(found) == "lashes"
+    white = row("a").with_material(**maps, albedo=(1.0, 1.0, 1.0), alpha="mask", opacity=0.9)
+    for name in ("lashes", "sclera"):
+        found = white.with_material(preset=name).materials[0]
+        maps = {each: getattr(found, each) for each in maps}
+        assert maps == {"albedo_map": texture, "opacity_map": texture, "roughness_map": None}
+        assert (found.albedo, found.alpha, found.opacity) == ((1.0, 1.0, 1.0), "mask", 0.9)
+        assert preset_of(found) == name
 
 
 def test_with_material_changes_the_named_parts():
@@ -254,6 +259,19 @@ def test_a_grey_face_gets_the_albedo_of_skin(tmp_path):
     assert [each.albedo for each in mesh.materials] == [SKIN_ALBEDO, (1.0, 0.0, 0.0)]
 
 
+@pytest.mark.parametrize(
+    ("name", "alpha"), [("eyelashes01", "blend"), ("eyebrow001", "blend"), ("short01", "mask")]
+)
+def test_lashes_and_eyebrows_of_obj_files_are_blended(name, alpha, tmp_path):
+    Image.new("L", (4, 4), 128).save(tmp_path / "a.png")
+    uv = "vt 0 0\nvt 1 0\nvt 0 1\n"
+    faces = "f 1/1 3/2 2/3\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+    (tmp_path / "a.obj").write_text(f"mtllib a.mtl\n{VERTICES}{uv}usemtl {name}\n{faces}")
+    (tmp_path / "a.mtl").write_text(f"newmtl {name}\nmap_Kd a.png\nmap_d a.png\n")
+    (material,) = fr.load_mesh(tmp_path / "a.obj").materials
+    assert (material.alpha, preset_of(material)) == (alpha, None)
+
+
 def test_the_built_in_head_has_no_presets(head):
     assert preset_of(head.materials[0]) is None
 
@@ -325,7 +343,7 @@ def test_maps_of_the_caller_do_not_replace_painted_maps(faces):
 
 
 def test_painted_maps():
-    eye = np.asarray(_eye_map((0.15, 0.08, 0.035)).rgb())
+    eye = np.asarray(_eye_map().rgb())
     side = len(eye)
     middle, rim, corner = (eye[side // 2, each] for each in (side // 2, int(0.8 * side), 2))
     assert middle.max() == 0
@@ -356,6 +374,16 @@ def test_render_takes_materials_of_parts(tmp_path, capsys):
         status, _, err = run(capsys, "render", path, *small, "--only", "diffuse", "-o", out, *words)
         assert (status, err) == (0, "")
         assert (read_image(out).pixels[..., :3].max() > 0.05) == bool(level)
+
+
+def test_later_options_add_to_earlier_ones_and_come_last():
+    options = Namespace(part=["eye,m=0.2", "*=skin", "eye,ks=0.5"])
+    found = part_materials(options, {"eye": {"kd": 0.0}, "lash": {"m": 0.1}})
+    assert [*found.items()] == [
+        ("lash", {"m": 0.1}),
+        ("*", {"preset": "skin"}),
+        ("eye", {"kd": 0.0, "m": 0.2, "ks": 0.5}),
+    ]
 
 
 @pytest.mark.parametrize("command", ["plan", "measure", "explore", "batch"])

@@ -15,7 +15,7 @@ from facerender.explorer.mesh import drawable
 from facerender.scenes.light import parse_light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
-from tests.verification.eye import CLEAR, camera, cap, eye, iris_errors
+from tests.verification.eye import CLEAR, camera, cap, disc, eye, iris_errors
 from tests.verification.parts_head import joined
 
 LIGHTS = tuple(map(parse_light, ("-30,35,3,radius=3,shadow", "rim", "fill")))
@@ -81,6 +81,31 @@ def test_highlight_agrees_with_float64(single, change):
     assert shine[own].max() > 0.5
     assert shine[own].min() > -0.2  # light that the surface reflects does not enter
     assert np.abs(shine[~own]).max() < 1e-6
+    light = [
+        each if "alpha" not in change else each.transparent_layers[0]
+        for each in (gbuffer, single.gbuffer(bare))
+    ]
+    ratio = light[0].emission[own] / light[1].emission[own]
+    towards = gbuffer.view.position - layer.position[own]
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = (towards * layer.normal[own]).sum(axis=1)
+    if "emissive" not in change:
+        schlick = 0.0207 + 0.9793 * (1.0 - cosine.clip(0.0, 1.0)) ** 5
+        np.testing.assert_allclose(ratio, np.tile(1.0 - schlick[:, None], 3), atol=1e-4)
+
+
+def test_surfaces_in_front_of_the_cornea_are_not_behind_it(single):
+    """A plate in front of the cornea, beside the line of sight, changes nothing."""
+    mesh = eye()
+    plate = disc(2, 16)
+    plate = replace(plate, positions=0.4 * plate.positions + (0.0, 0.0, 9.0), colors=None)
+    more = (*mesh.parts, plate), (*mesh.materials, Material((0.0, 0.0, 0.0), ks=0.0))
+    hidden = replace(mesh, parts=more[0], materials=more[1])
+    light = {"lights": (), "ambient": 3.0}
+    one, two = (single.gbuffer(fr.Scene(each, camera(50.0), **light)) for each in (mesh, hidden))
+    own = (one.part == CLEAR) & (two.part == CLEAR)
+    assert own.sum() > 10_000
+    np.testing.assert_allclose(one.emission[own], two.emission[own], atol=1e-6)
 
 
 def test_every_effect_agrees_with_float64(single):
@@ -137,16 +162,21 @@ def test_maps_are_reused_until_the_scene_changes(single, monkeypatch):
     mesh = eye()
     scene = fr.Scene(mesh, camera(0.0), LIGHTS)
     dark = replace(mesh, materials=(*mesh.materials[:1], Material(), *mesh.materials[CLEAR:]))
-    for changed, count in (
-        (scene, 2),
-        (replace(scene, camera=camera(10.0)), 0),
-        (replace(scene, lights=LIGHTS[1:]), 2),
-        (replace(scene, ambient=0.5), 2),
-        (replace(scene, mesh=dark), 2),
+    studio = fr.load_environment(fr.EnvironmentFile("studio"))
+    for changes, count in (
+        ({}, 2),
+        ({"camera": camera(10.0)}, 0),
+        ({"ambient": 0.5}, 2),
+        ({"lights": LIGHTS[:2]}, 2),
+        ({"environment": studio}, 2),
+        ({"environment": replace(studio, rotation=90.0)}, 2),
+        ({"mesh": dark}, 2),
+        ({}, 0),
     ):
+        scene = replace(scene, **changes)
         drawn.clear()
-        single.render(changed)
-        assert drawn.count("refraction_map") == count
+        single.render(scene)
+        assert drawn.count("refraction_map") == count, changes
 
 
 def test_nothing_behind_shows_the_background(single):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -36,6 +38,13 @@ def test_unused_second_lobe_is_not_compiled(renderer, head, off):
     one, other = (fr.Scene(each) for each in (head, single))
     np.testing.assert_array_equal(renderer.render(one).linear, renderer.render(other).linear)
     assert renderer.gbuffer(one).second_m is None
+
+
+def test_a_lobe_map_without_lobes_causes_a_warning(head):
+    job = fr.Job(fr.MeshFile(lobe_map="sweat.png"))
+    with pytest.warns(fr.FacerenderWarning, match="lobe_map has no effect on head.glb"):
+        job.scene(head)
+    replace(job, material=SWEAT).scene(head)
 
 
 def test_lobe_map_scales_the_second_lobe(renderer, head):

@@ -36,9 +36,9 @@ LEAST_LOSS = 1.0  # Limit of a JPEG map's mean error, in 8-bit levels; above it,
 def drawable(mesh: Mesh) -> Mesh:
     """Return a mesh without the features that the page does not draw.
 
-    All parts of the result are opaque. Blended parts are removed, unless all parts are blended.
-    Materials have no emission. Maps have strength 1, use the first texture coordinates, repeat, and
-    are filtered.
+    All parts of the result are opaque. Blended and refracting parts are removed, unless all parts
+    are. Materials have no emission. Maps have strength 1, use the first texture coordinates,
+    repeat, and are filtered.
 
     Warns
     -----

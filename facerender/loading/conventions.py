@@ -10,7 +10,7 @@ painted maps."""
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,6 @@ from facerender.scenes.material import MAPS, SKIN_ALBEDO
 from facerender.scenes.presets import PRESETS, changed
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture
-from facerender.scenes.vectors import Vector
 
 _LONGEST = 400  # characters of the warning
 _GREY = 0.02  # largest difference of the channels of an albedo that counts as no colour
@@ -32,43 +31,55 @@ _AFFIXES = {
     *("m", "mi", "std", "cc", "base", "game", "wolf", "d", "lod", "mesh", "geo", "shape", "sg"),
     *("mat", "mtl", "material", "shader", "primitive"),
 }
-# Known names: the letters of a name without affixes and sides, also after "eye", in lower case.
-_NAMES = {
-    "cornea": "cornea",
-    **dict.fromkeys(("sclera", "eyeball", "eyeballs"), "sclera"),
-    **dict.fromkeys(("iris", "irises"), "iris"),
-    **dict.fromkeys(("lacrimalfluid", "tearline", "tearfilm", "tear", "tears"), "tear"),
-    **dict.fromkeys(("eyeblend", "eyeedge", "cartilage", "saliva"), "tear"),
-    **dict.fromkeys(("eyeocclusion", "eyeao", "eyeshell"), "eye-occlusion"),
-    **dict.fromkeys(("lash", "lashes", "eyelash", "eyelashes"), "lashes"),
-    **dict.fromkeys(("teeth", "tooth"), "teeth"),
-    **dict.fromkeys(("lip", "lips", "tongue", "gum", "gums", "gumstongue"), "lips"),
-    **dict.fromkeys(("haircard", "haircards", "eyebrow", "eyebrows"), "hair-card"),
+# Words of anatomy that are known names, also with affixes and sides, or after "eye".
+_WORDS = {
+    "cornea": "Cornea",
+    "tear": "LacrimalFluid TearLine TearFilm Tear Tears EyeBlend EyeEdge Cartilage Saliva",
+    "sclera": "Sclera Eyeball Eyeballs",
+    "iris": "Iris Irises",
+    "eye-occlusion": "EyeOcclusion EyeAO EyeShell",
+    "lashes": "Lash Lashes Eyelash Eyelashes",
+    "teeth": "Teeth Tooth",
+    "lips": "Lip Lips Tongue Gum Gums GumsTongue",
+    "hair-card": "HairCard HairCards Eyebrow Eyebrows",
 }
-# Known names of one convention: all letters. "head", "face" and "eye" are not known names, because
-# a file of any kind may use these words.
+# Names that are known as a whole. "head", "face" and "eye" are not known names, because a file of
+# any kind may use these words.
 _WHOLE = {
-    **dict.fromkeys(("mface", "mbackhead"), "skin"),
-    **dict.fromkeys(("wolfdhead", "wolfdskin", "wolfdbody", "headlodmesh"), "skin"),
-    **dict.fromkeys(
-        [f"stdskin{each}" for each in ("head", "body", "arm", "leg")] + ["ccbasehead"], "skin"
-    ),
-    **dict.fromkeys(("eyeleft", "eyeright", "lefteye", "righteye"), "sclera"),
-    **dict.fromkeys(("wolfdeye", "stdeyel", "stdeyer", "ccbaseeye"), "sclera"),
-    **dict.fromkeys(("wolfdhair", "wolfdbeard", "wolfdeyebrow"), "hair-card"),
+    "skin": "M_Face M_BackHead Wolf3D_Head Wolf3D_Skin Wolf3D_Body Std_Skin_Head Std_Skin_Body "
+    "Std_Skin_Arm Std_Skin_Leg CC_Base_Head head_lod0_mesh",
+    "sclera": "EyeLeft EyeRight LeftEye RightEye Wolf3D_Eye Std_Eye_L Std_Eye_R CC_Base_Eye",
+    "hair-card": "Wolf3D_Hair Wolf3D_Beard",
 }
+KNOWN = {name: [*_WHOLE.get(name, "").split(), *_WORDS.get(name, "").split()] for name in PRESETS}
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name in lower case, without digits and separators."""
+    return [each.lower() for each in _WORD.findall(name)]
+
+
+def _by_letters(names: Mapping[str, str]) -> dict[str, str]:
+    return {
+        "".join(_words(each)): preset for preset, text in names.items() for each in text.split()
+    }
+
+
+_WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = _by_letters(_WORDS), _by_letters(_WHOLE)
 _IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
-_EYES = ("highpoly", "lowpoly")  # eyes of MakeHuman, known in a file with lashes or teeth
+# Names of MakeHuman's eyes, which are known in a file with lashes or teeth.
+_EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
 
 
 def preset_for(name: str) -> str | None:
     """Return the preset of a part's or material's name, or None if the name is not known."""
-    words = [each.lower() for each in _WORD.findall(name)]
+    words = _words(name)
     bare = [each for each in words if each not in _AFFIXES]
-    whole = _WHOLE.get("".join(words)) or _WHOLE.get("".join(bare))
     own = [each for each in bare if each not in _SIDES]
     of_eye = own[1:] if own[:1] in (["eye"], ["eyes"]) else own
-    return whole or _NAMES.get("".join(own)) or _NAMES.get("".join(of_eye))
+    whole = (_WHOLE_BY_LETTERS.get("".join(each)) for each in (words, bare))
+    parts = (_WORDS_BY_LETTERS.get("".join(each)) for each in (own, of_eye))
+    return next(filter(None, (*whole, *parts)), None)
 
 
 def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
@@ -82,6 +93,7 @@ def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
     painted: list[Piece] = []
     presets = [_preset_of(piece) for piece in pieces]
     eyes = [piece for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
+    eye_map = _eye_map() if eyes else None
     for piece, known in zip(pieces, presets, strict=True):
         if eyes and _stem(piece) == "msclera":
             known = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
@@ -92,11 +104,13 @@ def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
         piece.material = changed(piece.material, {"preset": known})
         if known == "skin" and np.ptp(piece.material.albedo) < _GREY:
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
-        if any(piece is each for each in eyes):
-            _paint_eye(piece)
+        if eye_map and any(piece is each for each in eyes):
+            _close_pupil(piece)
+            white = (1.0, 1.0, 1.0)
+            piece.material = replace(piece.material, albedo=white, albedo_map=eye_map)
             painted.append(piece)
         elif _stem(piece) == _LASHES and piece.uv is not None:
-            _paint_lashes(piece)
+            piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
             painted.append(piece)
         called = found.setdefault(known, [])
         called.append(piece.name or piece.material_name)
@@ -119,7 +133,7 @@ def _is_bare(piece: Piece) -> bool:
 
 def _stem(piece: Piece) -> str:
     """Return the letters of a material's or part's name without sides, in lower case."""
-    words = [each.lower() for each in _WORD.findall(piece.material_name or piece.name)]
+    words = _words(piece.material_name or piece.name)
     return "".join(each for each in words if each not in _SIDES)
 
 
@@ -127,7 +141,7 @@ def _stem(piece: Piece) -> str:
 # The iris mesh is a whole eyeball. Its texture coordinates show the front as a disc of radius 0.5
 # around the centre; the pupil is a hole of radius 0.09. The lashes are six cards a side, one in
 # each sixth of v, with the roots on top; the lower three belong to the lower lid.
-_SIDE = 512
+_SIDE = 256  # texels of a side of the eye's map; the map of the lashes is four times as wide
 _PUPIL, _LIMBUS = (0.1, 0.112), (0.385, 0.46)
 _STRANDS = 40
 
@@ -139,9 +153,8 @@ def _has_ict_iris(piece: Piece) -> bool:
     return bool(radii.min() > 0.08 and ((radii > 0.15) & (radii < 0.35)).any())
 
 
-def _paint_eye(piece: Piece) -> None:
-    """Close the pupil, through which a refracting cornea would show the back of the iris, and give
-    the eyeball its colours."""
+def _close_pupil(piece: Piece) -> None:
+    """Close the pupil, through which a refracting cornea would show the back of the iris."""
     assert piece.uv is not None
     assert piece.normals is not None
     offset = piece.uv - 0.5
@@ -158,33 +171,26 @@ def _paint_eye(piece: Piece) -> None:
     piece.positions, piece.uv = positions, np.vstack([piece.uv, (0.5, 0.5)])
     piece.normals = np.vstack([piece.normals, front / np.linalg.norm(front)])
     piece.uv2 = None
-    piece.material = replace(
-        piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=_eye_map(piece.material.albedo)
-    )
 
 
-def _paint_lashes(piece: Piece) -> None:
-    piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
-
-
-def _eye_map(albedo: Vector) -> Texture:
+def _eye_map() -> Texture:
     """Return the colours of an eyeball: a black pupil, an iris with fibres, and a white sclera."""
     x, y = np.meshgrid(*[(np.arange(_SIDE) + 0.5) / _SIDE - 0.5] * 2)
     radius, angle = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
-    counts = np.arange(23, 89, 3)
+    counts = np.arange(23, 89, 5)
     fibres = np.cos(counts * angle + counts**2 + 3.0 * np.sin(20.0 * radius + counts)).mean(axis=-1)
     depth = 1.0 + 0.8 * fibres[..., None] + 0.3 * np.cos(11.0 * radius)
     ring = 1.0 - 0.7 * np.exp(-(((radius - _LIMBUS[0]) / 0.035) ** 2))
     white = _ramp(radius, *_LIMBUS)
-    sclera = np.array(PRESETS["sclera"]["albedo"])
-    color = ((1.0 - white) * np.array(albedo) * depth + white * sclera) * ring
+    iris, sclera = (np.array(PRESETS[name]["albedo"]) for name in ("iris", "sclera"))
+    color = ((1.0 - white) * iris * depth + white * sclera) * ring
     color = color * _ramp(radius, *_PUPIL)
     return Texture.from_array(linear_to_srgb(np.clip(color, 0.0, 1.0)), "a painted eye")
 
 
 def _lash_map() -> Texture:
     """Return the opacity of cards of lashes: strands that become thinner towards their tips."""
-    u, down = np.meshgrid((np.arange(2 * _SIDE) + 0.5) / _SIDE, (np.arange(64) + 0.5) / 64.0)
+    u, down = np.meshgrid((np.arange(4 * _SIDE) + 0.5) / (2 * _SIDE), (np.arange(64) + 0.5) / 64.0)
     tiles = []
     for row in range(6):
         bend = 0.6 * np.sin(np.arange(_STRANDS + 1) * 2.4 + row)

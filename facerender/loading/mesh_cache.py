@@ -61,7 +61,7 @@ class MeshFiles:
     maps: Mapping[str, Path]
     orientation: Orientation
     allow_outside: bool
-    as_is: bool
+    as_is: bool = False
 
     def digest(self) -> str | None:
         """Return the name of the cache entry, or None if a file cannot be read."""

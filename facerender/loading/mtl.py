@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason
 from facerender.images.srgb import srgb_to_linear
+from facerender.loading.conventions import preset_for
 from facerender.loading.materials import Look, WarnOnce, image_of, second_of, unreadable
 from facerender.loading.references import UDIM, References
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
@@ -125,6 +126,7 @@ _CHANNELS = {"r": 0, "g": 1, "b": 2}
 # Statements ignored without a warning: they have no effect, or an effect on ambient light only.
 _IGNORED = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
 _READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
+_FINE = ("lashes", "hair-card")  # presets of hairs that a mask would make black or jagged
 _LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; no effect if 0
 
 
@@ -221,7 +223,7 @@ class Library:
             return Look(Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO), _PLAIN)
         key = name, has_colors, tile
         if key not in self.looks:
-            self.looks[key] = self._look(statements, has_colors, tile)
+            self.looks[key] = self._look(name, statements, has_colors, tile)
         return self.looks[key]
 
     def tiles(self, name: str, piece: Piece) -> Mapping[int, NDArray[np.bool_]]:
@@ -273,7 +275,9 @@ class Library:
 
     # --- factors ---------------------------------------------------------------------------------
 
-    def _look(self, statements: Mapping[str, str], has_colors: bool, tile: int) -> Look[UvSpread]:
+    def _look(
+        self, name: str, statements: Mapping[str, str], has_colors: bool, tile: int
+    ) -> Look[UvSpread]:
         for key in statements.keys() - _READ - _IGNORED:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
@@ -301,6 +305,8 @@ class Library:
         emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)
         changes["emissive"] = emissive if any(emissive) or "map_ke" not in statements else white
         changes |= self._opacity(statements, "map_d" in statements)
+        if changes["alpha"] == "mask" and preset_for(name) in _FINE:
+            changes["alpha"] = "blend"
         changes |= self._highlight(statements)
         if "normal_map" in uses:
             changes["normal_strength"] = uses["normal_map"].strength

@@ -21,7 +21,7 @@ def reflectance(index: float) -> float:
 
 
 # The fields that every preset sets: these values, unless the preset has its own.
-_COMMON: dict[str, Any] = {
+COMMON: dict[str, Any] = {
     each.name: each.default
     for each in fields(Material)
     if each.name in ("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity")
@@ -46,7 +46,7 @@ _OWN: dict[str, dict[str, Any]] = {
     "teeth": {"albedo": (0.6, 0.54, 0.44), "m": 0.12, "f0": reflectance(_ENAMEL)},
     "hair-card": {"m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.5, "alpha": "mask"},
 }
-PRESETS: Mapping[str, Mapping[str, Any]] = {name: {**_COMMON, **own} for name, own in _OWN.items()}
+PRESETS: Mapping[str, Mapping[str, Any]] = {name: {**COMMON, **own} for name, own in _OWN.items()}
 
 
 def preset(name: Any) -> Mapping[str, Any]:
@@ -59,8 +59,8 @@ def preset(name: Any) -> Mapping[str, Any]:
 def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """Return a material with the values of a table.
 
-    A new ``m`` also removes the roughness map. A preset neither tints an albedo map nor reduces an
-    opacity map.
+    A new ``m`` also removes the roughness map. A preset does not tint an albedo map, and does not
+    change how an opacity map is used.
 
     Parameters
     ----------
@@ -93,6 +93,6 @@ def _fields_for(material: Material, own: Mapping[str, Any]) -> dict[str, Any]:
     values = dict(own)
     if material.albedo_map is not None:
         values.pop("albedo", None)
-    if material.opacity_map is not None:
-        values["opacity"] = 1.0
+    if material.opacity_map is not None and material.alpha != "opaque":
+        del values["alpha"], values["opacity"]
     return values

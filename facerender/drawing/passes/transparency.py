@@ -79,8 +79,9 @@ def blended_area(scene: Scene, view: View, size: tuple[int, int]) -> Area:
 
     size : width and height of the image
     """
-    parts = [scene.mesh.parts[each.part] for each in blended_parts(scene, view)]
-    return around([triangle_setup_of(part, scene.mesh).area(view, size) for part in parts])
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    over = [part for part, material in parts if drawn_alpha(part, material) == "blend"]
+    return around([triangle_setup_of(part, scene.mesh).area(view, size) for part in over])
 
 
 def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
