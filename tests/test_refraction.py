@@ -95,10 +95,11 @@ def test_highlight_agrees_with_float64(single, change):
 
 
 def test_surfaces_in_front_of_the_cornea_are_not_behind_it(single):
-    """A plate in front of the cornea, beside the line of sight, changes nothing."""
+    """A plate in front of the cornea changes only the pixels that it hides."""
     mesh = eye()
     plate = disc(2, 16)
-    plate = replace(plate, positions=0.4 * plate.positions + (0.0, 0.0, 9.0), colors=None)
+    positions = plate.positions * (0.1, 0.1, 0.0) + (-4.8, 0.0, -0.6)
+    plate = replace(plate, positions=positions, colors=None)
     more = (*mesh.parts, plate), (*mesh.materials, Material((0.0, 0.0, 0.0), ks=0.0))
     hidden = replace(mesh, parts=more[0], materials=more[1])
     light = {"lights": (), "ambient": 3.0}

@@ -13,7 +13,7 @@ def blocks() -> dict[str, str]:
             (f"{count} triangles", f"{{drawn[{i}][mean]:.2%}}, {{drawn[{i}][most]:.2%}}")
             for i, count in enumerate(data["triangles"])
         ),
-        ("without refraction", "{straight:.2%}"),
+        ("without refraction", "{straight:.3%}"),
     ]
     shells = (
         ("shells", "{shells}"),
