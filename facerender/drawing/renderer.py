@@ -20,7 +20,7 @@ from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import light_visibility_pass, shadow_passes
+from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
 from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.passes.transparency import (
     PREVIOUS_LAYER,
@@ -327,10 +327,9 @@ class Renderer:
         shines = any(any(material.emissive) for material in scene.mesh.materials)
         lobes = others.pop(0) if two else None
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
-        if shadows := shadow_passes(resolved):
-            look = light_visibility_pass(resolved, view, visibility, blended_part)
-            images = self._draw([*shadows, *passes[:-1], look], scene, known)
-            number = len(lighting.shadowed)
+        if number := len(lighting.shadowed):
+            passes[-1] = light_visibility_pass(resolved, view, visibility, blended_part)
+            images = self._draw(with_shadows(resolved, view, self.size, passes), scene, known)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -393,7 +392,7 @@ class Renderer:
                 whole = replace(whole, cull_back_faces=image.cull_back_faces)
                 last = with_blended(whole, *last)
             passes += last
-        return self._draw([*shadow_passes(resolved), *passes], scene)[0]
+        return self._draw(with_shadows(resolved, view, self.size, passes), scene)[0]
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
