@@ -48,7 +48,7 @@ def errors(renderer: fr.Renderer) -> list[dict[str, Any]]:
         for distance in (None, 2.5):
             for radius in RADII if distance is None else RADII[:-1]:
                 light = key(mesh, radius, distance)
-                lost = shadow_error(renderer, scene, light, 64 if radius else 1)
+                lost = shadow_error(renderer, scene, light)
                 kind = "distant" if distance is None else f"point, {distance:g} radii away"
                 row = {"mesh": NAMES[name], "light": kind, "radius": radius}
                 row |= {"shadowed": lost.shadowed, "without": lost.without}

@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.drawing.passes.shadow import MOST
+from facerender.drawing.passes.shadow import MOST, with_shadows
+from facerender.drawing.program import Program
+from facerender.drawing.resolve import resolve
 from facerender.scenes.light import light_space, parse_light
 from facerender.scenes.mesh import Part
+from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
 from tests.test_reference import key, shadows
-from tests.verification.shadows import shadow_error
+from tests.verification.shadows import edge_error, light_in_cavities, shadow_error
 
 
 @pytest.fixture(scope="module")
 def renderer(egl):
-    with fr.Renderer((128, 128), samples=1, backend=egl, float_albedo=True) as renderer:
+    with fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as renderer:
         yield renderer
 
 
@@ -41,10 +44,69 @@ def renderer(egl):
 def test_shadows_agree_with_ray_tracing(renderer, name, radius, bound, distance, request):
     mesh = request.getfixturevalue(name)
     scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
-    found = shadow_error(renderer, scene, key(mesh, radius, distance), 64 if radius else 1)
+    found = shadow_error(renderer, scene, key(mesh, radius, distance))
     assert found.mean <= bound
     assert found.wrong <= 0.003
     assert found.without > 4.0 * found.mean
+
+
+@pytest.mark.parametrize(("frame", "bound"), [("all", 0.06), ("face", 0.08)])
+def test_hard_shadow_of_the_chin_has_a_smooth_edge(egl, head, frame, bound):
+    """The bound is half of the error of bilinear filtering with an offset of 2.5 texels."""
+    light = fr.Light(-20.0, 50.0, 3.0)
+    scene = fr.Scene(head, fr.Camera(-20.0, frame=frame))
+    with fr.Renderer((700, 700), samples=1, backend=egl) as renderer:
+        assert edge_error(renderer, scene, light, -0.8, -0.38) <= bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("radius", "bound"), [(0.0, 0.1), (4.0, 0.3)])
+def test_nostrils_receive_the_light_of_rays(egl, scan_mesh, radius, bound):
+    """Without shadows, the inner nostrils receive about 100 times the light."""
+    centre = np.array((-0.024, 0.170, 0.443))
+    target = scan_mesh.center + scan_mesh.radius * centre
+    lights = [replace(each, radius=radius, shadow=True) for each in fr.Scene(scan_mesh).lights]
+    scene = fr.Scene(scan_mesh, fr.Camera(0.0, -30.0, zoom=8.0, target=tuple(target)), lights)
+    with fr.Renderer((512, 512), samples=1, backend=egl, float_albedo=True) as renderer:
+        drawn, traced, unshadowed = light_in_cavities(renderer, scene, centre, 0.12)
+    assert abs(drawn - traced) <= bound * traced
+    assert unshadowed > 20.0 * traced
+
+
+def test_size_of_the_maps_follows_the_image(head, egl):
+    def texels(size: int, lights: int = 1, **camera: float) -> int:
+        scene = fr.Scene(head, fr.Camera(**camera), (fr.Light(shadow=True),) * lights)
+        resolved = resolve(scene, fr.Shading())
+        step, *_ = with_shadows(resolved, view_of(scene, 1.0), (size, size), [])
+        width, height = step.target.size
+        assert width == lights * height
+        return height
+
+    assert texels(64) == texels(256) == 512
+    assert texels(1024) == 1024
+    assert texels(1024, zoom=2.0) == 2048
+    assert texels(8192, zoom=4.0) == 4096
+    assert texels(8192, 3) == 2048
+    assert texels(8192, MOST) == 1024
+
+
+def test_points_without_doubt_see_the_whole_light(renderer, egl, head, monkeypatch):
+    """The cones skip only points that see the whole light."""
+    scene = shadows(head)
+    seen = renderer.gbuffer(scene).visibility
+    source = Program.sources
+    monkeypatch.setattr(
+        Program,
+        "sources",
+        lambda *each: {
+            stage: text.replace("cones > at.z", "1e9 > at.z")
+            for stage, text in source(*each).items()
+        },
+    )
+    with fr.Renderer((256, 256), samples=1, backend=egl) as other:
+        slow = other.gbuffer(scene).visibility
+    assert np.abs(seen - slow).mean() < 2e-3
+    assert ((slow < 0.5) & (seen == 1.0)).mean() < 1e-3
 
 
 def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 import facerender as fr
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import shadow_passes
+from facerender.drawing.passes.shadow import with_shadows
 from facerender.drawing.prepare import part_maps, reduced, simplify
 from facerender.drawing.program import ENVIRONMENT_MAP, part_columns
 from facerender.drawing.resolve import Lighting, ResolvedScene
@@ -53,7 +53,7 @@ def draw_webgl(
         scene = reduced(scene, view, size, 1.0)
     albedo: Kind = "linear-color" if float_albedo else "color"
     resolved = ResolvedScene(scene, shading, Lighting.of(scene, shading))
-    steps = [*shadow_passes(resolved), shade_pass(resolved, view, 1)]
+    steps = with_shadows(resolved, view, size, [shade_pass(resolved, view, 1)])
     blob = _Blob()
     passes = [
         {
@@ -108,8 +108,9 @@ def _described(
         maps[ENVIRONMENT_MAP] = _map(blob, [texels], "float", np.float32, filtered=False)
     if draw.setup is not None:
         columns, faces = {"in_position": draw.setup.positions}, draw.setup.faces
+    elif draw.part is None:
+        columns, faces = {}, np.arange(3, dtype=np.uint32)
     else:
-        assert draw.part is not None
         assert draw.material is not None
         columns = part_columns(draw.part, scene.mesh)
         faces = draw.part.faces if draw.order is None else draw.part.faces[draw.order]

@@ -25,6 +25,7 @@ ATTRIBUTES = {
     "in_uv2": 2,
 }
 SHADOW_MAP = "shadow_map"  # name of the texture with the shadow maps of all lights
+SHADOW_CONES = "shadow_cones"
 ENVIRONMENT_MAP = "environment_map"
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
@@ -85,7 +86,7 @@ class Program:
 
     def _lights(self) -> str:
         counts: dict[str, int] = {}
-        added, seen = [], []
+        doubts, added = [], []
         for group in self.lights or ():
             first = counts.get(group.kind, 0)
             counts[group.kind] = first + group.count
@@ -93,15 +94,17 @@ class Program:
             light = f"{group.kind}_light(i, s.position)"
             if group.shadows is not None:
                 number = f"i + {group.shadows - first}"
-                seen.append(f"{loop}seen[{number}] = share({light}, {number}, s, p);")
-                light = f"shadowed({light}, {number}, s, p)"
+                doubts.append(
+                    f"{loop}if (in_doubt({light}, {number}, s, p)) doubts |= 1 << {number};"
+                )
+                light = f"shadowed({light}, seen[{number}])"
             added.append(f"{loop}add_light(s, v, {light}, {group.term});")
         kinds = [
             f'#define {kind.upper()}_LIGHTS {count}\n#include "host/light/{kind}.glsl"'
             for kind, count in counts.items()
         ]
-        loops = seen if self.fragment == "light_visibility.frag" else added
-        return "\n".join([*kinds, f"#define EVERY_LIGHT {' '.join(loops)}\n"])
+        macros = f"#define EVERY_SHADOW {' '.join(doubts)}\n#define EVERY_LIGHT {' '.join(added)}\n"
+        return "\n".join([*kinds, macros])
 
 
 def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:

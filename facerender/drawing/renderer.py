@@ -20,7 +20,7 @@ from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import light_visibility_pass, shadow_passes
+from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
 from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.passes.transparency import (
     PREVIOUS_LAYER,
@@ -319,11 +319,12 @@ class Renderer:
         scene, lighting = resolved.scene, resolved.lighting
         visibility = None if blended_part else self._visibility(scene, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
-        refraction, shadows = _refraction(scene, view, self.size), shadow_passes(resolved)
+        refraction = _refraction(scene, view, self.size)
         surface = surface_pass(resolved, view, visibility, scatters, blended_part, refraction)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         if refraction:
-            passes = [*shadows, *refraction.passes(resolved, shadows), *passes]
+            passes = [*refraction.passes(resolved), *passes]
+            passes = with_shadows(resolved, view, self.size, passes)
         known: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             before = replace(surface.target, number=1 - surface.target.number)
@@ -333,11 +334,10 @@ class Renderer:
         shines = any(material.emits for material in scene.mesh.materials)
         lobes = others.pop(0) if two else None
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
-        if shadows:
+        if number := len(lighting.shadowed):
             look = light_visibility_pass(resolved, view, visibility, blended_part)
-            seen_by = [visibility.drawn()] if visibility else []
-            images = self._draw([*shadows, *seen_by, look], scene, known)
-            number = len(lighting.shadowed)
+            seen_by = [visibility.drawn(), look] if visibility else [look]
+            images = self._draw(with_shadows(resolved, view, self.size, seen_by), scene, known)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(
@@ -406,10 +406,9 @@ class Renderer:
             whole = replace(whole, cull_back_faces=image.cull_back_faces)
             visible = visibility.target if visibility else None
             passes += with_blended(whole, passes.pop(), over, visible)
-        before = shadow_passes(resolved)
         if refraction:
-            before += refraction.passes(resolved, before)
-        return self._draw([*before, *passes], scene)[0]
+            passes = [*refraction.passes(resolved), *passes]
+        return self._draw(with_shadows(resolved, view, self.size, passes), scene)[0]
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"

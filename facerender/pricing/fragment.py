@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image
 
 from facerender.drawing.context import Backend, Context, create_context
-from facerender.drawing.passes import Draw, Target
-from facerender.drawing.passes.shadow import shadow_passes
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.shadow import with_shadows
 from facerender.drawing.program import (
     ENVIRONMENT_MAP,
     Program,
@@ -261,13 +261,16 @@ def _timed(
     """Return a function that draws a scene of one mesh part N times and returns the seconds."""
     (part,), (material,) = scene.mesh.parts, scene.mesh.materials
     lighting = Lighting.of(scene, Shading())
-    set_uniforms(program, scene_uniforms(scene, _VIEW, lighting))
+    drawn = Pass("", Target(), (), uniforms=scene_uniforms(scene, _VIEW, lighting))
+    *maps, drawn = with_shadows(
+        ResolvedScene(scene, Shading(), lighting), _VIEW, (1024, 1024), [drawn]
+    )
+    set_uniforms(program, drawn.uniforms)
     set_uniforms(program, part_uniforms(part, material))
     draw = Draw(source, {}, part, material)
-    textures: Any = {
-        step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
-        for step in shadow_passes(ResolvedScene(scene, Shading(), lighting))
-    }
+    textures: Any = {}
+    for step in maps:
+        textures[step.name] = resources.draw(step, scene.mesh, textures).color_attachments[0]
     if scene.environment is not None:
         textures[ENVIRONMENT_MAP] = resources.table(scene.environment.panorama)
     array = resources.geometry(part, scene.mesh).array(context.gl, program)

@@ -9,42 +9,62 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 Tile = tuple[int, int, int]
 
-SAMPLES = 12  # Value of FR_SHADOW_SAMPLES in GLSL.
+SEARCH, SAMPLES = 8, 12  # Values of FR_SHADOW_SEARCH and FR_SHADOW_SAMPLES in GLSL.
 _TURN = 2.39996323
 
 
-def shadow_lit(map: ArrayLike, tile: Tile, at: ArrayLike, z: ArrayLike) -> Float:
-    """Return the light's visibility, 0 or 1 per texel, interpolated between four texels.
+def shadow_depth(map: ArrayLike, tile: Tile, texel: ArrayLike) -> Float:
+    """Return the z of the surface nearest to the light in a texel.
 
     Parameters
     ----------
     map : z of the surface nearest to the light, (H, W)
     tile : column and row of the first texel of the light's map, and the side of the map in texels
-    at : x and y in light space, (..., 2)
-    z : z in light space, (...)
+    texel : column and row in the light's map, (..., 2)
     """
-    texel = (0.5 * np.asarray(at, dtype=np.float64) + 0.5) * tile[2] - 0.5
-    low = np.floor(texel)
-    share = texel - low
-    depth = np.asarray(z, dtype=np.float64)
-    lit = np.zeros(low.shape[:-1])
-    for corner in np.ndindex(2, 2):
-        weight = np.where(corner, share, 1.0 - share).prod(axis=-1)
-        lit += weight * (depth >= _fetch(map, tile, low + corner))
-    return lit
+    inside = np.clip(np.asarray(texel, dtype=np.float64), 0, tile[2] - 1).astype(int)
+    column, row = (inside[..., i] + tile[i] for i in (0, 1))
+    return np.asarray(np.asarray(map, dtype=np.float64)[row, column])
 
 
-def shadow_hard(map: ArrayLike, tile: Tile, p: ArrayLike, bias: float) -> Float:
+def shadow_weight(texel: ArrayLike, centre: ArrayLike, width: ArrayLike) -> Float:
+    """Return the weight of a texel in the mean over a square.
+
+    Parameters
+    ----------
+    texel : lower corner of the texel, (..., 2)
+    centre : centre of the square in texels, (..., 2)
+    width : side of the square in texels, in [1, 3]
+    """
+    low, middle = np.asarray(texel, np.float64), np.asarray(centre, np.float64)
+    side = np.asarray(width, np.float64)[..., None]
+    ends = np.maximum(low, middle - 0.5 * side), np.minimum(low + 1.0, middle + 0.5 * side)
+    return np.asarray((np.maximum(ends[1] - ends[0], 0.0) / side).prod(axis=-1))
+
+
+def shadow_hard(
+    map: ArrayLike, tile: Tile, p: ArrayLike, plane: ArrayLike, width: ArrayLike, bias: float
+) -> Float:
     """Return the visible fraction of a light without angular radius.
 
     Parameters
     ----------
-    map, tile : see :func:`shadow_lit`
+    map, tile : see :func:`shadow_depth`
     p : points in light space, (..., 3)
+    plane : change of z per unit of x and per unit of y on the surface, (..., 2)
+    width : side in texels, in [1, 3], of the square over which the visibility is averaged
     bias : offset added to the z of p
     """
     place = np.asarray(p, dtype=np.float64)
-    return shadow_lit(map, tile, place[..., :2], place[..., 2] + bias)
+    side = np.asarray(width, dtype=np.float64)
+    centre = (0.5 * place[..., :2] + 0.5) * tile[2]
+    seen = np.zeros(place.shape[:-1])
+    for corner in np.ndindex(4, 4):
+        texel = np.floor(centre - 0.5 * side[..., None]) + corner
+        aside = (texel + 0.5 - centre) * (2.0 / tile[2])
+        z = place[..., 2] + bias + np.maximum((np.asarray(plane) * aside).sum(axis=-1), 0.0)
+        seen += shadow_weight(texel, centre, side) * (shadow_depth(map, tile, texel) <= z)
+    return seen
 
 
 def shadow_disc(
@@ -55,40 +75,44 @@ def shadow_disc(
     tan_radius: float,
     top: float,
     bias: float,
+    width: float,
     turn: ArrayLike,
 ) -> Float:
     """Return the visible fraction of a disc light or a sphere light.
 
     Parameters
     ----------
-    map, tile, p, bias : see :func:`shadow_hard`
-    plane : change of z per unit of x and per unit of y on the surface, (..., 2)
-    tan_radius : tangent of the angular radius of the light, in (0, tan(20 degrees)]
+    map, tile, p, plane, bias : see :func:`shadow_hard`
+    tan_radius : tangent of the angular radius of the light, in [0, tan(20 degrees)]
     top : largest z of the occluders; the light is fully visible if the z of p is at least this
         value
+    width : smallest side of the square in texels, in [1, 3]
     turn : rotation of the spiral of samples, in radians
     """
-    place = np.asarray(p, dtype=np.float64)[..., None, :]  # Adds an axis for the samples.
+    place = np.asarray(p, dtype=np.float64)
     slope = np.asarray(plane, dtype=np.float64)[..., None, :]
-    angle = _TURN * np.arange(SAMPLES) + np.asarray(turn, dtype=np.float64)[..., None]
-    spiral = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    spiral *= np.sqrt((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
-    z = place[..., 2] + bias
-
-    aside = tan_radius * np.clip(top - place[..., 2:], 0.0, 1.0) * spiral
-    other = _fetch(map, tile, np.floor((0.5 * (place[..., :2] + aside) + 0.5) * tile[2]))
+    far = np.clip(top - place[..., 2], 0.0, 1.0)
+    reach = np.maximum(tan_radius * far, width / tile[2])
+    aside = reach[..., None, None] * _spiral(SEARCH, turn)
+    z = (place[..., 2] + bias)[..., None]
+    middle = (0.5 * place[..., :2] + 0.5)[..., None, :] * tile[2]
+    other = shadow_depth(map, tile, middle + 0.5 * tile[2] * aside)
     blocks = other > z + np.maximum((slope * aside).sum(axis=-1), 0.0) + bias
-    blocks &= place[..., 2] < top
+    blocks &= place[..., 2:] < top
     count = blocks.sum(axis=-1)
     depth = np.where(blocks, other, 0.0).sum(axis=-1) / np.maximum(count, 1)
 
-    radius = np.maximum(tan_radius * (depth - place[..., 0, 2]), 2.0 / tile[2])
-    aside = radius[..., None, None] * spiral
+    radius = tan_radius * (depth - place[..., 2])
+    aside = radius[..., None, None] * _spiral(SAMPLES, turn)
     raised = z + np.maximum((slope * aside).sum(axis=-1), 0.0)
-    seen = shadow_lit(map, tile, place[..., :2] + aside, raised).mean(axis=-1)
-    return np.select([count == 0, count == SAMPLES], [1.0, 0.0], seen)
+    wide = (shadow_depth(map, tile, middle + 0.5 * tile[2] * aside) <= raised).mean(axis=-1)
+    narrow = shadow_hard(map, tile, place, plane, np.clip(radius * tile[2], width, 3.0), bias)
+    seen = np.where(0.5 * tile[2] * radius < 1.5, narrow, wide)
+    return np.select([count == 0, count == SEARCH], [1.0, 0.0], seen)
 
 
-def _fetch(map: ArrayLike, tile: Tile, texel: Float) -> Float:
-    column, row = (np.clip(texel[..., i], 0, tile[2] - 1).astype(int) + tile[i] for i in (0, 1))
-    return np.asarray(np.asarray(map, dtype=np.float64)[row, column])
+def _spiral(count: int, turn: ArrayLike) -> Float:
+    """Return points of the unit disc, (..., count, 2)."""
+    angle = _TURN * np.arange(count) + np.asarray(turn, dtype=np.float64)[..., None]
+    radius = np.sqrt((np.arange(count) + 0.5) / count)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

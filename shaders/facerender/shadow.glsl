@@ -19,8 +19,8 @@
 //             there is no surface, a value below the z of every point.
 //   tile:     xy: first texel of the light's map in the texture; z: side of this map in texels. One
 //             texture may hold the maps of several lights; nothing outside the tile casts shadows.
-//   p:        Point in light space, moved by 1.25 texels (2.5/tile.z) along the normal of the mesh.
-//   bias:     Offset added to the z of the point, for example 0.004.
+//   p:        Point in light space, moved by 0.4 texels (0.8/tile.z) along the normal of the mesh.
+//   bias:     Offset added to the z of the point, for example 0.001 + 1/tile.z.
 #ifndef FR_SHADOW_GLSL
 #define FR_SHADOW_GLSL
 
@@ -30,92 +30,118 @@
 precision highp sampler2D;
 #endif
 
-// Number of samples in each of the two loops of fr_shadow_disc: search for occluders, visible
-// fraction.
+// Number of samples in the two loops of fr_shadow_disc: search for occluders, visible fraction.
+#ifndef FR_SHADOW_SEARCH
+#define FR_SHADOW_SEARCH 8
+#endif
 #ifndef FR_SHADOW_SAMPLES
 #define FR_SHADOW_SAMPLES 12
 #endif
 
-// Visibility of the light at a position and depth: 0 or 1 per texel, interpolated between four
-// texels.
+// z of the surface nearest to the light in a texel of the light's map.
 //
-//   formula:  bilinear interpolation of step(map, z)
-//   at, z:    Position and depth in light space.
-float fr_shadow_lit(sampler2D map, ivec3 tile, vec2 at, float z) {
-    vec2 texel = (at * 0.5 + 0.5) * float(tile.z) - 0.5;
-    vec2 share = fract(texel);
-    ivec2 low = ivec2(floor(texel));
-    ivec2 first = clamp(low, ivec2(0), ivec2(tile.z - 1)) + tile.xy;
-    ivec2 last = clamp(low + 1, ivec2(0), ivec2(tile.z - 1)) + tile.xy;
-    vec4 lit = step(
-        vec4(
-            texelFetch(map, first, 0).r,
-            texelFetch(map, ivec2(last.x, first.y), 0).r,
-            texelFetch(map, ivec2(first.x, last.y), 0).r,
-            texelFetch(map, last, 0).r
-        ),
-        vec4(z)
-    );
-    return mix(mix(lit.x, lit.y, share.x), mix(lit.z, lit.w, share.x), share.y);
+//   formula:  red of the map at floor(texel), clamped to the map
+//   texel:    Column and row in the light's map.
+float fr_shadow_depth(sampler2D map, ivec3 tile, vec2 texel) {
+    ivec2 inside = ivec2(clamp(texel, vec2(0.0), vec2(float(tile.z - 1))));
+    return texelFetch(map, inside + tile.xy, 0).r;
+}
+
+// Weight of a texel in the mean over a square.
+//
+//   formula:  area of the texel inside the square, divided by the area of the square
+//   texel:    Lower corner of the texel; the side of a texel is 1.
+//   centre:   Centre of the square, in texels.
+//   width:    Side of the square in texels, in [1, 3].
+float fr_shadow_weight(vec2 texel, vec2 centre, float width) {
+    vec2 low = max(texel, centre - 0.5 * width);
+    vec2 covered = max(min(texel + 1.0, centre + 0.5 * width) - low, 0.0) / width;
+    return covered.x * covered.y;
 }
 
 // Visible fraction of a light without angular radius.
 //
-//   formula:  fr_shadow_lit at p, with the bias added to z
-float fr_shadow_hard(sampler2D map, ivec3 tile, vec3 p, float bias) {
-    return fr_shadow_lit(map, tile, p.xy, p.z + bias);
+//   formula:  mean of step(map, z + bias) over a square of texels around p
+//   plane:    Change of z per unit of x and per unit of y on the tangent plane at p, in [-8, 8].
+//   width:    Side of the square in texels, in [1, 3]: the width of a pixel of the image.
+float fr_shadow_hard(
+    sampler2D map, ivec3 tile, vec3 p, vec2 plane, float width, float bias
+) {
+    float texels = float(tile.z);
+    vec2 centre = (p.xy * 0.5 + 0.5) * texels;
+    float seen = 0.0;
+    for (int i = 0; i < 16; ++i) {
+        vec2 texel = floor(centre - 0.5 * width) + vec2(float(i & 3), float(i >> 2));
+        vec2 aside = (texel + 0.5 - centre) * (2.0 / texels);
+        float z = p.z + bias + max(dot(plane, aside), 0.0);
+        if (fr_shadow_depth(map, tile, texel) <= z) {
+            seen += fr_shadow_weight(texel, centre, width);
+        }
+    }
+    return seen;
 }
 
 // Visible fraction of a disc light or a sphere light.
 //
-//   formula:     mean of fr_shadow_lit over a disc: the cross-section, at the mean z of the
-//                occluders, of the cone from p to the light
+//   formula:     mean of step(map, z) over a disc: the cross-section, at the mean z of the
+//                occluders, of the cone from p to the light. If the disc has a diameter of less
+//                than 3 texels, a square replaces it.
 //   plane:       Change of z per unit of x and per unit of y on the tangent plane at p, in [-8, 8].
 //   tan_radius:  Tangent of the angle between the centre and the rim of the light, seen from the
-//                centre of the mesh, in (0, tan(20 degrees)].
+//                centre of the mesh, in [0, tan(20 degrees)].
 //   top:         Largest z of the occluders: 1 for a distant light, s d/(d - 1) for a point light.
 //                If top is at most p.z, the function skips the search and returns 1.
+//   width:       Smallest side of the square in texels, in [1, 3]: the width of a pixel.
 //   turn:        Rotation of the spiral in radians; a different angle at each pixel turns banding
 //                into noise.
 //   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds an occluder.
 //                The radius of the search is tan_radius times top - p.z, which is clamped to [0,
-//                1]. Search and mean use samples on a spiral (Vogel 1979): radius sqrt((i +
-//                1/2)/N), angle 2.39996 i + turn.
+//                1], and at least half of the width. Search and mean use samples on a spiral (Vogel
+//                1979): radius sqrt((i + 1/2)/N), angle 2.39996 i + turn.
 float fr_shadow_disc(
     sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
-    float turn
+    float width, float turn
 ) {
     const mat2 next = mat2(-0.73736888, 0.67549029, -0.67549029, -0.73736888);
+    float texels = float(tile.z);
+    vec2 centre = (p.xy * 0.5 + 0.5) * texels;
     float z = p.z + bias;
-    float reach = tan_radius * clamp(top - p.z, 0.0, 1.0);
-    vec2 start = vec2(cos(turn), sin(turn)) * inversesqrt(float(FR_SHADOW_SAMPLES));
+    float reach = max(0.5 * texels * tan_radius * clamp(top - p.z, 0.0, 1.0), 0.5 * width);
+    vec2 slope = plane * (2.0 / texels);
+    vec2 start = vec2(cos(turn), sin(turn));
     // Loops with 0 iterations replace branches, because some drivers execute both sides of a
     // branch.
-    int turns = reach > 0.0 ? FR_SHADOW_SAMPLES : 0;
+    int turns = top > p.z ? FR_SHADOW_SEARCH : 0;
     int blocked = 0;
     float depth = 0.0;
-    vec2 towards = start;
+    vec2 towards = start * (reach * inversesqrt(float(FR_SHADOW_SEARCH)));
     for (int i = 0; i < turns; ++i) {
-        vec2 aside = reach * sqrt(float(i) + 0.5) * towards;
+        vec2 aside = sqrt(float(i) + 0.5) * towards;
         towards = next * towards;
-        ivec2 texel = ivec2(floor(((p.xy + aside) * 0.5 + 0.5) * float(tile.z)));
-        texel = clamp(texel, ivec2(0), ivec2(tile.z - 1)) + tile.xy;
-        float other = texelFetch(map, texel, 0).r;
-        if (other > z + max(dot(plane, aside), 0.0) + bias) {
+        float other = fr_shadow_depth(map, tile, centre + aside);
+        if (other > z + max(dot(slope, aside), 0.0) + bias) {
             ++blocked;
             depth += other;
         }
     }
     if (blocked == turns || blocked == 0) turns = 0;
-    float radius = max(tan_radius * (depth / float(max(blocked, 1)) - p.z), 2.0 / float(tile.z));
-    float seen = blocked > 0 ? 0.0 : float(FR_SHADOW_SAMPLES);
-    towards = start;
+    float radius = 0.5 * texels * tan_radius * (depth / float(max(blocked, 1)) - p.z);
+    bool narrow = radius < 1.5;
+    float side = clamp(2.0 * radius, width, 3.0);
+    float total = narrow ? 1.0 : float(FR_SHADOW_SAMPLES);
+    float seen = blocked > 0 ? 0.0 : total;
+    towards = start * (radius * inversesqrt(float(FR_SHADOW_SAMPLES)));
+    turns = turns > 0 ? (narrow ? 16 : FR_SHADOW_SAMPLES) : 0;
     for (int i = 0; i < turns; ++i) {
-        vec2 aside = radius * sqrt(float(i) + 0.5) * towards;
+        vec2 texel = floor(centre - 0.5 * side) + vec2(float(i & 3), float(i >> 2));
+        vec2 aside = sqrt(float(i) + 0.5) * towards;
         towards = next * towards;
-        seen += fr_shadow_lit(map, tile, p.xy + aside, z + max(dot(plane, aside), 0.0));
+        if (narrow) aside = texel + 0.5 - centre;
+        float other = fr_shadow_depth(map, tile, centre + aside);
+        float weight = narrow ? fr_shadow_weight(texel, centre, side) : 1.0;
+        if (other <= z + max(dot(slope, aside), 0.0)) seen += weight;
     }
-    return seen / float(FR_SHADOW_SAMPLES);
+    return seen / total;
 }
 
 #endif

@@ -19,9 +19,10 @@ void main() {
     Point p = point();
 #endif
     Surface s = surface(p);
+    float lights[SHADOWS];
+    see_lights(s, p, lights);
     float seen[16];
-    for (int i = 0; i < 16; ++i) seen[i] = 1.0;
-    EVERY_LIGHT
+    for (int i = 0; i < 16; ++i) seen[i] = i < SHADOWS ? lights[i] : 1.0;
     seen_0 = vec4(seen[0], seen[1], seen[2], seen[3]);
     seen_4 = vec4(seen[4], seen[5], seen[6], seen[7]);
     seen_8 = vec4(seen[8], seen[9], seen[10], seen[11]);

@@ -146,6 +146,10 @@ vec3 shaded(Point p) {
     diffuse += ambient * s.occlusion;
 #endif
 #endif
+#ifdef SHADOWS
+    float seen[SHADOWS];
+    see_lights(s, p, seen);
+#endif
     EVERY_LIGHT
 #ifdef SCATTER
     light = vec4(diffuse, fr_scatter_area(dot(normalize(p.normal), v)));

@@ -3,65 +3,108 @@
 // radius.
 #include "facerender/shadow.glsl"
 
-uniform sampler2D shadow_map;  // One square tile per light, side by side.
-uniform mat4 shadow_view[SHADOWS];   // Matrix from the renderer's space to light space.
-uniform vec2 shadow_size[SHADOWS];   // Tangent of the light's angular radius; largest z.
+uniform sampler2D shadow_map;    // One square tile per light, side by side.
+uniform sampler2D shadow_cones;  // Output of shadow_cones.frag, in the same order.
+uniform ivec2 shadow_tiles;  // Width of a light's tile in shadow_map and in shadow_cones.
+uniform mat4 shadow_view[SHADOWS];  // Matrix from the renderer's space to light space.
+uniform vec2 shadow_size[SHADOWS];  // Tangent of the light's angular radius; largest z.
 
-const float BIAS = 0.004;
 // Noise: Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
 const vec2 NOISE = vec2(0.06711056, 0.00583715);
 
-#ifdef SHADOW_DISCS
-// Return the change of z with x and y on the plane of the triangle, in light space. The change is
-// unbounded for edge-on triangles; it is clamped to [-8, 8].
-vec2 plane_of(mat4 view, vec3 at, Point p) {
-    vec4 x = view * vec4(p.position_x, 0.0);
-    vec4 y = view * vec4(p.position_y, 0.0);
-    vec3 across = cross(x.xyz - at * x.w, y.xyz - at * y.w);
+// Return the offset added to z.
+float bias_of() { return 0.001 + 1.0 / float(shadow_tiles.x); }
+
+// Return the change of z with x and y on the plane of the triangle, in light space, from the
+// changes of the position per pixel. The change is unbounded for edge-on triangles; it is clamped to [-8, 8].
+vec2 plane_of(vec3 x, vec3 y) {
+    vec3 across = cross(x, y);
     across *= inversesqrt(max(dot(across, across), 1e-30));
     return clamp(-across.xy / (abs(across.z) < 0.05 ? 0.05 : across.z), -8.0, 8.0);
 }
-#endif
 
-// Return the visible fraction of a light. The light is visible down to an angle below the
-// horizon; `below` is the sine of this angle.
-float visibility(int i, Surface s, Point p, vec3 direction, float below) {
-    bool dark = dot(s.normal, direction) <= -below;
-    int texels = textureSize(shadow_map, 0).y;
-    ivec3 tile = ivec3(i * texels, 0, texels);
+// Normal of the mesh, on the side of the shaded normal.
+vec3 mesh_normal(Surface s, Point p) {
     vec3 n = normalize(p.normal);
-    if (dot(n, s.normal) < 0.0) n = -n;
-    vec4 place = shadow_view[i] * vec4(p.position + 2.5 / float(texels) * n, 1.0);
-    vec3 at = place.xyz / place.w;
-#ifdef SHADOW_DISCS
-    if (shadow_size[i].x > 0.0) {
-        float turn = 6.2831853 * fract(52.9829189 * fract(dot(gl_FragCoord.xy, NOISE)));
-        vec2 plane = plane_of(shadow_view[i], at, p);
-        float top = dark ? at.z : shadow_size[i].y;
-        return fr_shadow_disc(
-            shadow_map, tile, at, plane, shadow_size[i].x, top, BIAS, turn
-        );
-    }
-#endif
-    return dark ? 1.0 : fr_shadow_hard(shadow_map, tile, at, BIAS);
+    return dot(n, s.normal) < 0.0 ? -n : n;
 }
 
-float share(Light light, int shadow, Surface s, Point p) {
-    return visibility(shadow, s, p, light.direction, 0.0);
+vec3 in_light_space(int i, vec3 n, Point p) {
+    vec4 place = shadow_view[i] * vec4(p.position + 0.8 / float(shadow_tiles.x) * n, 1.0);
+    return place.xyz / place.w;
 }
 
-Light shadowed(Light light, int shadow, Surface s, Point p) {
-    light.irradiance *= share(light, shadow, s, p);
+// Return whether an occluder may hide a part of the light. The light is visible down to an angle
+// below the horizon; `below` is the sine of this angle.
+bool in_doubt(int i, Surface s, Point p, vec3 direction, float below) {
+    vec3 n = mesh_normal(s, p);
+    vec3 at = in_light_space(i, n, p);
+    vec2 block = clamp((at.xy * 0.5 + 0.5) * float(shadow_tiles.y), 0.0, float(shadow_tiles.y - 1));
+    float cones = texelFetch(shadow_cones, ivec2(block) + ivec2(i * shadow_tiles.y, 0), 0).r;
+    // The surface around the point rises within the block.
+    float rise = 4.0 / float(shadow_tiles.y) * (1.0 - max(dot(n, direction), 0.0));
+    return dot(s.normal, direction) > -below && cones > at.z + 4.0 * bias_of() + rise;
+}
+
+bool in_doubt(Light light, int shadow, Surface s, Point p) {
+    return in_doubt(shadow, s, p, light.direction, 0.0);
+}
+
+Light shadowed(Light light, float seen) {
+    light.irradiance *= seen;
     return light;
 }
 
 #ifdef HOST_LIGHT_AREA_GLSL
-float share(Disc light, int shadow, Surface s, Point p) {
-    return visibility(shadow, s, p, light.center.direction, light.size.x);
+bool in_doubt(Disc light, int shadow, Surface s, Point p) {
+    return in_doubt(shadow, s, p, light.center.direction, light.size.x);
 }
 
-Disc shadowed(Disc light, int shadow, Surface s, Point p) {
-    light.center.irradiance *= share(light, shadow, s, p);
+Disc shadowed(Disc light, float seen) {
+    light.center.irradiance *= seen;
     return light;
 }
 #endif
+
+// Return the width of a pixel in texels, in [1, 3].
+float pixel_width(vec3 x, vec3 y) {
+    vec2 size = max(abs(x.xy), abs(y.xy));
+    return clamp(0.5 * float(shadow_tiles.x) * max(size.x, size.y), 1.0, 3.0);
+}
+
+// Return the visible fraction of a light.
+float visibility(int i, Surface s, Point p) {
+    vec3 at = in_light_space(i, mesh_normal(s, p), p);
+    ivec3 tile = ivec3(i, 0, 1) * shadow_tiles.x;
+    float bias = bias_of();
+    vec4 x = shadow_view[i] * vec4(p.position_x, 0.0);
+    vec4 y = shadow_view[i] * vec4(p.position_y, 0.0);
+    vec3 along_x = x.xyz - at * x.w;
+    vec3 along_y = y.xyz - at * y.w;
+    float width = pixel_width(along_x, along_y);
+    vec2 plane = plane_of(along_x, along_y);
+#ifdef SHADOW_DISCS
+    float turn = 6.2831853 * fract(52.9829189 * fract(dot(gl_FragCoord.xy, NOISE)));
+    return fr_shadow_disc(
+        shadow_map, tile, at, plane, shadow_size[i].x, shadow_size[i].y, bias, width, turn
+    );
+#else
+    return fr_shadow_hard(shadow_map, tile, at, plane, width, bias);
+#endif
+}
+
+// Return the visible fraction of each light. Points in doubt about any light share one loop, because
+// a software driver spends time on each copy of its code, even if no point enters it.
+void see_lights(Surface s, Point p, out float seen[SHADOWS]) {
+    int doubts = 0;
+    EVERY_SHADOW
+    for (int i = 0; i < SHADOWS; ++i) seen[i] = 1.0;
+    while (doubts != 0) {
+        int next = int(log2(float(doubts & -doubts)) + 0.5);
+        doubts &= doubts - 1;
+        float fraction = visibility(next, s, p);
+        for (int i = 0; i < SHADOWS; ++i) {
+            if (i == next) seen[i] = fraction;
+        }
+    }
+}

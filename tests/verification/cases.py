@@ -480,7 +480,7 @@ def cosine_disc() -> Case:
 
 
 HARD = 0.2  # bias; large enough to change results, since depths are multiples of 1/4
-DISC = (0.2, 1.0, 0.1, 0.7)  # tangent of the radius, top, bias, turn
+DISC = (0.2, 1.0, 0.1, 1.5, 0.7)  # tangent of the radius, top, bias, width, turn
 
 
 @cache
@@ -508,13 +508,31 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
     return tile, inputs, image, differs[kept]
 
 
-@case(("fr_shadow_hard", f"p, {HARD}"), ("fr_shadow_lit", f"p.xy, p.z + {HARD}"))
+@case(("fr_shadow_hard", "p, plane.xy, 2.4, 0.2"))
 def shadow_hard(function: str, arguments: str) -> Case:
-    tile, inputs, map_, _ = shadows()
-    expected = shadow.shadow_hard(map_, tile, inputs["p"][:PLACES], HARD)
+    tile, inputs, map_, differs = shadows()
+    places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
+    expected = shadow.shadow_hard(map_, tile, *places, np.array(2.4), HARD)
     expected = repeated(expected, len(inputs["p"]))
     call = f"{function}(map_texels, ivec3{tile}, {arguments})"
-    return Case(include("shadow"), call, inputs, expected, 0.0, 2e-5)
+    return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
+
+
+@case()
+def shadow_depth() -> Case:
+    tile, inputs, map_, _ = shadows()
+    expected = shadow.shadow_depth(map_, tile, 8.0 * inputs["p"][:PLACES, :2] + 8.0)
+    call = f"fr_shadow_depth(map_texels, ivec3{tile}, 8.0 * p.xy + 8.0)"
+    return Case(include("shadow"), call, inputs, repeated(expected, len(inputs["p"])), 0.0, 0.0)
+
+
+@case()
+def shadow_weight() -> Case:
+    _, inputs, _, _ = shadows()
+    p, plane = (inputs[name][:PLACES, :2].astype(float) for name in ("p", "plane"))
+    expected = shadow.shadow_weight(p, plane, np.array(2.4))
+    call = "fr_shadow_weight(p.xy, plane.xy, 2.4)"
+    return Case(include("shadow"), call, inputs, repeated(expected, len(inputs["p"])), 0.0, 1e-6)
 
 
 @case()

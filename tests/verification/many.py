@@ -28,7 +28,7 @@ OWN_INPUTS = (  # groups whose inputs here differ from tests/verification/cases.
         "fr_slope_variance_map",
     ),
     *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
-    *("fr_shadow_hard", "fr_shadow_lit", "fr_shadow_disc"),
+    *("fr_shadow_depth", "fr_shadow_weight", "fr_shadow_hard", "fr_shadow_disc"),
     *("fr_scatter_profile", "fr_scatter_turn", "fr_scatter"),
 )
 TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
@@ -61,11 +61,13 @@ OTHERS = (
     ("slope_variance", "fr_slope_variance_pixel(tan2 * n, n - l)"),
     ("slope_variance", "fr_slope_variance_disc(0.34 * c, 0.97, p.x)"),
     ("slope_variance", "fr_cosine_disc(dot(n, l), 0.5 * c, 1.0 - 0.06 * c)"),
-    ("shadow", "fr_shadow_lit(c_texels, ivec3(7, 0, 64), 1.2 * n.xy, n.z)"),
-    ("shadow", "fr_shadow_hard(c_texels, ivec3(7, 0, 64), 1.2 * n, 0.004)"),
+    ("shadow", "fr_shadow_depth(c_texels, ivec3(7, 0, 64), 64.0 * n.xy)"),
+    ("shadow", "fr_shadow_weight(2.0 * n.xy, l.xy, 1.0 + 2.0 * c)"),
+    ("shadow", "fr_shadow_hard(c_texels, ivec3(7, 0, 64), 1.2 * n, 8.0 * l.xy, 2.0, 0.004)"),
     (
         "shadow",
-        "fr_shadow_disc(c_texels, ivec3(7, 0, 64), 1.2 * n, 8.0 * l.xy, 0.36 * c, 2.0, 0.004, m)",
+        "fr_shadow_disc(c_texels, ivec3(7, 0, 64), 1.2 * n, 8.0 * l.xy, 0.36 * c, 2.0, 0.004, 1.0, "
+        "m)",
     ),
 )
 BRDF = re.compile(r"\bfr_(?!\w+_pdf)\w+\(n, l, v, m\b")

@@ -18,7 +18,10 @@ from facerender.shading import Shading
 
 Float = NDArray[np.float64]
 
-_OFFSET = 2e-3  # from the surface to the start of a ray, in radii of the bounding sphere
+# From the surface to the start of a ray, in radii of the bounding sphere. The larger offset hides
+# the triangles of a mesh and the noise of a scan.
+_OFFSET, _SMALL_OFFSET = 2e-3, 1e-4
+_MIXED = 37  # without a common factor with the number of rays
 _PLAIN = Shading(normal_map=False)
 
 
@@ -42,17 +45,18 @@ class ShadowError:
     wrong: float
 
 
-def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64) -> ShadowError:
-    """Compare the shadow map of one light with rays at every pixel's centre."""
+def shadow_error(renderer: Renderer, scene: Scene, light: Light) -> ShadowError:
+    """Compare the shadow map of one light with 64 rays per pixel."""
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
     position = gbuffer.position.astype(np.float64)
     towards, _ = light.kind.lighting(light, scene.mesh, position)
     cosine = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards)
     facing = (gbuffer.part >= 0) & (cosine > 0.0)
-    seen = gbuffer.visibility[..., 0][facing]
-    truth = by_rays(scene.mesh, gbuffer, light, facing, rays)
-    weight = cosine[facing]
+    truth = by_rays(scene.mesh, gbuffer, light, facing, _OFFSET)
+    inside = np.isfinite(truth)
+    truth, weight = truth[inside], cosine[facing][inside]
+    seen = gbuffer.visibility[..., 0][facing][inside]
     arrives = float((truth * weight).sum())
     return ShadowError(
         1.0 - arrives / float(weight.sum()),
@@ -64,31 +68,53 @@ def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64)
 
 
 def by_rays(
-    mesh: Mesh, gbuffer: GBuffer, light: Light, pixels: NDArray[np.bool_], rays: int
+    mesh: Mesh,
+    gbuffer: GBuffer,
+    light: Light,
+    pixels: NDArray[np.bool_],
+    offset: float,
+    side: int = 8,
 ) -> Float:
-    """Return the fraction of a light that each pixel sees.
+    """Return the fraction of a light that the surface in each pixel sees.
+
+    Each ray goes through another place of the pixel and to another point of the light's disc.
 
     Parameters
     ----------
     gbuffer : drawn without normal maps
-    rays : number of rays per pixel, each to a point of the light's disc
+    offset : distance along the normal from the surface to the start of a ray
+    side : square root of the number of rays per pixel
+
+    Returns
+    -------
+    NaN for pixels where a ray misses the mesh
     """
-    tracer = tracer_of(mesh)
-    origin = gbuffer.position[pixels].astype(np.float64)
-    origin += _OFFSET * gbuffer.normal[pixels]
-    axes = light_axes(light, mesh)
-    turn = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(origin))
-    seen = np.zeros(len(origin))
+    tracer, view, rays = tracer_of(mesh), gbuffer.view, side**2
+    back, axes = np.linalg.inv(view.matrix), light_axes(light, mesh)
+    rows, columns = np.nonzero(pixels)
+    turn = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(rows))
+    seen = np.zeros(len(rows))
     for i in range(rays):
-        radius = math.tan(math.radians(light.radius)) * math.sqrt((i + 0.5) / rays)
-        angle = 2.39996323 * i + turn
-        across = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes.T[:2]
+        at = np.ones((len(rows), 4))
+        at[:, 0] = 2.0 * (columns + (i % side + 0.5) / side) / pixels.shape[1] - 1.0
+        at[:, 1] = 2.0 * (rows + (i // side + 0.5) / side) / pixels.shape[0] - 1.0
+        at = at @ back
+        ray = at[:, :3] / at[:, 3:] - view.position
+        face = tracer.intersects_first(np.broadcast_to(view.position, ray.shape), ray)
+        normal = tracer.mesh.face_normals[face]
+        across = np.einsum("ij,ij->i", normal, ray)
+        plane = tracer.mesh.triangles[face, 0] - view.position
+        hit = (np.einsum("ij,ij->i", normal, plane) / across)[:, None] * ray + view.position
+        hit -= offset * np.sign(across)[:, None] * normal
+        radius = math.tan(math.radians(light.radius)) * math.sqrt((_MIXED * i % rays + 0.5) / rays)
+        angle = 2.39996323 * (_MIXED * i % rays) + turn
+        away = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes.T[:2]
         if light.position is None:
-            direction = axes[:, 2] + across
+            direction = axes[:, 2] + away
         else:
             place = mesh.normalised(light.position)
-            direction = place + np.linalg.norm(place) * across - origin
-        seen += ~tracer.intersects_any(origin, direction)
+            direction = place + np.linalg.norm(place) * away - hit
+        seen += np.where(face >= 0, ~tracer.intersects_any(hit, direction), np.nan)
     return seen / rays
 
 
@@ -102,3 +128,79 @@ def tracer_of(mesh: Mesh) -> Any:
     faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]
     whole = trimesh.Trimesh(np.concatenate(positions), np.concatenate(faces), process=False)
     return RayMeshIntersector(whole)
+
+
+def edge_error(
+    renderer: Renderer, scene: Scene, light: Light, lowest: float, highest: float
+) -> float:
+    """Return the mean absolute error of a hard shadow in a band of 8 pixels around its edge.
+
+    64 rays through each pixel give the true fraction of the pixel's surface that sees the light.
+
+    lowest, highest : range of the surface's y, in the renderer's space, to consider
+    """
+    lit = replace(scene, lights=(replace(light, shadow=True),))
+    gbuffer = renderer.gbuffer(lit, _PLAIN)
+    y = gbuffer.position[..., 1]
+    towards, _ = light.kind.lighting(light, scene.mesh, gbuffer.position.astype(np.float64))
+    facing = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards) > 0.15
+    part = (gbuffer.part >= 0) & (y > lowest) & (y < highest) & facing
+    rough = np.zeros(part.shape)
+    rough[part] = by_rays(scene.mesh, gbuffer, light, part, _SMALL_OFFSET, 1)
+    edge = np.zeros_like(part)
+    for axis in (0, 1):
+        step = np.roll(rough, 1, axis) != rough
+        edge |= step & part & np.roll(part, 1, axis)
+    band = edge.copy()
+    for _ in range(4):
+        band |= np.logical_or.reduce(
+            [np.roll(band, *each) for each in ((1, 0), (-1, 0), (1, 1), (-1, 1))]
+        )
+    band &= part
+    truth = by_rays(scene.mesh, gbuffer, light, band, _SMALL_OFFSET)
+    known = np.isfinite(truth)
+    return float(np.abs(gbuffer.visibility[band][known, 0] - truth[known]).mean())
+
+
+def light_in_cavities(
+    renderer: Renderer, scene: Scene, centre: Float, radius: float
+) -> tuple[float, float, float]:
+    """Return the mean irradiance of cavities: with shadows, traced, and without shadows.
+
+    A cavity consists of the pixels that see less than 0.35 of the hemisphere above them.
+
+    Parameters
+    ----------
+    scene : scene whose lights cast shadows
+    centre, radius : sphere around the cavities, in the renderer's space
+    """
+    gbuffer = renderer.gbuffer(scene, _PLAIN)
+    near = np.linalg.norm(gbuffer.position - centre, axis=-1) < radius
+    near &= gbuffer.part >= 0
+    inside = near.copy()
+    inside[near] = _openness(scene.mesh, gbuffer, near) < 0.35
+    sums = np.zeros(3)
+    for index, light in enumerate(scene.lights):
+        position = gbuffer.position[inside].astype(np.float64)
+        towards, irradiance = light.kind.lighting(light, scene.mesh, position)
+        cosine = np.einsum("...i,...i", gbuffer.normal[inside].astype(np.float64), towards)
+        arriving = np.clip(cosine, 0.0, 1.0) * np.mean(irradiance)
+        traced = by_rays(scene.mesh, gbuffer, light, inside, _SMALL_OFFSET)
+        drawn = gbuffer.visibility[inside][:, index]
+        known = np.isfinite(traced)
+        for i, seen in enumerate((drawn, traced, np.ones_like(drawn))):
+            sums[i] += float((arriving * seen)[known].mean())
+    return float(sums[0]), float(sums[1]), float(sums[2])
+
+
+def _openness(mesh: Mesh, gbuffer: GBuffer, pixels: NDArray[np.bool_], rays: int = 64) -> Float:
+    """Return the cosine-weighted fraction of the hemisphere that each pixel sees."""
+    normal = gbuffer.normal[pixels].astype(np.float64)
+    origin = gbuffer.position[pixels] + _OFFSET * normal
+    tracer, random = tracer_of(mesh), np.random.default_rng(2)
+    free = np.zeros(len(origin))
+    for _ in range(rays):
+        around = random.normal(size=normal.shape)
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        free += ~tracer.intersects_any(origin, normal + 0.999 * around)
+    return free / rays

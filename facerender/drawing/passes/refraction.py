@@ -214,13 +214,11 @@ class Refraction:
             first += len(own)
         return changed
 
-    def passes(self, resolved: ResolvedScene, shadows: Sequence[Pass]) -> list[Pass]:
+    def passes(self, resolved: ResolvedScene) -> list[Pass]:
         """Return the passes that draw the maps, which are reused until the scene changes.
 
         A texel of a map has the radiance of the diffuse term, without subsurface scattering, and
         the emission of the foremost surface behind the refracting part.
-
-        shadows : passes that draw the shadow maps
         """
         regions = [each for own in self.parts for each in own]
         size = (len(regions) * self.side, self.side)
@@ -228,7 +226,7 @@ class Refraction:
         surface = Target(size=size, sampled=True, values="number", number=2)
         seen = Target(size=size, sampled=True, number=2)
         uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
-        key = _key(resolved, self.side, shadows)
+        key = _key(resolved, self.side)
         front = tuple(self._fronts(resolved.scene.mesh, areas))
         behind = tuple(
             draw
@@ -275,7 +273,7 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
         yield Draw(program, uniforms, part, material, area=area, order=order)
 
 
-def _key(resolved: ResolvedScene, side: int, shadows: Sequence[Pass]) -> tuple[Hashable, ...]:
+def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:
     """Return everything that the maps depend on, for ``Pass.key``."""
     scene, shading = resolved.scene, resolved.shading
     around = scene.environment
@@ -286,5 +284,4 @@ def _key(resolved: ResolvedScene, side: int, shadows: Sequence[Pass]) -> tuple[H
         *(scene.lights, np.asarray(scene.ambient).tobytes()),
         around and (ref(around.panorama), around.rotation, around.scale),
         shading.slope_filter,
-        *(each.key for each in shadows),
     )

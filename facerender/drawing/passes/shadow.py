@@ -3,13 +3,18 @@ reference reads this fraction."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
+from dataclasses import replace
 from weakref import ref
 
-from facerender.drawing.passes import Draw, Pass, Target
+import numpy as np
+
+from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import BlendedPart, mask_features, unblended
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
+    SHADOW_CONES,
     SHADOW_MAP,
     Program,
     light_visibility_program,
@@ -27,16 +32,26 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 from facerender.shading import Shading
 
-TEXELS = 1024  # width and height of a light's shadow map
 MOST = 16  # largest number of lights that cast shadows; one texture holds their maps in a row
+_FEWEST_TEXELS, _MOST_TEXELS = 512, 4096  # width and height of a light's shadow map
+_ALL_TEXELS = 1 << 24  # of the maps of all lights
+_BLOCKS = 256  # width and height of a light's tile in the passes of _cones
+_TAPS = 3  # samples of shadow_cones.frag on each side
 _EMPTY = -1e30  # z, in light space, of texels without a surface
 
 
-def shadow_passes(resolved: ResolvedScene) -> list[Pass]:
-    """Return the pass that draws all shadow maps, or [] if no light casts shadows.
+def with_shadows(
+    resolved: ResolvedScene, view: View, size: tuple[int, int], passes: list[Pass]
+) -> list[Pass]:
+    """Return the passes that draw all shadow maps, and then `passes` with the maps' uniforms.
 
-    The shadow maps are reused until the mesh, an alpha mask or a light changes. Blended parts, and
-    texels that an alpha mask discards, cast no shadow.
+    The shadow maps are reused until the mesh, an alpha mask, a light or the maps' size changes.
+    Blended parts, and texels that an alpha mask discards, cast no shadow.
+
+    Parameters
+    ----------
+    size : width and height of the image in pixels
+    passes : passes that read the maps
 
     Raises
     ------
@@ -45,14 +60,17 @@ def shadow_passes(resolved: ResolvedScene) -> list[Pass]:
     scene = resolved.scene
     spaces = resolved.lighting.spaces(scene.mesh)
     if not spaces:
-        return []
+        return passes
     if len(spaces) > MOST:
         raise InputError(
             f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
         )
-    target = Target(size=(len(spaces) * TEXELS, TEXELS), sampled=True, values="number")
+    texels = _texels(view, size, len(spaces))
+    target = Target(size=(len(spaces) * texels, texels), sampled=True, values="number")
     draws = tuple(
-        draw for number, space in enumerate(spaces) for draw in _draws(scene, number, space)
+        draw
+        for number, space in enumerate(spaces)
+        for draw in _draws(scene, space, (number * texels, 0, texels, texels))
     )
     mesh = scene.mesh
     key = (
@@ -61,12 +79,71 @@ def shadow_passes(resolved: ResolvedScene) -> list[Pass]:
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
-    return [Pass(SHADOW_MAP, target, draws, (_EMPTY, 0.0, 0.0, 0.0), key=key)]
+    drawn = Pass(SHADOW_MAP, target, draws, (_EMPTY, 0.0, 0.0, 0.0), key=key)
+    tiles = {"shadow_tiles": (texels, _BLOCKS)}
+    return [
+        drawn,
+        *_cones(spaces, texels, key),
+        *(
+            replace(each, uniforms={**each.uniforms, **tiles}, key=each.key and (each.key, texels))
+            for each in passes
+        ),
+    ]
 
 
-def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
+def _texels(view: View, size: tuple[int, int], count: int) -> int:
+    """Return the width of each shadow map, a power of two. At the distance of the mesh's centre, a
+    texel covers at most one pixel, unless the limits forbid it.
+
+    count : number of shadow maps
+    """
+    depth = max(float(view.matrix[3, 3]), 1e-3)
+    across = np.linalg.norm(view.matrix[:3, :2], axis=0) * size / depth  # of the map, in pixels
+    most = min(_MOST_TEXELS, 1 << int(math.log2(_ALL_TEXELS / count) / 2.0))
+    wanted = min(max(float(across.max()), _FEWEST_TEXELS), most)
+    return 1 << math.ceil(math.log2(wanted) - 0.25)
+
+
+def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pass]:
+    """Return the passes that draw the z above which a point sees a whole light.
+
+    Most points see all lights; one fetch then replaces the samples of ``fr_shadow_disc``. The first
+    pass draws the largest z of each block of texels. Each further pass widens the result along
+    one axis: see ``shaders/host/shadow_cones.frag``.
+    """
+    key = map_key, texels, *(space.tan_radius for space in spaces)
+    widest = max(space.tan_radius for space in spaces) * _BLOCKS / math.sqrt(2.0)
+    strides, reached = [1], _TAPS
+    while reached < widest:
+        strides.append(2 * reached + 1)
+        reached += _TAPS * strides[-1]
+    size = len(spaces) * _BLOCKS, _BLOCKS
+    blocks = Draw(Program("shadow_blocks.frag", "screen.vert"), {"block": texels // _BLOCKS})
+    steps: list[tuple[Draw, ...]] = [(blocks,)]
+    program = Program("shadow_cones.frag", "screen.vert")
+    for stride in [*((each, 0) for each in strides), *((0, each) for each in strides)]:
+        draws = []
+        for number, space in enumerate(spaces):
+            # The pyramid with this slope along the axes contains the cone.
+            fall = math.sqrt(2.0) / _BLOCKS / max(space.tan_radius, 1e-3)
+            area = number * _BLOCKS, 0, _BLOCKS, _BLOCKS
+            draws.append(
+                Draw(program, {"stride": stride, "left": area[0], "fall": fall}, area=area)
+            )
+        steps.append(tuple(draws))
+    return [
+        Pass(
+            SHADOW_CONES,
+            Target(size=size, sampled=True, values="number", number=1 + number),
+            step,
+            key=(key, number),
+        )
+        for number, step in enumerate(steps)
+    ]
+
+
+def _draws(scene: Scene, space: LightSpace, area: Area) -> list[Draw]:
     uniforms = {"to_light": space.matrix, "top": space.top}
-    area = (number * TEXELS, 0, TEXELS, TEXELS)
     draws = []
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         alpha = drawn_alpha(part, material)
