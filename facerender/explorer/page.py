@@ -21,6 +21,7 @@ from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_sou
 from facerender.job import Job
 from facerender.page.document import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
+from facerender.scenes.framing import region_of
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
@@ -56,6 +57,7 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
     ------
     InputError : a map is damaged
     """
+    region = region_of(mesh, Camera.frame)
     mesh = drawable(mesh)
     mesh_facts, arrays, textures = packed(mesh)
     facts = {
@@ -64,7 +66,8 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
         "mesh": _words(job),
         "center": mesh.center.tolist(),
         "radius": mesh.radius,
-        "profile": mesh.profile.round(5).tolist(),
+        "target": np.zeros(3).tolist() if region is None else region.center.tolist(),
+        "profile": (region or mesh).profile.round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
         **mesh_facts,
         "camera": {name: getattr(job.camera, name) for name in _CAMERA},

@@ -28,6 +28,7 @@ class Piece:
 
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
+    head : see :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -39,6 +40,7 @@ class Piece:
     out_of_range: int = 0
     name: str = ""
     uv2: NDArray[np.float64] | None = None
+    head: NDArray[np.float64] | None = None
 
 
 def check_count(count: int, name: str) -> None:
