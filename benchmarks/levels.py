@@ -21,7 +21,7 @@ from tests.verification.lights import PLAIN_THREE
 
 SIZES = (1024, 512)
 SAMPLES = (1, 4)
-CAMERAS = tuple(fr.Camera(azimuth=azimuth) for azimuth in (0.0, -35.0, 90.0))
+CAMERAS = tuple(fr.Camera(azimuth=azimuth, frame="all") for azimuth in (0.0, -35.0, 90.0))
 LEVELS = {"head": (50_000, 32_000, 16_000, 8_000), "scan": (14_000, 12_000, 8_000, 4_000)}
 ROUNDS = 15
 

@@ -42,7 +42,12 @@ def cameras(count: int) -> list[fr.Camera]:
     """Return random cameras that differ from the planned ones in direction and distance."""
     random = np.random.default_rng(7)
     return [
-        fr.Camera(random.uniform(-180, 180), random.uniform(-30, 40), zoom=random.uniform(0.8, 2.5))
+        fr.Camera(
+            random.uniform(-180, 180),
+            random.uniform(-30, 40),
+            zoom=random.uniform(0.8, 2.5),
+            frame="all",
+        )
         for _ in range(count)
     ]
 

@@ -37,7 +37,7 @@ def errors_of(name: str, mesh: fr.Mesh) -> list[dict[str, Any]]:
 def costs() -> list[dict[str, Any]]:
     """Return frame times relative to frames without scattering, with 1 and 4 samples per pixel."""
     mesh = fr.load_mesh().with_material(scattering="skin")
-    scene = fr.Scene(mesh, fr.Camera(-35.0), LIGHTS)
+    scene = fr.Scene(mesh, fr.Camera(-35.0, frame="all"), LIGHTS)
     rows: list[dict[str, Any]] = [{"samples": count, "time": []} for count in SAMPLES]
     for samples in (1, 4):
         with fr.Renderer((1024, 1024), samples=samples) as renderer:

@@ -44,7 +44,7 @@ def errors(renderer: fr.Renderer) -> list[dict[str, Any]]:
     """Return the errors of shadows against ray tracing, as fractions of the arriving light."""
     rows = []
     for name, mesh in meshes():
-        scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
+        scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6, frame="all"))
         for distance in (None, 2.5):
             for radius in RADII if distance is None else RADII[:-1]:
                 light = key(mesh, radius, distance)
@@ -63,7 +63,7 @@ def costs() -> list[dict[str, Any]]:
     for name, radius in (("radius 0", 0.0), ("radius 5 degrees", 5.0)):
         light = key(mesh, radius)
         scenes = [
-            fr.Scene(mesh, fr.Camera(-20.0), (each,))
+            fr.Scene(mesh, fr.Camera(-20.0, frame="all"), (each,))
             for each in (light, replace(light, shadow=False))
         ]
         rows.append({"light": name, "time": [_time(scenes, samples, 9) for samples in (1, 4)]})
@@ -76,7 +76,7 @@ def occlusion(renderer: fr.Renderer) -> list[dict[str, Any]]:
     for name, mesh in meshes():
         bare = mesh.with_material(occlusion_map=None)
         light = replace(key(bare, 0.0), shadow=False)
-        scene = fr.Scene(bare, fr.Camera(-20.0, zoom=1.6), (light,))
+        scene = fr.Scene(bare, fr.Camera(-20.0, zoom=1.6, frame="all"), (light,))
         found = occlusion_error(renderer, scene)
         scenes = [replace(scene, mesh=fr.with_occlusion(bare)), scene]
         row = {"mesh": NAMES[name], "vertices": sum(len(part.positions) for part in bare.parts)}

@@ -19,7 +19,7 @@ def shape_of(vertices: Any, faces: Any) -> Any:
 
 
 @cache
-def head() -> Any:
+def head_shape() -> Any:
     import trimesh
 
     parts = fr.load_mesh().parts
@@ -91,33 +91,43 @@ def hair(length: float) -> list[Any]:
 
 def mask() -> Any:
     """Return only the face, from the chin to the hairline."""
-    shape = head()
+    shape = head_shape()
     x, y, z = shape.triangles_center.T
     face = (z > 0.0) & (y > -0.095) & (y < 0.08) & (np.abs(x) < 0.07)
     return shape_of(shape.vertices, shape.faces[face])
 
 
 PEOPLE: dict[str, Callable[[], list[Any]]] = {
-    "head": lambda: [head()],
+    "head": lambda: [head_shape()],
     "mask": lambda: [mask()],
-    "bust": lambda: [head(), *shoulders()],
-    "hair": lambda: [head(), *hair(0.0)],
-    "bun": lambda: [head(), *shoulders(), ball((0, 0.15, -0.06), (0.04, 0.04, 0.04))],
-    "bust with long hair": lambda: [head(), *shoulders(), *hair(0.45)],
-    "arms down": lambda: [head(), *body((0.2, -0.5, 0.0))],
-    "arms apart": lambda: [head(), *body((0.58, 0.0, 0.0))],
-    "arms up": lambda: [head(), *body((0.18, 0.62, 0.0))],
-    "arms forward": lambda: [head(), *body((0.0, 0.0, 0.6))],
-    "body with long hair": lambda: [head(), *body((0.2, -0.5, 0.0)), *hair(0.45)],
+    "bust": lambda: [head_shape(), *shoulders()],
+    "hair": lambda: [head_shape(), *hair(0.0)],
+    "bun": lambda: [head_shape(), *shoulders(), ball((0, 0.15, -0.06), (0.04, 0.04, 0.04))],
+    "bust with long hair": lambda: [head_shape(), *shoulders(), *hair(0.45)],
+    "arms down": lambda: [head_shape(), *body((0.2, -0.5, 0.0))],
+    "arms apart": lambda: [head_shape(), *body((0.58, 0.0, 0.0))],
+    "arms up": lambda: [head_shape(), *body((0.18, 0.62, 0.0))],
+    "arms forward": lambda: [head_shape(), *body((0.0, 0.0, 0.6))],
+    "body with long hair": lambda: [head_shape(), *body((0.2, -0.5, 0.0)), *hair(0.45)],
 }
 
 
 def person(name: str, scale: float = 1.0, move: Any = (0.0, 0.0, 0.0)) -> fr.Mesh:
-    shapes = [(np.array(each.vertices), np.array(each.faces)) for each in PEOPLE[name]()]
+    shapes = [(np.array(each.vertices) * scale + move, each.faces) for each in PEOPLE[name]()]
+    return mesh_of(name, shapes)
+
+
+def mesh_of(name: str, shapes: list[Any], names: list[str] | None = None) -> fr.Mesh:
+    """Return a mesh of shapes (vertices, faces); ``names`` are the names of its parts."""
     normal = np.array([0.0, 0.0, 1.0])
     parts = tuple(
-        Part(v * scale + move, np.broadcast_to(normal, v.shape), f.astype(np.uint32))
-        for v, f in shapes
+        Part(
+            np.array(v),
+            np.broadcast_to(normal, v.shape),
+            np.asarray(f, np.uint32),
+            name=names[i] if names else "",
+        )
+        for i, (v, f) in enumerate(shapes)
     )
     used = np.concatenate([part.positions[np.unique(part.faces)] for part in parts])
     bounds = np.array([used.min(axis=0), used.max(axis=0)])

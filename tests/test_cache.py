@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from PIL import Image
 import facerender as fr
 from facerender import loading
 from facerender.commands import main
+from facerender.scenes.framing import find_regions
 from facerender.system import cache
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
@@ -62,8 +64,11 @@ def textured(folder):
 
 
 def assert_same(mesh, other):
-    """Check that meshes are bitwise equal, including the mip levels of their maps."""
-    assert_equal(mesh, other, "mesh")
+    """Check that meshes are bitwise equal, including their regions and the mip levels of their
+    maps."""
+    assert_equal(replace(mesh, regions=None), replace(other, regions=None), "mesh")
+    for name, region in find_regions(mesh).items():
+        assert_equal(region, find_regions(other)[name], name)
     for materials in zip(mesh.materials, other.materials, strict=True):
         for name in ("albedo_map", "normal_map", "property_map"):
             maps = [getattr(material, name) for material in materials]
@@ -120,6 +125,13 @@ def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
     assert_same(plain, cached)
     for part in cached.parts:
         assert part.positions.flags.writeable
+
+
+def test_regions_are_found_once(tmp_path, monkeypatch):
+    path = files.write_gltf(tmp_path / "head.gltf", mini_head())
+    load(path)
+    monkeypatch.setattr("facerender.scenes.framing._found", None)
+    assert find_regions(load(path).with_material(m=0.2))["head"] is not None
 
 
 def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(tmp_path, place):

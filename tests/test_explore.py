@@ -28,12 +28,14 @@ from facerender.glsl.library import TARGETS, term_source
 from facerender.job import Job, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
+from facerender.scenes.framing import region_of
 from facerender.scenes.mesh import slope_range
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
 from facerender.terms.lobe import Lobe
+from tests.people import person
 
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
 VIEW = {"viewport": {"width": 1000, "height": 620}}
@@ -193,6 +195,23 @@ def test_pixels_agree_with_float64(page, mesh, words, term, changes):
         truth = expected(page, mesh, found, own, own_changes)
         np.testing.assert_allclose(radiance, truth, rtol=1e-3)
     assert np.ptp(truth) > 0.1
+
+
+def test_page_frames_the_head_of_a_bust(browser, tmp_path):
+    """The page's first view is the view of fr.Camera()."""
+    mesh = person("bust")
+    assert region_of(mesh, "auto") is not None
+    path = tmp_path / "bust.html"
+    path.write_text(explorer_page(Job(), mesh), encoding="utf-8")
+    with opened(browser, path.as_uri()) as page:
+        page.evaluate("explorer.errors()")
+        size = np.array(page.evaluate("explorer.size"))
+        at = (np.array(PLACES) * size).astype(int)
+        probed = page.evaluate("places => explorer.probe(places)", at.tolist())
+    found = np.array([[*each["a"]["position"], 1.0] for each in probed])
+    clip = found @ view_of(fr.Scene(mesh, fr.Camera()), size[0] / size[1]).matrix
+    pixels = (clip[:, :2] / clip[:, 3:] + 1.0) * size / 2.0
+    np.testing.assert_allclose(pixels, at + 0.5, atol=1.0)
 
 
 def test_errors_agree_with_compare(page):

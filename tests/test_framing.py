@@ -1,4 +1,4 @@
-"""Tests framing: head and face are found in many kinds of meshes by their geometry alone, and a
+"""Tests framing: head and face are found in many kinds of meshes by names and geometry, and a
 camera frames them."""
 
 from __future__ import annotations
@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.scenes.framing import find_regions
+from facerender.scenes.framing import find_regions, names_head
 from facerender.scenes.view import view_of
-from tests.people import PEOPLE, ball, person
+from tests.awkward_files import join_glb
+from tests.people import PEOPLE, ball, body, hair, head_shape, limb, mesh_of, person
+from tools.head.landmarks import HAIRLINE
 
 # Heights on the built-in head in metres, judged by eye.
 CHIN, CROWN, BROW = -0.105, 0.116, 0.01
+
+# Points of the built-in head in metres: the hairline from its generator, and the lower end of the
+# chin, where the profile has receded by 6 mm, as at landmark 8 of ICT-FaceKit.
+TRICHION, MENTON = (0.0, 0.01 * HAIRLINE[0][1], 0.084), (0.0, -0.11, 0.0848)
 
 known = cache(person)
 
@@ -44,6 +50,219 @@ def test_head_of_a_person_is_found(name):
     top = 0.19 if name == "bun" else 0.14 if "hair" in name else CROWN
     assert high == pytest.approx(top, abs=0.004)
     assert 0.09 < region.radius * mesh.radius < 0.17
+
+
+def height_in_image(mesh, camera, *points):
+    """Return the distance of two points in the image, as a fraction of the image's height."""
+    view = view_of(fr.Scene(mesh, camera), 1.0)
+    clip = np.column_stack([mesh.normalised(points), np.ones(2)]) @ view.matrix
+    assert np.abs(clip[:, :2]).max() < clip[:, 3].min()
+    return abs(np.diff(clip[:, 1] / clip[:, 3])[0]) / 2.0
+
+
+@pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
+@pytest.mark.parametrize("fov", [10.0, 25.0, 50.0])
+def test_face_fills_most_of_the_image(name, fov):
+    camera = fr.Camera(fov=fov, frame="face")
+    assert 0.85 < height_in_image(known(name), camera, TRICHION, MENTON) < 0.9
+
+
+def test_face_of_a_scan_fills_most_of_the_image(scan_mesh):
+    """The hairline is where the forehead of the bald scan turns to the crown."""
+    points = (-0.08, 3.1, 1.95), (-0.08, -0.48, 2.1)
+    assert 0.85 < height_in_image(scan_mesh, fr.Camera(frame="face"), *points) < 0.9
+
+
+def test_face_of_a_mask_is_the_mask():
+    """The mouth is a hole, and the mask ends at the chin and at the hairline."""
+    shape = head_shape()
+    x, y, z = shape.triangles_center.T
+    mouth = (np.abs(x) < 0.03) & (np.abs(y + 0.068) < 0.006)
+    inside = (z > 0.02) & (y > -0.112) & (y < 0.07) & (np.abs(x) < 0.07) & ~mouth
+    mesh = mesh_of("mask", [(shape.vertices, shape.faces[inside])])
+    low, high = ends(mesh, find_regions(mesh)["face"])
+    assert low == pytest.approx(-0.112 - 0.009, abs=0.006)
+    assert high == pytest.approx(0.07 + 0.009, abs=0.006)
+
+
+LARGER = PEOPLE.keys() - {"head", "mask", "hair"}
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_the_default_frames_the_head_of_a_larger_mesh(name):
+    mesh = known(name)
+    wanted = "head" if name in LARGER else "all"
+    views = [view_of(fr.Scene(mesh, fr.Camera(frame=each)), 1.0) for each in ("auto", wanted)]
+    np.testing.assert_array_equal(views[0].matrix, views[1].matrix)
+    assert fr.Camera().frame == "auto"
+
+
+def box(extents, center):
+    import trimesh
+
+    return trimesh.creation.box(extents).apply_translation(center)
+
+
+def things():
+    """Return shapes without a head; some have a part like a head, or like a nose."""
+    legs = [box((0.05, 0.45, 0.05), (x, 0.22, z)) for x in (-0.22, 0.22) for z in (-0.22, 0.22)]
+    seat = [box((0.5, 0.05, 0.5), (0.0, 0.45, 0.0)), box((0.5, 0.5, 0.05), (0.0, 0.75, -0.22))]
+    rest = [box((0.3, 0.15, 0.06), (0.0, 1.1, -0.22)), box((0.06, 0.2, 0.05), (0.0, 1.0, -0.22))]
+    post = limb((0.0, 0.0, 0.0), (0.0, 0.4, 0.0), 0.02)
+    return {
+        "sphere": [ball((0, 0, 0), (1, 1, 1))],
+        "egg": [ball((0, 0, 0), (1, 1.3, 1))],
+        "chair": [*legs, *seat],
+        "chair with head rest": [*legs, *seat, *rest],
+        "lamp": [post, ball((0.0, 0.5, 0.0), (0.12, 0.12, 0.12))],
+        "tap": [post, limb((0.0, 0.35, 0.0), (0.0, 0.3, 0.2), 0.02)],
+        "snowman": [ball((0, y, 0), (r, r, r)) for y, r in ((0.3, 0.3), (0.75, 0.22), (1.1, 0.15))],
+    }
+
+
+@pytest.mark.parametrize("name", things())
+def test_the_default_frames_all_of_a_thing(name):
+    mesh = mesh_of(name, [(each.vertices, each.faces) for each in things()[name]])
+    assert find_regions(mesh)["auto"] is None
+
+
+@pytest.mark.parametrize(("apart", "scale"), [(0.3, 1.0), (0.9, 1.0), (0.9, 0.8)])
+def test_the_default_frames_both_of_two_heads(apart, scale):
+    shapes = [head_shape(), *body((0.2, -0.5, 0.0))] if apart > 0.5 else [head_shape()]
+    pairs = [
+        (each.vertices * size + (x, 0.0, 0.0), each.faces)
+        for x, size in ((-apart / 2.0, 1.0), (apart / 2.0, scale))
+        for each in shapes
+    ]
+    assert find_regions(mesh_of("two", pairs))["auto"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "is_head"),
+    [
+        *((each, True) for each in ("Head", "Wolf3D_Head", "M_Face", "M_BackHead", "HEAD.001")),
+        *((each, True) for each in ("mixamorig:Head", "J_Bip_C_Head", "face", "BaseHead_lod0")),
+        *((each, False) for each in ("Headscarf", "headphones", "Overhead light", "HeadTop_End")),
+        *((each, False) for each in ("Head_Light", "headHair", "surface", "forehead", "Body", "")),
+    ],
+)
+def test_names_of_heads_are_words(name, is_head):
+    assert names_head(name) == is_head
+
+
+def hooded(name):
+    """Return a body in T-pose whose part with the given name has the head, without a nose, and
+    whose hair hides the neck and lies on the arms."""
+    arms = ball((0.0, -0.23, -0.03), (0.75, 0.05, 0.06))
+    curls = [ball((x, -0.08, 0.0), (0.07, 0.2, 0.1)) for x in (-0.12, 0.12)]
+    skull = ball((0.0, 0.0, 0.0), (0.08, 0.11, 0.1))
+    shapes = [*body((0.58, 0.0, 0.0)), arms, *curls, *hair(0.45), skull]
+    names = [""] * (len(shapes) - 1) + [name]
+    return mesh_of("hooded", [(each.vertices, each.faces) for each in shapes], names)
+
+
+def test_named_parts_are_framed_first():
+    region = find_regions(hooded("CC_Base_Head"))["head"]
+    low, high = ends(hooded(""), region)
+    assert -0.16 < low < -0.1
+    assert 0.1 < high < 0.15
+    assert ends(hooded(""), find_regions(hooded("Headscarf"))["head"])[0] < -0.165
+
+
+@pytest.mark.parametrize(("other", "clear"), [("EyeLeft", True), ("Eyelet", False)])
+def test_a_named_head_without_a_nose_needs_eyes(other, clear):
+    shapes = [
+        *body((0.58, 0.0, 0.0)),
+        ball((0, 0, 0), (0.1, 0.12, 0.1)),
+        ball((0.04, 0.02, 0.08), (0.01,) * 3),
+    ]
+    names = [""] * (len(shapes) - 2) + ["Head", other]
+    mesh = mesh_of("doll", [(each.vertices, each.faces) for each in shapes], names)
+    assert (find_regions(mesh)["auto"] is not None) == clear
+
+
+@pytest.mark.parametrize("named", ["Head", "face", ""])
+def test_a_named_part_may_be_a_whole_body(named):
+    shapes = [head_shape(), *body((0.58, 0.0, 0.0))]
+    import trimesh
+
+    whole = trimesh.util.concatenate(shapes)
+    mesh = mesh_of("body", [(whole.vertices, whole.faces)], [named])
+    low, high = ends(mesh, find_regions(mesh)["head"])
+    assert CHIN - 0.06 < low < CHIN + 0.005
+    assert high == pytest.approx(CROWN, abs=0.004)
+
+
+def test_long_hair_does_not_widen_the_head():
+    """Ponytails on a body in T-pose reach the hips and touch the arms."""
+    tails = [limb((x, 0.05, -0.08), (2.5 * x, -0.6, -0.1), 0.04) for x in (-0.09, 0.09)]
+    shapes = [head_shape(), *body((0.58, 0.0, 0.0)), *tails]
+    mesh = mesh_of("tails", [(each.vertices, each.faces) for each in shapes])
+    region = find_regions(mesh)["head"]
+    assert region.radius * mesh.radius < 0.2
+    assert 0.85 < height_in_image(mesh, fr.Camera(frame="face"), TRICHION, MENTON) < 0.9
+
+
+@pytest.mark.parametrize("joint", ["mixamorig:Head", "Spine"])
+def test_vertices_of_a_head_joint_are_framed_first(joint, tmp_path):
+    """A doll without neck and nose is one part. A child of the joint moves half of its head."""
+    import trimesh
+
+    doll = trimesh.util.concatenate(
+        [ball((0, 1.4, 0), (0.3, 0.5, 0.2)), ball((0, 1.9, 0), (0.3,) * 3)]
+    )
+    places = np.asarray(doll.vertices, "<f4")
+    weights = np.zeros((len(places), 4), "<f4")
+    top = np.arange(len(places)) >= len(places) // 2
+    joints = np.zeros((len(places), 4), "u1")
+    joints[top, 0] = np.where(places[top, 0] > 0.0, 1, 2)
+    weights[:, 0] = 1.0
+    path = tmp_path / "doll.glb"
+    nodes = [
+        {"name": "Body", "mesh": 0, "skin": 0},
+        {"name": "Hips", "children": [2]},
+        {"name": joint, "children": [3], "translation": [0.0, 1.7, 0.0]},
+        {"name": "LeftEye"},
+    ]
+    skin = {"joints": [1, 2, 3]}
+    write_skinned(path, places, doll.faces, joints, weights, nodes, skin)
+    mesh = fr.load_mesh(path)
+    named = joint != "Spine"
+    assert (mesh.parts[0].head is not None) == named
+    assert (find_regions(mesh)["auto"] is not None) == named
+    if named:
+        low, high = ends(mesh, find_regions(mesh)["head"])
+        assert low == pytest.approx(1.6 + 1.7, abs=0.02)
+        assert high == pytest.approx(2.2 + 1.7, abs=0.02)
+        kept = mesh.select("Body").parts[0].head
+        np.testing.assert_array_equal(kept, mesh.parts[0].head)
+
+
+def write_skinned(path, places, faces, joints, weights, nodes, skin):
+    """Write a .glb file of one skinned mesh."""
+    blocks = [places, np.asarray(faces, "<u4").reshape(-1), joints, weights]
+    kinds = [(5126, "VEC3"), (5125, "SCALAR"), (5121, "VEC4"), (5126, "VEC4")]
+    views, start = [], 0
+    for block in blocks:
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": block.nbytes})
+        start += block.nbytes
+    accessors = [
+        {"bufferView": i, "componentType": kind, "type": shape, "count": len(block)}
+        for i, ((kind, shape), block) in enumerate(zip(kinds, blocks, strict=True))
+    ]
+    attributes = {"POSITION": 0, "JOINTS_0": 2, "WEIGHTS_0": 3}
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": nodes,
+        "skins": [skin],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1}]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": start}],
+    }
+    path.write_bytes(join_glb(document, b"".join(each.tobytes() for each in blocks)))
 
 
 @pytest.mark.parametrize(("scale", "move"), [(1000.0, (0, 0, 0)), (0.01, (5, -9, 2)), (39.37, 0)])
@@ -126,6 +345,6 @@ def test_simplified_mesh_keeps_its_regions(head):
     assert find_regions(again)["face"].radius == find_regions(head)["face"].radius
 
 
-def test_a_frame_is_one_of_three():
-    with pytest.raises(fr.InputError, match="camera frame = 'nose': give all, head, face"):
+def test_a_frame_is_one_of_four():
+    with pytest.raises(fr.InputError, match="camera frame = 'nose': give auto, all, head, face"):
         fr.Camera(frame="nose")  # type: ignore[arg-type]

@@ -43,7 +43,7 @@ def renderer(egl):
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
 def test_shadows_agree_with_ray_tracing(renderer, name, radius, bound, distance, request):
     mesh = request.getfixturevalue(name)
-    scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
+    scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6, frame="all"))
     found = shadow_error(renderer, scene, key(mesh, radius, distance))
     assert found.mean <= bound
     assert found.wrong <= 0.003

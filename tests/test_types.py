@@ -42,7 +42,7 @@ RIGHT: dict[str, list[Any]] = {
         name: [MATRIX]
         for name in ("Mesh bounds", "Texture.from_array texels", "Mesh.from_arrays faces")
     },
-    **{f"Part {name}": [MATRIX] for name in ("positions", "normals", "faces", "colors")},
+    **{f"Part {name}": [MATRIX] for name in ("positions", "normals", "faces", "colors", "head")},
 }
 UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for internal use
 METHODS = [

@@ -77,7 +77,10 @@ def add_scene(
     )
     camera = Help("camera; repeat for several views", "front", note=note)
     scene.add_argument("--camera", action="append", metavar="CAMERA", help=camera)
-    note = "head and face are found from the shape of the mesh"
+    note = (
+        "auto is the head if a head is found on a clearly larger mesh, otherwise all. Names of "
+        "parts and joints in the file, or else the shape of the mesh, define head and face"
+    )
     framed = Help("region of the mesh that an orbiting camera frames", Camera.frame, note=note)
     scene.add_argument("--frame", choices=FRAMES, help=framed)
     add_field(scene, Camera, "fov", "vertical angle of view", metavar="DEGREES")

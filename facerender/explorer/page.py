@@ -22,6 +22,7 @@ from facerender.job import Job
 from facerender.page.document import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
 from facerender.scenes.file import part_text
+from facerender.scenes.framing import region_of
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
@@ -57,6 +58,7 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
     ------
     InputError : a map is damaged
     """
+    region = region_of(mesh, Camera.frame)
     mesh = drawable(mesh)
     mesh_facts, arrays, textures = packed(mesh)
     facts = {
@@ -65,7 +67,8 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
         "mesh": _words(job),
         "center": mesh.center.tolist(),
         "radius": mesh.radius,
-        "profile": mesh.profile.round(5).tolist(),
+        "target": np.zeros(3).tolist() if region is None else region.center.tolist(),
+        "profile": (region or mesh).profile.round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
         **mesh_facts,
         "camera": {name: getattr(job.camera, name) for name in _CAMERA},

@@ -19,6 +19,7 @@ from facerender.loading.mesh_cache import MeshFiles
 from facerender.loading.read import read
 from facerender.loading.references import References
 from facerender.loading.source import GLTF, Orientation, source_of
+from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.repair import Piece, clean
 from facerender.scenes.sources import MeshSource
@@ -141,6 +142,7 @@ def _loaded(
     with noting() as warnings:
         mesh, references = _read(files, {})
     if digest is not None:
+        mesh = replace(mesh, regions=find_regions(mesh))
         files.store(digest, mesh, references.files, warnings)
     return mesh
 

@@ -17,11 +17,13 @@ from facerender.loading.gltf_material import Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes, transform
 from facerender.loading.materials import Look
 from facerender.loading.references import References
+from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.repair import Piece, check_count, placed
 
 _TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
 _DRACO = "KHR_draco_mesh_compression"
+_BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
 _AT_ONCE = 1 << 16  # vertices skinned at a time: each vertex needs a 4 x 4 matrix
 
 Float = NDArray[np.float64]
@@ -205,6 +207,32 @@ def skinned(
     return moved, turned, 2 * mirrored > len(positions)
 
 
+def head_bounds(
+    positions: Float,
+    joints: NDArray[Any],
+    weights: NDArray[Any],
+    of_head: NDArray[np.bool_],
+    height: float,
+) -> Float | None:
+    """Return the bounds (2, 3) of the vertices that follow the joints of a head, without hair far
+    below the head; None without such vertices.
+
+    Parameters
+    ----------
+    positions : (N, 3), skinned
+    joints, weights : (N, K), indices and weights of K joints per vertex
+    of_head : (J,), mask of the joints
+    height : y of the head's first joint
+    """
+    shares = np.where(of_head[joints], weights, 0.0).sum(axis=1)
+    own = positions[2.0 * shares > weights.sum(axis=1)]
+    if not len(own):
+        return None
+    low, high = own.min(axis=0), own.max(axis=0)
+    low[1] = max(low[1], height - _BELOW_JOINT * (high[1] - height))
+    return np.array([low, high])
+
+
 # Limit of the drawn vertices plus faces: 8 times the number of stored elements, plus 2^20.
 _TIMES, _MOST_REPEATED = 8, 1 << 20
 
@@ -290,12 +318,14 @@ class _File:
         return pieces
 
     def _mesh(self, instance: _Instance) -> list[Piece]:
-        matrices = None if instance.skin is None else self._joints(instance.skin)
+        skin = instance.skin
+        matrices = None if skin is None else self._joints(skin)
+        head = None if skin is None or matrices is None else self._head_joints(skin)
         primitives = self.document["meshes"][instance.mesh]["primitives"]
         found = []
         for i, primitive in enumerate(primitives):
             where = f"meshes[{instance.mesh}].primitives[{i}]"
-            if piece := self._piece(primitive, where, instance.weights, matrices):
+            if piece := self._piece(primitive, where, instance.weights, matrices, head):
                 found.append(piece)
         if len(found) == 1:
             found[0].name = ""  # the material's name is only needed to distinguish several pieces
@@ -380,6 +410,21 @@ class _File:
         columns = inverse[: len(joints)].reshape(-1, 4, 4).astype(np.float64)
         return np.asarray(worlds @ columns.transpose(0, 2, 1))
 
+    def _head_joints(self, index: int) -> tuple[NDArray[np.bool_], float] | None:
+        """Return a mask of the joints of a skin that belong to a head by their names or by the name
+        of an ancestor, and the height of the first of them; None without such a joint."""
+        nodes = self.document["nodes"]
+        heads = [i for i in self.worlds if names_head(nodes[i].get("name", ""))]
+        inside, queue = set(heads), heads
+        while queue:
+            queue = [child for i in queue for child in nodes[i].get("children", ())]
+            inside.update(queue)
+        joints = self.document["skins"][index]["joints"]
+        mask = np.array([joint in inside for joint in joints])
+        if not mask.any():
+            return None
+        return mask, float(self.worlds[joints[int(mask.argmax())]][1, 3])
+
     # --- triangles -------------------------------------------------------------------------------
 
     def _piece(
@@ -388,6 +433,7 @@ class _File:
         where: str,
         weights: Sequence[float],
         matrices: NDArray[np.float64] | None,
+        head: tuple[NDArray[np.bool_], float] | None,
     ) -> Piece | None:
         """Return a primitive as a piece in mesh space, or in scene space if it is skinned. Return
         None for a primitive without triangles.
@@ -396,6 +442,7 @@ class _File:
         ----------
         weights : weights of the morph targets
         matrices : joint matrices of the skin (J, 4, 4); None without a skin
+        head : result of :meth:`_head_joints`; None without a skin
         """
         attributes = properties["attributes"]
         if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
@@ -405,13 +452,14 @@ class _File:
         self.own[attributes["POSITION"]] = len(primitive.positions)
         self.own[properties.get("indices", -1)] = primitive.corner_count
         shape, normals = self._morphed(primitive, weights)
-        faces = primitive.faces
+        faces, bounds = primitive.faces, None
         if matrices is not None:
             if "JOINTS_2" in attributes:
                 self.warn(f"{self.name} has more than eight joints per vertex: only eight are used")
             if influences := primitive.influences():
                 shape, normals, mirrored = skinned(shape, normals, *influences, matrices)
                 faces = faces[:, ::-1] if mirrored else faces
+                bounds = head and head_bounds(shape, *influences, *head)
         number = properties.get("material")
         called = "" if number is None else self.document["materials"][number].get("name", "")
         colors = primitive.column("COLOR_0", 3, 4)
@@ -430,6 +478,7 @@ class _File:
             name=called,
             uv2=None if uv is None else uv2,
             material_name=called,
+            head=bounds,
         )
 
     def _drawn_material(self, look: Look[TextureTransform], first: bool, second: bool) -> Material:

@@ -22,8 +22,9 @@ from facerender import __version__
 from facerender.errors import FacerenderError, InputError, warn
 from facerender.loading.references import content_of
 from facerender.loading.source import Orientation, Source
+from facerender.scenes.framing import find_regions
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh, Part, Region
 from facerender.scenes.mips import Kind, Levels
 from facerender.scenes.texture import LARGE, Texture, pack
 from facerender.system import cache
@@ -199,6 +200,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "radius": mesh.radius,
         "profile": number(mesh.profile),
         "millimetres": mesh.millimetres,
+        "regions": {name: each and _plain(each) for name, each in find_regions(mesh).items()},
         "textures": textures,
     }
     facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
@@ -209,6 +211,10 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         pieces += [bytes(-size % _ALIGNMENT), each.data]
         size += -size % _ALIGNMENT + each.nbytes
     return pieces
+
+
+def _plain(region: Region) -> dict[str, Any]:
+    return {**vars(region), "center": region.center.tolist()}
 
 
 def _grey_or_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -253,6 +259,10 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         facts["radius"],
         arrays[facts["profile"]],
         facts["millimetres"],
+        {
+            name: each and Region(**{**each, "center": np.array(each["center"])})
+            for name, each in facts["regions"].items()
+        },
     )
 
 

@@ -12,7 +12,7 @@ from facerender.errors import InputError, check_type, shown
 from facerender.scenes.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector
 from facerender.terms.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
 
-Frame = Literal["all", "head", "face"]
+Frame = Literal["auto", "all", "head", "face"]
 Pose = tuple[float, float, float, float]
 
 FRAMES: tuple[Frame, ...] = get_args(Frame)
@@ -36,8 +36,9 @@ class Camera:
     zoom : magnification; at 1, the framed region fits into the image at every azimuth
     target : point at the centre of the image; None for the centre of the framed region
     position : position of the camera; None to orbit the target
-    frame : region to frame: "all" (the whole mesh), "head" or "face"; see
-        ``facerender.scenes.framing``
+    frame : region to frame: "all" (the whole mesh), "head", "face" (from hairline to chin) or
+        "auto": the head if the mesh is clearly larger than the head that is found in it, otherwise
+        the whole mesh; see ``facerender.scenes.framing``
     extrinsics : matrix [R|t], (3, 4), that maps mesh space to OpenCV's camera space: camera at 0, x
         to the right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target,
         position and frame
@@ -54,7 +55,7 @@ class Camera:
     zoom: float = ranged(Range(0.01, 1000.0), 1.0)
     target: Vector | None = ranged(POSITIONS, None)
     position: Vector | None = ranged(POSITIONS, None)
-    frame: Frame = "all"
+    frame: Frame = "auto"
     extrinsics: tuple[Pose, Pose, Pose] | None = None
     intrinsics: tuple[Vector, Vector, Vector] | None = None
     size: tuple[int, int] | None = ranged(SizeRange(1, 1 << 30, "pixels"), None)

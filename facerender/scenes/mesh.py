@@ -47,6 +47,8 @@ class Part:
         see :func:`facerender.with_occlusion`
     uv2 : (N, 2) float64, second texture coordinates for the maps that
         :attr:`Material.second_uv` names, or None
+    head : (2, 3) float64, bounds of the vertices that follow a head joint of the file's skin, or
+        None; camera framing uses them
     name : name from the file, or ""; see docs/formats.md
     """
 
@@ -57,13 +59,14 @@ class Part:
     colors: NDArray[np.float64] | None = None
     occlusion: NDArray[np.float64] | None = None
     uv2: NDArray[np.float64] | None = None
+    head: NDArray[np.float64] | None = None
     name: str = ""
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
-        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2)):
+        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)):
             if (values := getattr(self, name)) is not None:
                 check_array(name, values, columns)
         if self.uv is None and self.uv2 is not None:
@@ -112,8 +115,8 @@ class Mesh:
         vertical axis through the centre of the bounds: distance from the axis and height, in the
         renderer's space
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
-    regions : for a simplified mesh, head and face of the original mesh; None to find both in this
-        mesh, see :func:`facerender.scenes.framing.find_regions`
+    regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
+        from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
     """
 
     name: str
@@ -123,7 +126,7 @@ class Mesh:
     radius: float
     profile: NDArray[np.float64]
     millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
-    regions: Mapping[str, Region] | None = None
+    regions: Mapping[str, Region | None] | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a mesh", self.name, str, "text")
@@ -141,10 +144,14 @@ class Mesh:
         check_range("radius", self.radius, 0.0, sys.float_info.max)
         check_fields(self)
         if self.regions is not None:
-            check_type("regions", self.regions, Mapping, "head and face, or None")
-            each_of("regions", self.regions.values(), Region, "facerender.scenes.mesh.Region")
-            if set(self.regions) != {"head", "face"}:
-                raise InputError(f"regions = {shown(self.regions)}: give head and face, or None")
+            check_type("regions", self.regions, Mapping, "auto, head and face, or None")
+            if set(self.regions) != {"auto", "head", "face"}:
+                raise InputError(
+                    f"regions = {shown(self.regions)}: give auto, head and face, or None"
+                )
+            for name, region in self.regions.items():
+                kinds = Region | None if name == "auto" else Region
+                check_type(f"regions {name}", region, kinds, "a facerender.scenes.mesh.Region")
         check_maps(self.name, self.materials)
 
     def __repr__(self) -> str:
@@ -186,6 +193,7 @@ class Mesh:
                 piece.colors,
                 name=own,
                 uv2=piece.uv2,
+                head=piece.head,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
         ]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
 from facerender.scenes.camera import Camera
-from facerender.scenes.framing import find_regions
+from facerender.scenes.framing import region_of
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
@@ -115,7 +115,7 @@ def view_of(scene: Scene, aspect: float) -> View:
         return _placed(mesh, camera, aspect)
     target = target_of(mesh, camera)
     if camera.position is None:
-        framed = mesh if camera.frame == "all" else find_regions(mesh)[camera.frame]
+        framed = region_of(mesh, camera.frame) or mesh
         distance = _framing_distance(framed.profile, camera.elevation, camera.fov, aspect)
         distance /= camera.zoom
         eye = target + distance * direction_to(camera.azimuth, camera.elevation)
@@ -152,9 +152,8 @@ def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
     """Return the target (3,) of a camera without extrinsics, in the renderer's space."""
     if camera.target is not None:
         return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
-    if camera.frame == "all":
-        return np.zeros(3)
-    return find_regions(mesh)[camera.frame].center
+    region = region_of(mesh, camera.frame)
+    return np.zeros(3) if region is None else region.center
 
 
 def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:

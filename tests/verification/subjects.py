@@ -44,13 +44,13 @@ def subjects(head: fr.Mesh, scan: fr.Mesh | None) -> Iterator[Subject]:
         ("head, roughness map, three lights", at(None), three, fr.Shading()),
         ("head, roughness map, front light, ks 0.18", at(None, 0.18), front, fr.Shading()),
     ):
-        yield Subject(name, fr.Scene(mesh, fr.Camera(-35.0), lights), full)
+        yield Subject(name, fr.Scene(mesh, fr.Camera(-35.0, frame="all"), lights), full)
     if scan is not None:
         for name, mesh, lights, full in (
             ("scan, m 0.3, three lights", at(0.3, mesh=scan), three, fr.Shading()),
             ("scan, m 0.45, key light, dielectric", at(0.45, mesh=scan), key, dielectric),
         ):
-            yield Subject(name, fr.Scene(mesh, fr.Camera(-35.0), lights), full)
+            yield Subject(name, fr.Scene(mesh, fr.Camera(-35.0, frame="all"), lights), full)
 
 
 def brute_force(

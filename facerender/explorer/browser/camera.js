@@ -19,15 +19,19 @@ function framingDistance(elevation, fov, aspect) {
     y * sine + r * Math.hypot(1 / (vertical * aspect), cosine)]));
 }
 
-// Returns the camera's position, and the row-major view-projection matrix for row vectors.
+const fromTarget = offset => offset.map((x, i) => x + facts.target[i]);
+
+// Returns the camera's position, its distance from the target, and the row-major view-projection
+// matrix for row vectors.
 function viewOf({azimuth, elevation, zoom, fov}, aspect) {
   const back = directionTo({azimuth, elevation});
-  const position = scaledBy(back, framingDistance(elevation, fov, aspect) / zoom);
+  const distance = framingDistance(elevation, fov, aspect) / zoom;
+  const position = fromTarget(scaledBy(back, distance));
   const up = Math.abs(back[1]) > 0.9999
     ? scaledBy(directionTo({azimuth, elevation: 0}), -Math.sign(back[1])) : [0, 1, 0];
   const side = unit(cross(up, back));
   const axes = [side, cross(back, side), back];
-  const depth = Math.hypot(...position);
+  const depth = dot(position, back);
   const far = Math.max(depth + 1, 0.02);
   const near = Math.max(depth - 1, far * 1e-3);
   const scale = 1 / Math.tan(radians(fov) / 2);
@@ -37,15 +41,15 @@ function viewOf({azimuth, elevation, zoom, fov}, aspect) {
   const columns = [  // Y points down.
     column(axes[0], scale / aspect), column(axes[1], -scale), column(axes[2], slope, offset),
     column(axes[2], -1)];
-  return {position, matrix: [0, 1, 2, 3].flatMap(row => columns.map(column => column[row]))};
+  return {position, distance, matrix: [0, 1, 2, 3].flatMap(row => columns.map(column => column[row]))};
 }
 
 // Returns the position of a point in the image, as fractions of the image's width and height from
-// the top left. z < 0 if the point is nearer to the camera than the mesh's centre.
-function projected({position, matrix}, point) {
+// the top left. z < 0 if the point is nearer to the camera than the target.
+function projected({distance, matrix}, point) {
   const [x, y, , w] = [0, 1, 2, 3].map(column =>
     [...point, 1].reduce((sum, each, row) => sum + each * matrix[4 * row + column], 0));
-  return {x: 0.5 + 0.5 * x / w, y: 0.5 + 0.5 * y / w, z: w - Math.hypot(...position)};
+  return {x: 0.5 + 0.5 * x / w, y: 0.5 + 0.5 * y / w, z: w - distance};
 }
 
 function lightKind({radius, distance}) {

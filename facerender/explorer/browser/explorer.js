@@ -66,9 +66,10 @@ async function settle() {
 function place() {
   const [width, height] = [viewport.clientWidth, viewport.clientHeight];
   const view = viewOf(state.camera, width / height);
+  const reach = 0.9 * Math.max(...facts.profile.map(each => Math.hypot(...each)));
   [...byId("handles").children].forEach((handle, i) => {
     const light = state.lights[i];
-    const at = projected(view, scaledBy(directionTo(light), 0.9));
+    const at = projected(view, fromTarget(scaledBy(directionTo(light), reach)));
     handle.style.left = `${100 * clamp(at.x, 0.03, 0.97)}%`;
     handle.style.top = `${100 * clamp(at.y, 0.04, 0.96)}%`;
     handle.classList.toggle("behind", at.z > 0);

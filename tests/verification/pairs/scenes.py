@@ -126,7 +126,7 @@ _SETTINGS = (
         background=None,
     ),
     Setting(
-        *("scan-front", "report", "scan", 512, 4, fr.Camera(6.0, 3.0)),
+        *("scan-front", "report", "scan", 512, 4, fr.Camera(6.0, 3.0, frame="all")),
         lights=(
             fr.Light(40.0, 35.0, (3.2, 3.0, 2.9), shadow=False),
             fr.Light(-120.0, 25.0, (2.2, 2.4, 2.6), shadow=False),
@@ -135,7 +135,7 @@ _SETTINGS = (
         background=None,
     ),
     Setting(
-        *("scan-three-quarter", "report", "scan", 1024, 1, fr.Camera(42.0, -6.0)),
+        *("scan-three-quarter", "report", "scan", 1024, 1, fr.Camera(42.0, -6.0, frame="all")),
         lights=(fr.Light(112.0, 34.0, 3.8, shadow=True), fr.Light(-20.0, 10.0, 0.9, shadow=False)),
         material={"m": 0.35},
         background=(0.2, 0.21, 0.24),
@@ -152,7 +152,7 @@ _SETTINGS = (
         background=(0.0, 0.0, 0.0),
     ),
     Setting(
-        *("scan-eye", "report", "scan", 384, 1, fr.Camera(-14.0, 5.0, zoom=4.0)),
+        *("scan-eye", "report", "scan", 384, 1, fr.Camera(-14.0, 5.0, zoom=4.0, frame="all")),
         target=(0.14, 0.3, 0.4),
         point=((0.9, 0.8, 2.4), (2.6, 2.6, 2.8)),
         material={"m": 0.12},
