@@ -13,11 +13,11 @@ from facerender.commands.common import add_allow_outside, add_flag, add_mesh, im
 from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
+from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.system.data import data_dir
 
-_HEAD = 230.0  # approximate mm from chin to crown, to guess the length of a mesh unit
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "f0", "ks", "alpha")  # listed even if the values are defaults
 
@@ -26,8 +26,8 @@ def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
         "List the contents of a mesh file as facerender draws them: parts, vertices,\n"
-        "triangles, materials, maps, bounds, size, length of a unit, repairs and\n"
-        "omissions. The command draws nothing."
+        "triangles, materials, maps, bounds, size, length of a unit, repairs,\n"
+        "omissions, and hints on probable mistakes. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
@@ -67,8 +67,9 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "radius": mesh.radius,
         "millimetres": known,
         "size_mm": None if known is None else (size * known).tolist(),
-        "millimetres_of_a_head": _HEAD / float(size[1]) if size[1] > 0.0 else None,
+        "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
+        "hints": hints.of_mesh(mesh),
     }
 
 
@@ -119,21 +120,20 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         for kind, own in part["maps"].items():
             width, height = own["size"]
             lines.append(f"    {kind} {width} x {height}, {own['encoding']}: {own['name']}")
-    return lines + [f"warning: {each}" for each in facts["warnings"]]
+    lines += [f"warning: {each}" for each in facts["warnings"]]
+    return lines + [f"hint: {each}" for each in facts["hints"]]
 
 
 def _size(facts: dict[str, Any]) -> str:
     size = " x ".join(f"{each:.4g}" for each in facts["size"])
-    guess = facts["millimetres_of_a_head"]
     if facts["millimetres"] is not None:
         size_mm = " x ".join(f"{each:.4g}" for each in facts["size_mm"])
-        unit = f"{facts['millimetres']:g} mm"
-        return f"{size} units of {unit}: {size_mm} mm; a head is about {_HEAD:g} mm high"
-    if guess is None:
+        return f"{size} units of {facts['millimetres']:g} mm: {size_mm} mm"
+    if (length := facts["millimetres_of_a_head"]) is None:
         return f"{size} units of unknown length"
     return (
-        f"{size} units of unknown length: for a head of about {_HEAD:g} mm, give --millimetres "
-        f"{guess:.3g}"
+        f"{size} units of unknown length: for a head of about {hints.HEAD:g} mm, give "
+        f"{hints.option(length)}"
     )
 
 
