@@ -207,8 +207,16 @@ def test_renderer_warns_once_for_each_mesh(renderer):
         with noting() as noted:  # a batch records the warnings of each image
             renderer.render(fr.Scene(mesh.with_material(m=m)))
         assert len(noted) == 1
+
+
+def test_highlights_that_a_user_sets_give_no_warning(renderer, tmp_path):
+    renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD).with_material(ks=0.01, m=1.5)))
+    path = write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl")
+    (tmp_path / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")
+    mesh = fr.load_mesh(path)
+    renderer.render(fr.Scene(mesh.with_material(ks=1.0)))
     with pytest.warns(fr.FacerenderWarning, match="no visible highlight"):
-        renderer.render(fr.Scene(mesh.with_material(ks=0.01)))
+        renderer.render(fr.Scene(mesh))
 
 
 def test_render_and_info_print_hints(tmp_path, capsys, monkeypatch):

@@ -41,6 +41,18 @@ _Hint = Callable[..., str | None]
 _emitted: WeakKeyDictionary[Part, set[_Hint]] = WeakKeyDictionary()
 _of_maps: WeakKeyDictionary[Part, tuple[Any, list[tuple[_Hint, str | None]]]]
 _of_maps = WeakKeyDictionary()
+_loaded: WeakKeyDictionary[Part, tuple[Any, ...]] = WeakKeyDictionary()  # from :func:`_gloss`
+
+
+def remember(mesh: Mesh) -> Mesh:
+    """Return a loaded mesh, and remember the highlights of its materials: highlights that a user
+    sets get no hint."""
+    _loaded.update(zip(mesh.parts, map(_gloss, mesh.materials), strict=True))
+    return mesh
+
+
+def _gloss(material: Material) -> tuple[Any, ...]:
+    return material.ks, material.f0, material.m, material.roughness_map
 
 
 def emit_all(mesh: Mesh) -> None:
@@ -51,8 +63,11 @@ def emit_all(mesh: Mesh) -> None:
     if maps != examined:
         found = [(each, each(mesh)) for each in (upside_down, green_down)]
         _of_maps[mesh.parts[0]] = maps, found
-    for hint, line in [*found, (faint, faint(mesh))]:
+    for hint, line in found:
         emit(mesh, hint, line)
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    if all(_gloss(each) == _loaded.get(part) for part, each in pairs):
+        emit(mesh, faint, faint(mesh))
 
 
 def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
