@@ -40,9 +40,15 @@ class FacerenderWarning(UserWarning):
 
 def warn(message: str) -> None:
     """Warn of missing or repaired input."""
+    note(message)
+    warnings.warn(message, FacerenderWarning, stacklevel=3)
+
+
+def note(message: str) -> None:
+    """Record a message for :func:`noting` without a warning, because the warning was emitted
+    before."""
     if (noted := _noted.get()) is not None:
         noted.append(message)
-    warnings.warn(message, FacerenderWarning, stacklevel=3)
 
 
 @contextmanager

@@ -154,8 +154,7 @@ MESSAGES = [
         "render tri.obj --scattering skin -o x.png",
         (
             "scattering needs the size of tri.obj, which does not specify its unit: give "
-            "--millimetres 1 if the unit is 1 mm, or 1000 if it is 1 m (load_mesh(..., "
-            "millimetres=1))"
+            "--millimetres 79000 for a head of 230 mm (load_mesh(..., millimetres=79000))"
         ),
     ),
     (

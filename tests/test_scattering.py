@@ -216,7 +216,7 @@ def test_scattering_needs_the_size_of_the_mesh(head, renderer, tmp_path, mini_ob
         with pytest.raises(fr.InputError, match="millimetres = .* is outside"):
             fr.load_mesh(mini_obj, millimetres=size)
     large = replace(head, millimetres=1e5).with_material(scattering="skin")
-    with pytest.warns(fr.FacerenderWarning, match=r"head.glb is 3.46e\+04 mm across if its unit"):
+    with pytest.warns(fr.FacerenderWarning, match=r"give --millimetres 1000 \(m\)$"):
         renderer.render(fr.Scene(large))
 
 

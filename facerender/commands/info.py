@@ -20,12 +20,12 @@ from facerender.commands.common import (
 from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
+from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.presets import PRESETS, preset_of
 from facerender.system.data import data_dir
 
-_HEAD = 230.0  # approximate mm from chin to crown, to guess the length of a mesh unit
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
 _HEAD_OF_TABLE = ("part", "triangles", "preset", "maps", "material")
@@ -35,8 +35,8 @@ def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
         "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
-        "of a unit, and for each part triangles, preset, maps and factors; repairs and\n"
-        "omissions. The command draws nothing."
+        "of a unit, and for each part triangles, preset, maps and factors; repairs,\n"
+        "omissions, and hints on probable mistakes. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
@@ -79,8 +79,9 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "radius": mesh.radius,
         "millimetres": known,
         "size_mm": None if known is None else (size * known).tolist(),
-        "millimetres_of_a_head": _HEAD / float(size[1]) if size[1] > 0.0 else None,
+        "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
+        "hints": hints.of_mesh(mesh),
     }
 
 
@@ -122,7 +123,8 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         _size(facts),
     ]
     lines += _table([_HEAD_OF_TABLE, *map(_row, parts)])
-    return lines + [f"warning: {each}" for each in facts["warnings"]]
+    lines += [f"warning: {each}" for each in facts["warnings"]]
+    return lines + [f"hint: {each}" for each in facts["hints"]]
 
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:
@@ -152,16 +154,14 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
 
 def _size(facts: dict[str, Any]) -> str:
     size = " x ".join(f"{each:.4g}" for each in facts["size"])
-    guess = facts["millimetres_of_a_head"]
     if facts["millimetres"] is not None:
         size_mm = " x ".join(f"{each:.4g}" for each in facts["size_mm"])
-        unit = f"{facts['millimetres']:g} mm"
-        return f"{size} units of {unit}: {size_mm} mm; a head is about {_HEAD:g} mm high"
-    if guess is None:
+        return f"{size} units of {facts['millimetres']:g} mm: {size_mm} mm"
+    if (length := facts["millimetres_of_a_head"]) is None:
         return f"{size} units of unknown length"
     return (
-        f"{size} units of unknown length: for a head of about {_HEAD:g} mm, give --millimetres "
-        f"{guess:.3g}"
+        f"{size} units of unknown length: for a head of about {hints.HEAD:g} mm, give "
+        f"{hints.option(length)}"
     )
 
 

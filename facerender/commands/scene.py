@@ -26,7 +26,7 @@ from facerender.commands.common import (
 )
 from facerender.commands.help import Help
 from facerender.drawing.prepare import start_maps
-from facerender.errors import InputError, clipped
+from facerender.errors import InputError, clipped, warn
 from facerender.job import ImageSettings, Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y
 from facerender.scenes.camera import (
@@ -38,6 +38,7 @@ from facerender.scenes.camera import (
     turntable,
 )
 from facerender.scenes.file import STUDIO, EnvironmentFile, load_scene, parse_environment
+from facerender.scenes.hints import no_shadows
 from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.material import Material
 from facerender.scenes.mips import Kind
@@ -229,6 +230,8 @@ def job_of(
     if options.shadows is not None:
         lights = settings.get("lights", Job.lights)
         settings["lights"] = tuple(replace(light, shadow=options.shadows) for light in lights)
+        if options.shadows and not (lights or options.occlusion):
+            warn(no_shadows(settings.get("environment") is not None))
     names = [each.name for each in fields(MeshFile) if each.name != "path"]
     images = ("samples", "anisotropy", "float_albedo", "full_maps")
     job = Job(

@@ -44,6 +44,7 @@ from facerender.errors import (
 from facerender.job import ImageSettings, Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
+from facerender.scenes.hints import emit_all
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
@@ -224,7 +225,8 @@ class Renderer:
 
         Warns
         -----
-        FacerenderWarning : no pixel shows the mesh; the message gives the reason
+        FacerenderWarning : no pixel shows the mesh; the message gives the reason. A hint of
+            :mod:`facerender.scenes.hints`, once for each mesh
         """
         _check_scene(scene, shading)
         check_switch("cull_back_faces", cull_back_faces)
@@ -250,6 +252,7 @@ class Renderer:
                 linear += self._shaded(resolved, view.shifted(shift, self.size), single)
             linear /= samples
         _check(linear, scene)
+        emit_all(resolved.scene.mesh)
         metadata = {**self.metadata, "samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
         metadata = _shading_metadata(resolved, only, metadata)

@@ -20,6 +20,7 @@ from facerender.loading.read import read
 from facerender.loading.references import References
 from facerender.loading.source import GLTF, Orientation, source_of
 from facerender.scenes.framing import find_regions
+from facerender.scenes.hints import remember
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.repair import Piece, clean
 from facerender.scenes.sources import MeshSource
@@ -148,7 +149,7 @@ def _loaded(
 
 
 def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
-    return mesh if millimetres is None else replace(mesh, millimetres=millimetres)
+    return remember(mesh if millimetres is None else replace(mesh, millimetres=millimetres))
 
 
 def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:

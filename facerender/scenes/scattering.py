@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from weakref import WeakSet
 
 import numpy as np
 
-from facerender.errors import InputError, warn
-from facerender.scenes.mesh import Mesh
+from facerender.errors import InputError
+from facerender.scenes.hints import HEAD, emit, millimetres_of, option, wrong_unit
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import target_of, view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
-
-_HEADS = (40.0, 1200.0)  # plausible mesh radii in mm, from a small head to a whole person
-_warned: WeakSet[Mesh] = WeakSet()
 
 
 @dataclass(frozen=True)
@@ -53,18 +49,13 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     if not any(profiles_of_parts):
         return None
     if mesh.millimetres is None:
+        length = millimetres_of(mesh) or 1.0
         raise InputError(
             f"scattering needs the size of {mesh.name}, which does not specify its unit: give "
-            "--millimetres 1 if the unit is 1 mm, or 1000 if it is 1 m (load_mesh(..., "
-            "millimetres=1))"
+            f"{option(length)} for a head of {HEAD:g} mm (load_mesh(..., millimetres={length:g}))"
         )
+    emit(mesh, wrong_unit, wrong_unit(mesh))
     millimetres = mesh.radius * mesh.millimetres
-    if not _HEADS[0] <= millimetres <= _HEADS[1] and mesh not in _warned:
-        _warned.add(mesh)
-        warn(
-            f"{mesh.name} is {2.0 * millimetres:.3g} mm across if its unit is {mesh.millimetres:g} "
-            "mm, unusual for a head: give --millimetres if the unit is wrong"
-        )
     camera, view = scene.camera, view_of(scene, size[0] / size[1])
     distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))
     pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)

@@ -26,6 +26,7 @@ from facerender.errors import (
     shown,
 )
 from facerender.images.decode import check_pixels, open_image
+from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
 from facerender.system.files import open_file
 from facerender.system.memory import give_back
@@ -400,6 +401,32 @@ class Texture:
                     drop = WeakMethod(self._drop_image)  # weak: futures keep callbacks alive
                     future.add_done_callback(lambda chain: (own := drop()) and own(chain))
             return self._levels[kind]
+
+    def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
+        """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
+        with at most ``side`` texels a side.
+
+        decode : whether to decode the image if no mip chain is computed yet; if not, and by
+            default, the result is then None
+
+        Raises
+        ------
+        InputError : the image is damaged or too large
+        """
+        if self._source:
+            return self._source.preview(side, decode)
+        with self._levels_lock:
+            computed = [each for each in self._levels.values() if each.done()]
+        if computed:
+            levels = computed[0].result()
+            level = next(each for each in levels if max(each.shape[:2]) <= side)
+            if level.dtype != np.uint8:
+                level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
+            return np.asarray(level[..., :3])
+        if not decode:
+            return None
+        spare = max(math.ceil(math.log2(max(self.size) / side)), 0)
+        return np.asarray(self.coarser(spare).rgb())
 
     def _chain(self, kind: Kind) -> Levels:
         try:

@@ -1,0 +1,388 @@
+"""Hints: probable mistakes in a mesh or scene. Each function returns one line with the remedy, or
+None if nothing indicates a mistake. A wrong hint costs more than a missing one, so each
+function requires clear evidence; the thresholds come from about 250 textured meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, note, warn
+from facerender.scenes.framing import find_regions
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part, coordinates
+from facerender.scenes.texture import Texture
+
+Float = NDArray[np.float64]
+_Pieces = Sequence[tuple[Part, Float]]
+
+HEAD = 230.0  # height of a head in mm, from chin to crown
+_HEADS = (100.0, 600.0)  # plausible heights of a head in mm, also with hair or a hat
+_RADII = (40.0, 1200.0)  # plausible radii of a mesh in mm, from a small head to a whole person
+_UNITS = {1.0: "mm", 10.0: "cm", 100.0: "dm", 1000.0: "m"}
+_NEAR = 1.35  # largest ratio of an estimated unit and the unit that is meant
+
+_MAP = 128  # largest side of the map's mip level that is compared with the mesh
+_NORMAL_MAP = 256  # largest side of the normal map's mip level that is examined
+_LEAST_FACES = 200  # minimum number of faces of the parts with one map
+_FACES, _VERTICES = 4096, 8192  # maximum numbers of examined faces and vertices
+_HASH = np.array([0.7548776662466927, 0.5698402909980532, 0.4301597090019468])
+_LEAST_SEAM = 100  # minimum number of vertex pairs on seams
+_APART = 0.02  # minimum distance between texture coordinates on the two sides of a seam
+
+_FAINT = 0.1  # a highlight below this fraction of the highlight of default skin is invisible
+
+_Hint = Callable[..., str | None]
+# Keyed by the first part of a mesh, which copies of the mesh with other materials share.
+_emitted: WeakKeyDictionary[Part, set[_Hint]] = WeakKeyDictionary()
+_of_maps: WeakKeyDictionary[Part, tuple[Any, list[tuple[_Hint, str | None]]]]
+_of_maps = WeakKeyDictionary()
+_loaded: WeakKeyDictionary[Part, tuple[Any, ...]] = WeakKeyDictionary()  # from :func:`_gloss`
+
+
+def remember(mesh: Mesh) -> Mesh:
+    """Return a loaded mesh, and remember the highlights of its materials: highlights that a user
+    sets get no hint."""
+    _loaded.update(zip(mesh.parts, map(_gloss, mesh.materials), strict=True))
+    return mesh
+
+
+def _gloss(material: Material) -> tuple[Any, ...]:
+    return material.ks, material.f0, material.m, material.roughness_map
+
+
+def emit_all(mesh: Mesh) -> None:
+    """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
+    are not examined."""
+    maps = [(each.albedo_map, each.normal_map, each.alpha) for each in mesh.materials]
+    examined, found = _of_maps.get(mesh.parts[0], (None, []))
+    if maps != examined:
+        found = [(each, each(mesh)) for each in (upside_down, green_down)]
+        _of_maps[mesh.parts[0]] = maps, found
+    for hint, line in found:
+        emit(mesh, hint, line)
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    if all(_gloss(each) == _loaded.get(part) for part, each in pairs):
+        emit(mesh, faint, faint(mesh))
+
+
+def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
+    """Emit the result of a hint: as a warning once for each mesh, and for each image that records
+    its warnings."""
+    if line is not None:
+        emitted = _emitted.setdefault(mesh.parts[0], set())
+        (note if hint in emitted else warn)(line)
+        emitted.add(hint)
+
+
+def of_mesh(mesh: Mesh) -> list[str]:
+    """Return all hints on a mesh. Decodes the maps."""
+    hints = *(each(mesh, True) for each in (upside_down, green_down, faint)), wrong_unit(mesh)
+    return [hint for hint in hints if hint]
+
+
+# --- texture coordinates ------------------------------------------------------------------------
+
+
+def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if the texture coordinates are probably upside down.
+
+    Three properties of a map are compared between the coordinates and the same coordinates with
+    reversed v. The detail of the map correlates with the curvature of the mesh, because eyes, nose
+    and lips have both. The two sides of a seam have equal colours. The mesh covers little of the
+    map's uniform background. The first two can give the hint; all three can refute it.
+
+    decode : whether to decode maps that are not decoded yet; default false
+    """
+    best = 0.0, 0.0
+    for texture, pieces in _mapped(mesh).items():
+        image = _preview(texture, _MAP, decode)
+        few = sum(len(part.faces) for part, _ in pieces) < _LEAST_FACES
+        if few or image is None or min(image.shape[:2]) < 32:
+            continue
+        for given, reverse in _agreements(pieces, image):
+            if given > reverse:
+                return None
+            best = max(best, (given, reverse), key=lambda pair: pair[1] - pair[0])
+    if best == (0.0, 0.0):
+        return None
+    return (
+        f"the texture coordinates of {mesh.name} are probably upside down (agreement with the "
+        f"map: {best[0]:.2f}, with reversed v: {best[1]:.2f}): give --flip-v (flip_v=True), or "
+        "leave it out if you gave it"
+    )
+
+
+def _mapped(mesh: Mesh) -> dict[Texture, list[tuple[Part, Float]]]:
+    """Return the opaque parts with texture coordinates, keyed by their albedo map or, without
+    one, by their normal map."""
+    found: dict[Texture, list[tuple[Part, Float]]] = {}
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        name = "albedo_map" if material.albedo_map else "normal_map"
+        texture, uv = getattr(material, name), coordinates(part, material, name)
+        if texture and uv is not None and material.alpha == "opaque":
+            found.setdefault(texture, []).append((part, uv))
+    return found
+
+
+def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[tuple[float, float]]:
+    """Yield clearly different agreements of mesh and map: as given, and with reversed v."""
+    faces = _sample(pieces)
+    given, reverse = detail = _detail(faces, image)
+    if max(detail) >= 0.3 and abs(given - reverse) >= 0.25:
+        yield detail
+    given, reverse = colours = _seam_colours(pieces, image)
+    if max(colours) >= 0.6 and abs(given - reverse) >= 0.4:
+        yield colours
+    given, reverse = _background(faces, image)
+    if reverse - given >= 0.15:  # the reverse proves little: dark clothes look like background
+        yield 1.0 - given, 1.0 - reverse
+
+
+def _sample(pieces: _Pieces) -> tuple[Float, Float, Float]:
+    """Return the texture coordinates (F, 2) of the centres of some faces, the areas of the faces,
+    and their curvature: difference of the vertex normals / size of the face."""
+    step = -(-sum(len(part.faces) for part, _ in pieces) // _FACES) or 1
+    centers, areas, curvature = [], [], []
+    for part, uv in pieces:
+        faces = part.faces[::step]
+        a, b, c = (part.positions[corner] for corner in faces.T)
+        area = np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
+        faces, area = faces[area > 0.0], area[area > 0.0]
+        a, b, c = (part.normals[corner] for corner in faces.T)
+        turns = sum(np.sqrt(((i - j) ** 2).sum(axis=1)) for i, j in ((a, b), (b, c), (c, a)))
+        centers.append((uv[faces[:, 0]] + uv[faces[:, 1]] + uv[faces[:, 2]]) / 3.0)
+        areas.append(area)
+        curvature.append(turns / np.sqrt(area))
+    return np.concatenate(centers), np.concatenate(areas), np.concatenate(curvature)
+
+
+def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the rank correlation of the map's detail with the curvature, and the same with
+    reversed v."""
+    centers, _, curvature = faces
+    if not len(curvature) or np.ptp(curvature) == 0.0:
+        return 0.0, 0.0
+    detail, own = _contrast(image), _ranks(curvature)
+    for axis in (0, 1):
+        detail = detail + np.roll(detail, 1, axis) + np.roll(detail, -1, axis)
+    given, reverse = (_ranks(_texels(detail, uv)) for uv in _both(centers))
+    return _correlation(own, given), _correlation(own, reverse)
+
+
+def _seam_colours(pieces: _Pieces, image: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the correlation of the colours on the two sides of seams, and the same with reversed
+    v. Both are 0 if the larger correlation has no smaller difference of colour."""
+    one, other = np.concatenate([_seams(part.positions, uv) for part, uv in pieces], axis=1)
+    if len(one) < _LEAST_SEAM:
+        return 0.0, 0.0
+    found, jumps = [], []
+    for sides in zip(_both(one), _both(other), strict=True):
+        a, b = (_texels(image, each).astype(np.float64) for each in sides)
+        jumps.append(float(np.abs(a - b).mean()))
+        middle = (a + b).mean(axis=0) / 2.0
+        found.append(_correlation(a - middle, b - middle))
+    best = int(found[1] > found[0])
+    return (found[0], found[1]) if 1.3 * jumps[best] < jumps[1 - best] else (0.0, 0.0)
+
+
+def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the fraction of the surface that lies on the map's background, and the same with
+    reversed v. The background is the most frequent colour where it is uniform."""
+    centers, areas, _ = faces
+    keys = (image >> 3).astype(np.int64) @ (1024, 32, 1)
+    colour = np.median(image[keys == np.bincount(keys.ravel()).argmax()], axis=0)
+    uniform = (np.abs(image - colour).max(axis=-1) <= 6.0) & (_contrast(image) <= 12.0)
+    given, reverse = (
+        float(areas @ _texels(uniform, uv) / (areas.sum() or 1.0)) for uv in _both(centers)
+    )
+    return given, reverse
+
+
+def _seams(positions: Float, uv: Float) -> Float:
+    """Return the texture coordinates (2, S, 2) of vertices with equal positions."""
+    hashes = positions @ _HASH
+    order = np.arange(len(hashes))
+    if len(order) > _VERTICES:  # a choice by position keeps both sides of a seam
+        scaled = hashes * (1e4 / (np.ptp(hashes) or 1.0))
+        order = np.flatnonzero(scaled % 1.0 < _VERTICES / len(order))
+    order = order[np.argsort(hashes[order], kind="stable")]
+    same = np.flatnonzero(hashes[order[1:]] == hashes[order[:-1]])
+    one, other = uv[order[same]], uv[order[same + 1]]
+    return np.stack([one, other])[:, np.abs(one - other).max(axis=1, initial=0.0) > _APART]
+
+
+def _both(uv: Float) -> tuple[Float, Float]:
+    """Return texture coordinates, and the same with reversed v."""
+    return uv, uv * (1.0, -1.0) + (0.0, 1.0)
+
+
+def _texels(image: NDArray[Any], uv: Float) -> NDArray[Any]:
+    """Return the texels of an image, with row 0 at the bottom, at texture coordinates."""
+    height, width = image.shape[:2]
+    columns, rows = ((uv % 1.0) * (width, height)).astype(np.int64).T
+    return np.asarray(image[rows.clip(0, height - 1), columns.clip(0, width - 1)])
+
+
+def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return the differences between each texel and its neighbours, summed over neighbours and
+    colours. The image repeats."""
+    values = image.astype(np.int32)
+    total = np.zeros(image.shape[:2], dtype=np.int32)
+    for axis in (0, 1):
+        steps = np.abs(values - np.roll(values, 1, axis)) @ np.ones(3, dtype=np.int32)
+        total += steps + np.roll(steps, -1, axis)
+    return total
+
+
+def _ranks(values: NDArray[Any]) -> Float:
+    """Return the ranks of values, with mean 0. Equal values have equal ranks."""
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = np.cumsum(counts) - 0.5 * counts - 0.5 * len(values)
+    return np.asarray(ranks[places])
+
+
+def _correlation(a: Float, b: Float) -> float:
+    """Return the correlation of values with mean 0, or 0 for constant values."""
+    norm = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum()) / norm if norm > 0.0 else 0.0
+
+
+# --- normal maps --------------------------------------------------------------------------------
+
+
+def green_down(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if the green of a normal map probably points down.
+
+    The slopes p and q of a height field satisfy dp/dy = dq/dx. If green points down, q is negative,
+    and the two derivatives have opposite signs.
+
+    decode : as for :func:`upside_down`
+    """
+    for texture in dict.fromkeys(each.normal_map for each in mesh.materials):
+        image = None if texture is None else _preview(texture, _NORMAL_MAP, decode)
+        if texture is None or image is None or min(image.shape[:2]) < 32:
+            continue
+        normals = image.astype(np.float32) - np.float32(127.5)
+        p, q = np.moveaxis(normals[..., :2] / normals[..., 2:].clip(20.0), -1, 0)
+        across, along = p[2:, 1:-1] - p[:-2, 1:-1], q[1:-1, 2:] - q[1:-1, :-2]
+        # Differences of less than three 8-bit levels may be noise.
+        clear = (np.abs(across) > 0.02) & (np.abs(along) > 0.02)
+        opposite = float((across[clear] * along[clear] < 0.0).mean()) if clear.any() else 0.0
+        if clear.mean() >= 0.03 and opposite >= 0.65:
+            return (
+                f"the green of {texture.name} probably points down (for {opposite:.0%} of its "
+                "relief): give --normal-map-y down (normal_map_y='down')"
+            )
+    return None
+
+
+def _preview(texture: Texture, side: int, decode: bool) -> NDArray[np.uint8] | None:
+    try:
+        return texture.preview(side, decode)
+    except InputError:  # a damaged map: drawing it reports the error
+        return None
+
+
+# --- highlights ---------------------------------------------------------------------------------
+
+
+def faint(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if at least half of the surface has a specular weight above 0, but no visible
+    highlight. The peak of a highlight is proportional to ks f0 / m^2.
+
+    decode : as for :func:`upside_down`
+    """
+    skin = Material()
+    least = _FAINT * skin.ks * skin.f0 / skin.m**2
+    pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
+    slopes = [_least_slope(part, own, decode) for part, own in pairs]
+    dull = [0.0 < own.ks * own.f0 < least * m**2 for (_, own), m in zip(pairs, slopes, strict=True)]
+    if not any(dull):
+        return None
+    areas = [_area(part) for part in mesh.parts]
+    weak = [
+        (area, own.ks, m)
+        for area, (_, own), m, is_dull in zip(areas, pairs, slopes, dull, strict=True)
+        if is_dull
+    ]
+    if sum(area for area, *_ in weak) < 0.5 * sum(areas):
+        return None
+    _, ks, m = max(weak)
+    remedies = [f"--ks {skin.ks:g}"] * (ks < 0.5) + [f"--m {skin.m:g}"] * (m > 2.0 * skin.m)
+    return (
+        f"{mesh.name} has no visible highlight with ks {ks:.2g} and m {m:.2g}: give "
+        f"{' '.join(remedies or [f'--f0 {skin.f0:g}'])} for skin"
+    )
+
+
+def _least_slope(part: Part, material: Material, decode: bool) -> float:
+    """Return the smallest m of a part over both lobes; 0 if the roughness map is not decoded."""
+    m, texture = material.m, material.roughness_map
+    if texture is not None and coordinates(part, material, "roughness_map") is not None:
+        packed = material.property_map
+        image = _preview(packed or texture, _MAP, decode)
+        if image is None:
+            return 0.0
+        m = (material.roughness_factor * image[..., 1 if packed else 0].min() / 255.0) ** 2
+    return float(material.with_second(m, m)[0])
+
+
+def _area(part: Part) -> float:
+    a, b, c = np.moveaxis(part.positions[part.faces], 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+# --- size ---------------------------------------------------------------------------------------
+
+
+def millimetres_of(mesh: Mesh) -> float | None:
+    """Return the probable length of a mesh unit in mm: a usual unit near the length with which the
+    head is 230 mm high, otherwise that length. None for a mesh without height."""
+    height = _head(mesh)
+    if not height > 0.0:
+        return None
+    length = HEAD / height
+    usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
+    return usual if 1.0 / _NEAR < length / usual < _NEAR else float(f"{length:.2g}")
+
+
+def option(length: float) -> str:
+    """Return the option that sets the length of a mesh unit in mm."""
+    return f"--millimetres {length:g}" + (f" ({_UNITS[length]})" if length in _UNITS else "")
+
+
+def wrong_unit(mesh: Mesh) -> str | None:
+    """Return a hint if the mesh has a unit with which it cannot be a head or a person."""
+    if mesh.millimetres is None:
+        return None
+    if _RADII[0] <= mesh.radius * mesh.millimetres <= _RADII[1]:
+        return None
+    height = float(f"{_head(mesh) * mesh.millimetres:.3g}")
+    if _HEADS[0] <= height <= _HEADS[1]:
+        return None
+    return (
+        f"the head of {mesh.name} is {height:g} mm high if its unit is {mesh.millimetres:g} mm: "
+        f"give {option(millimetres_of(mesh) or 1.0)}"
+    )
+
+
+def _head(mesh: Mesh) -> float:
+    """Return the height of the head in mesh units."""
+    return 2.0 * find_regions(mesh)["head"].height * mesh.radius
+
+
+# --- shadows ------------------------------------------------------------------------------------
+
+
+def no_shadows(environment: bool) -> str:
+    """Return the hint that shadows are asked for in a scene without lights.
+
+    environment : whether the scene has an environment map
+    """
+    cause = "an environment map casts no shadows" if environment else "the scene has no lights"
+    return f"--shadows has no effect, because {cause}: give --occlusion or a --light"
