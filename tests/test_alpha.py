@@ -560,6 +560,41 @@ def test_blended_parts_are_composited_after_scattering(single):
     assert np.abs(whole - single.render(scene, samples=16).linear).mean() < 5e-3
 
 
+@pytest.mark.parametrize("scattering", [None, "skin"])
+def test_blended_parts_are_drawn_over_deferred_shading(backend, monkeypatch, scattering):
+    """They change only their own pixels, and look as in forward shading."""
+    whole = replace(parts_head(scattering=scattering), millimetres=1000.0)
+    shells = replace(whole, parts=whole.parts[:3], materials=whole.materials[:3])
+    bare = replace(whole, parts=whole.parts[:2], materials=whole.materials[:2])
+    settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
+    scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
+    assert can_defer(scene, 16384)
+    images = []
+    for deferred in (True, False):
+        name = "facerender.drawing.renderer.deferred_is_cheaper"
+        monkeypatch.setattr(name, lambda *_, on=deferred: on)
+        with fr.Renderer((160, 160), samples=4, backend=backend) as renderer:
+            images.append([renderer.render(scene, samples=n).linear for n in (1, 4, 16)])
+            backs = renderer.render(scene, cull_back_faces=True).linear
+            assert np.abs(backs - images[-1][1]).max() > 0.01
+            shine = [renderer.render(each, only="specular").linear for each in (scene, without)]
+            assert (shine[0] - shine[1]).max() > 0.05
+            if deferred:
+                behind = [renderer.render(without, samples=n).linear for n in (1, 4, 16)]
+                layers = renderer.gbuffer(scene).transparent_layers
+                rate = renderer.render(scene, shading_rate="pixel")
+                assert rate.metadata["shading_rate"] == "pixel"
+                assert np.abs(rate.linear - images[0][2]).mean() < 5e-3
+    covered = np.any([each.part >= 0 for each in layers], axis=0)
+    near = sum(np.roll(covered, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)) > 0
+    assert 100 < covered.sum() < 5000
+    for one, other, plain in zip(*images, behind, strict=True):
+        np.testing.assert_array_equal(one[~near], plain[~near])
+        assert np.abs(one - plain)[covered].max() > 0.05
+        assert np.abs(one - other)[near].mean() < 1e-3
+        assert np.quantile(np.abs(one - other)[near], 0.98) < 0.01
+
+
 def test_features_that_ignore_blended_parts_warn():
     mesh = parts_head("blend")
     with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):

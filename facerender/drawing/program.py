@@ -135,7 +135,7 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
         names.append(f"ALPHA_{alpha.upper()}")
     if alpha == "blend" and material.alpha == "mask":
         names.append("OPACITY_CUT")
-    if alpha == "blend" and material.transmission > 0.0:
+    if material.thin:
         names.append("TRANSMISSION")
     if second:
         names += ["UV2", *(f"{name}_UV uv2" for name in second)]
@@ -228,6 +228,7 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
         "occlusion_strength": material.occlusion_strength,
         "opacity": 1.0 if material.alpha == "opaque" else material.opacity,
         "transmission": material.transmission,
+        "refraction": material.refraction,
         "alpha_cutoff": material.alpha_cutoff,
         "emissive": np.asarray(material.emissive),
     }

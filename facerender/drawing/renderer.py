@@ -25,6 +25,7 @@ from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.passes.transparency import (
     PREVIOUS_LAYER,
     BlendedPart,
+    blended_area,
     blended_parts,
     with_blended,
 )
@@ -61,6 +62,7 @@ from facerender.terms import AnyLobe
 from facerender.terms.ranges import MEMORY, ranges_of
 
 if TYPE_CHECKING:
+    from facerender.drawing.passes.refraction import Refraction
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
@@ -266,8 +268,8 @@ class Renderer:
         """Return whether a frame with `samples` per pixel can have ``shading_rate="pixel"``.
 
         `samples` must be the driver's largest number of samples, and more than 1. The scene may
-        have up to 16 million triangles. All its parts must be opaque and use one set of texture
-        coordinates. No channel of the background may exceed 1000.
+        have up to 16 million triangles. No part may have an alpha mask. Parts that are not blended
+        must use one set of texture coordinates. No channel of the background may exceed 1000.
         """
         _check_scene(scene)
         _LIMITS["samples"].check("samples", samples)
@@ -314,22 +316,26 @@ class Renderer:
         Without a layer, the second result is empty.
         """
         scene, lighting = resolved.scene, resolved.lighting
-        visibility = self._visibility(scene, view, 1)
+        visibility = None if blended_part else self._visibility(scene, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
-        surface = surface_pass(resolved, view, visibility, scatters, blended_part)
+        refraction, shadows = _refraction(scene, view, self.size), shadow_passes(resolved)
+        surface = surface_pass(resolved, view, visibility, scatters, blended_part, refraction)
         passes = [visibility.drawn(), surface] if visibility else [surface]
+        if refraction:
+            passes = [*shadows, *refraction.passes(resolved, shadows), *passes]
         known: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             before = replace(surface.target, number=1 - surface.target.number)
             known[PREVIOUS_LAYER] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
         position, normal, albedo, uv, *others = self._draw(passes, scene, known)
         two = any(material.two_lobes for material in scene.mesh.materials)
-        shines = any(any(material.emissive) for material in scene.mesh.materials)
+        shines = any(material.emits for material in scene.mesh.materials)
         lobes = others.pop(0) if two else None
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
-        if shadows := shadow_passes(resolved):
+        if shadows:
             look = light_visibility_pass(resolved, view, visibility, blended_part)
-            images = self._draw([*shadows, *passes[:-1], look], scene, known)
+            seen_by = [visibility.drawn()] if visibility else []
+            images = self._draw([*shadows, *seen_by, look], scene, known)
             number = len(lighting.shadowed)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
@@ -349,7 +355,7 @@ class Renderer:
             facing=uv[..., 3] if scatters else None,
             emission=others[0][..., :3] if shines else None,
             opacity=uv[..., 3] if blended_part else None,
-            transmission=material.transmission if material else 0.0,
+            transmission=material.transmission if material and material.thin else 0.0,
         )
         return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 
@@ -370,8 +376,11 @@ class Renderer:
         scene, samples, only = resolved.scene, image.samples, image.only
         visibility = self._visibility(scene, view, samples, image.shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
+        refraction = None if only else _refraction(scene, view, self.size)
         beside = scattering if samples == 1 else None
-        shaded = shade_pass(resolved, view, samples, only, visibility, beside)
+        shaded = shade_pass(
+            resolved, view, samples, only, visibility, beside, refraction=refraction
+        )
         if scattering and not beside:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
@@ -389,13 +398,17 @@ class Renderer:
                 light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
                 passes += _from_visibility(light, one, image.cull_back_faces)
             how = resolved.shading.scatter_samples, background, not beside, area
-            last = [scatter_pass(view, scattering, *how)]
-            if blended_parts(scene, view):
-                whole = shade_pass(resolved, view, samples, only)
-                whole = replace(whole, cull_back_faces=image.cull_back_faces)
-                last = with_blended(whole, *last)
-            passes += last
-        return self._draw([*shadow_passes(resolved), *passes], scene)[0]
+            passes.append(scatter_pass(view, scattering, *how))
+        over = blended_area(scene, view, self.size)
+        if (scattering or visibility) and all(over[2:]):
+            whole = shade_pass(resolved, view, samples, only, refraction=refraction)
+            whole = replace(whole, cull_back_faces=image.cull_back_faces)
+            visible = visibility.target if visibility else None
+            passes += with_blended(whole, passes.pop(), over, visible)
+        before = shadow_passes(resolved)
+        if refraction:
+            before += refraction.passes(resolved, before)
+        return self._draw([*before, *passes], scene)[0]
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
@@ -437,7 +450,8 @@ class Renderer:
                 drawn[ENVIRONMENT_MAP] = self._resources.table(scene.environment.panorama)
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
-                if step.target.samples > 1 and step.target.values == "color":
+                kind = step.target
+                if kind.samples > 1 and kind.values == "color" and kind.resolved:
                     single = self._resources.target(replace(step.target, samples=1))
                     gl.copy_framebuffer(single, target)
                     target = single
@@ -492,6 +506,15 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     from facerender.scenes.scattering import scattering_of
 
     return scattering_of(scene, size)
+
+
+def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction | None:
+    """Return the refraction of a scene, or None. The module is imported only if needed."""
+    if not any(material.refracts for material in scene.mesh.materials):
+        return None
+    from facerender.drawing.passes.refraction import Refraction
+
+    return Refraction.of(scene, view, size)
 
 
 def _from_visibility(

@@ -163,7 +163,8 @@ class Resources:
             return target
         with self.scopes[step.target]:
             self._prepare(target)  # an error in an earlier draw may have left another state
-            target.clear(*step.clear)
+            target.depth_mask = step.target.depth_of is None
+            target.clear(*step.clear, viewport=step.area)
             for draw in step.draws:
                 self._prepare(target, draw)
                 self._switch(step, draw)
@@ -264,7 +265,7 @@ class Resources:
             samples = kind.samples if kind.samples > 1 else 0
             try:
                 components = 1 if kind.values == "number" else 4
-                resolved = samples and kind.values == "color"
+                resolved = samples and kind.values == "color" and kind.resolved
                 make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
                 colors: list[Any] = [
                     make(size, components, samples=samples, dtype="f4") for _ in range(kind.colors)
@@ -272,7 +273,10 @@ class Resources:
                 if kind.sampled and not samples:
                     for color in colors:
                         color.filter = moderngl.NEAREST, moderngl.NEAREST
-                depth = gl.depth_renderbuffer(size, samples=samples)
+                depth: Any = None
+                if kind.depth_of is not None:
+                    depth = self.target(kind.depth_of).depth_attachment
+                depth = depth or gl.depth_renderbuffer(size, samples=samples)
                 self.targets[kind] = gl.framebuffer(colors, depth)
                 self.scopes[kind] = gl.scope(self.targets[kind])
             except moderngl.Error as error:

@@ -3,6 +3,7 @@ functions of the position. No OpenGL here."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,12 +14,14 @@ from numpy.typing import NDArray
 
 from facerender.drawing.program import part_columns
 from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.view import View
 
 IN_ROW = 256  # triangles in a row of the texture
 _AT_ONCE = 1 << 12  # triangles per block, to limit temporary memory
 _ROUNDING = 2.0**-22  # rounding error of a triangle's width, for float32 positions of magnitude 1
 
 Floats = NDArray[np.floating[Any]]
+Area = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,21 @@ class TriangleSetup:
     def texels(self) -> int:
         """Number of texels per triangle."""
         return 1 + int(self.columns.shape[1])
+
+    def area(self, view: View, size: tuple[int, int]) -> Area:
+        """Return the bounds of the part in an image: left column, lowest row, width and height in
+        pixels. If width or height is 0, the part is outside the image.
+
+        size : width and height of the image
+        """
+        corners = np.meshgrid(*zip(*self.bounds, strict=True), [1.0])
+        clip = np.stack(corners, axis=-1).reshape(-1, 4) @ view.matrix
+        if clip[:, 3].min() <= 0.0:
+            return (0, 0, *size)
+        at = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
+        start = np.clip(np.floor(at.min(axis=0)), 0, size).astype(int)
+        end = np.clip(np.ceil(at.max(axis=0)), 0, size).astype(int)
+        return (*start.tolist(), *(end - start).tolist())
 
     def texture(self) -> NDArray[np.float32]:
         """Return the texture of all triangles, (rows, IN_ROW * texels, 4) float32.
@@ -96,6 +114,14 @@ class TriangleSetup:
 def _dot(a: Floats, b: Floats) -> Floats:
     """Return the dot product of each row of `a` with the same row of `b`, (N, 1)."""
     return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
+
+
+def around(areas: Sequence[Area]) -> Area:
+    """Return the bounds of several areas. Empty areas are ignored."""
+    seen = [area for area in areas if all(area[2:])] or [(0, 0, 0, 0)]
+    left, low = min(area[0] for area in seen), min(area[1] for area in seen)
+    right, high = max(area[0] + area[2] for area in seen), max(area[1] + area[3] for area in seen)
+    return left, low, right - left, high - low
 
 
 _made: WeakKeyDictionary[Part, tuple[tuple[float, ...], TriangleSetup]] = WeakKeyDictionary()

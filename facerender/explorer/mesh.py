@@ -44,7 +44,8 @@ def drawable(mesh: Mesh) -> Mesh:
     -----
     FacerenderWarning : a feature is left out
     """
-    alphas = [*map(drawn_alpha, mesh.parts, mesh.materials)]
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    alphas = ["blend" if pair[1].refracts else drawn_alpha(*pair) for pair in pairs]
     lost = ["blended parts"] * ("blend" in alphas) + ["masks"] * ("mask" in alphas)
     materials = []
     for material in mesh.materials:

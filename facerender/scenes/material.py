@@ -179,6 +179,21 @@ class Material:
         return any(each in self.second_uv and getattr(self, each) is not None for each in names)
 
     @property
+    def thin(self) -> bool:
+        """Whether light passes through the surface without being refracted."""
+        return self.transmission > 0.0 and self.refraction == 1.0
+
+    @property
+    def refracts(self) -> bool:
+        """Whether light passes through the surface and is refracted."""
+        return self.transmission > 0.0 and self.refraction > 1.0
+
+    @property
+    def emits(self) -> bool:
+        """Whether the surface shows light that it does not reflect: emitted or refracted light."""
+        return any(self.emissive) or self.refracts
+
+    @property
     def diffuse_weight(self) -> float:
         """Weight of the diffuse term."""
         return self.kd * (1.0 - self.transmission)

@@ -298,9 +298,9 @@ def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64
 
 
 def drawn_alpha(part: Part, material: Material) -> Alpha:
-    """Return the alpha mode with which a part is drawn: "blend" if light passes through it,
-    otherwise "opaque" if its opacity has no effect. Decodes the opacity map if necessary."""
-    if material.transmission > 0.0:
+    """Return the alpha mode with which a part is drawn: "blend" if it is thin and
+    clear, otherwise "opaque" if its opacity has no effect. Decodes the opacity map if necessary."""
+    if material.thin:
         return "blend"
     if material.opacity_map is not None and coordinates(part, material, "opacity_map") is None:
         material = replace(material, opacity_map=None)

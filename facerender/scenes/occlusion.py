@@ -33,8 +33,8 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     of the surface count, weighted by the cosine between ray and normal. The result is as accurate
     as with 256 cosine-distributed rays, but deterministic and without noise between neighbouring
     vertices. Vertices with equal position and normal, for example at seams of texture coordinates,
-    share one value. Opaque parts block rays from both sides. Parts that are not opaque do not block
-    rays and get no occlusion.
+    share one value. Opaque parts block rays from both sides. Parts that are not opaque, or have
+    transmission, do not block rays and get no occlusion.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     check_switch("cache", cache)
     pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
-    solid = [drawn_alpha(*pair) == "opaque" for pair in pairs]
+    solid = [drawn_alpha(*pair) == "opaque" and not pair[1].transmission for pair in pairs]
     bare = [
         own
         and (material.occlusion_map is None or coordinates(part, material, "occlusion_map") is None)

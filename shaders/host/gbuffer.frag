@@ -8,6 +8,10 @@
 #ifdef EMISSIVE
 #include "host/emission.glsl"
 #endif
+#ifdef REFRACTIONS
+#include "host/refraction.glsl"
+uniform float f0;
+#endif
 
 uniform float part;  // Index of the part, from 1; 0 is the background.
 layout(location = 0) out vec4 position_part;
@@ -52,6 +56,9 @@ void main() {
     emitted = vec4(0.0);
 #ifdef EMISSIVE
     emitted.rgb = emission(p);
+#endif
+#ifdef REFRACTIONS
+    emitted.rgb += refracted(s, f0);
 #endif
 #endif
 #ifdef LAYER

@@ -28,6 +28,9 @@
 #ifdef EMISSIVE
 #include "host/emission.glsl"
 #endif
+#ifdef REFRACTIONS
+#include "host/refraction.glsl"
+#endif
 
 uniform float diffuse_brdf;  // kd/pi.
 uniform float f0;
@@ -162,6 +165,9 @@ vec3 shaded(Point p) {
 #ifdef EMISSIVE
     result += emission(p);
 #endif
+#ifdef REFRACTIONS
+    result += refracted(s, f0);
+#endif
     return result;
 }
 
@@ -215,6 +221,21 @@ void main() {
         radiance += weight * vec4(shaded(point(triangle)) - background, 1.0);
         triangle = next;
     } while (triangle < count);
+}
+#elif defined(BEHIND_REFRACTION)
+// Radiance and z in a map of refraction.glsl. Fragments in front of the refracting part are
+// discarded.
+uniform mat4 to_map;
+uniform sampler2D refraction_surface;
+
+void main() {
+    float z = (to_map * vec4(position, 1.0)).z;
+    float front = texelFetch(refraction_surface, ivec2(gl_FragCoord.xy), 0).r;
+    if (z > front + 0.02) discard;  // The rim of a cornea may be just below the sclera.
+    radiance = vec4(shaded(point()), z);
+#ifdef ALPHA_MASK
+    share_left();
+#endif
 }
 #elif defined(ALPHA_MASK)
 void main() {

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.program import Program, Uniforms
+from facerender.drawing.triangle_setup import Area as Area
 from facerender.drawing.triangle_setup import TriangleSetup
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
-
-Area = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,9 @@ class Target:
     sampled : whether later passes read the images as textures
     values : content of a pixel: "color" for RGBA, "number" for one value
     number : number that distinguishes targets with otherwise equal attributes
+    resolved : whether later passes read one value per pixel of colours with several samples
+    depth_of : target whose depth buffer this target shares and leaves unchanged; None for an own
+        depth buffer
     """
 
     colors: int = 1
@@ -38,6 +40,8 @@ class Target:
     sampled: bool = False
     values: Literal["color", "number"] = "color"
     number: int = 0
+    resolved: bool = True
+    depth_of: Target | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,7 @@ class Pass:
     ----------
     name : uniform name under which later passes read the first image of the target
     others : uniform names of the further images of the target
+    area : rectangle to clear, as in :class:`Draw`; None for the whole target
     clear : initial value of all pixels: linear RGB and coverage
     uniforms : uniforms that all draws share
     added : whether draws add their colours to the image
@@ -96,3 +101,4 @@ class Pass:
     cull_back_faces: bool = False
     key: Hashable = None
     others: tuple[str, ...] = ()
+    area: Area | None = None

@@ -17,6 +17,7 @@ from facerender.scenes.scene import Only
 from facerender.scenes.view import View
 
 if TYPE_CHECKING:
+    from facerender.drawing.passes.refraction import Refraction
     from facerender.scenes.scattering import Scattering
 
 
@@ -28,6 +29,7 @@ def shade_pass(
     visibility: Visibility | None = None,
     scattering: Scattering | None = None,
     apart: bool = False,
+    refraction: Refraction | None = None,
 ) -> Pass:
     """Return the pass that shades a scene.
 
@@ -36,10 +38,11 @@ def shade_pass(
     samples : samples per pixel
     only : term to draw, "specular" or "diffuse"; None for the whole image
     visibility : visibility pass that deferred shading reads, with as many samples as this pass;
-        None: forward shading
+        None: forward shading. Deferred shading omits blended parts
     scattering : scattering of the scene. If given, the pass also draws the input images of the
         scatter pass, and omits background and blended parts
     apart : whether to draw only the input images of the scatter pass
+    refraction : refraction of the scene; None to leave out the light that parts refract
 
     Raises
     ------
@@ -57,6 +60,8 @@ def shade_pass(
             program = replace(program, features=(*program.features, f"TO_COVERAGE {samples}"))
         uniforms = part_uniforms(own.part, own.material)
         draws.append(Draw(program, uniforms, own.part, own.material))
+    if refraction:
+        draws = refraction.refracted(draws)
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
     uniforms = scene_uniforms(scene, view, resolved.lighting)
     if scattering:
@@ -65,7 +70,8 @@ def shade_pass(
     if scattering:
         drawn = _with_scatter_images(drawn, scattering, apart)
     shown = unblended(scene, drawn.draws)
-    shown += () if scattering else blended_draws(scene, view, drawn.draws)
+    if not (scattering or visibility):
+        shown += blended_draws(scene, view, drawn.draws)
     drawn = replace(drawn, draws=shown)
     return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
 

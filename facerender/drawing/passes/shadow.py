@@ -70,7 +70,7 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
     draws = []
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         alpha = drawn_alpha(part, material)
-        if alpha == "blend":
+        if alpha == "blend" or material.transmission > 0.0:
             continue
         features = mask_features(surface_features(part, material, Shading()))
         program = Program("shadow_map.frag", "shadow_map.vert", features)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.transparency import BlendedPart, unblended
 from facerender.drawing.passes.visibility import Visibility
@@ -14,6 +16,9 @@ from facerender.drawing.program import (
 from facerender.drawing.resolve import ResolvedScene
 from facerender.scenes.view import View
 
+if TYPE_CHECKING:
+    from facerender.drawing.passes.refraction import Refraction
+
 
 def surface_pass(
     resolved: ResolvedScene,
@@ -21,6 +26,7 @@ def surface_pass(
     visibility: Visibility | None = None,
     scatters: bool = False,
     blended_part: BlendedPart | None = None,
+    refraction: Refraction | None = None,
 ) -> Pass:
     """Return the pass that draws the G-buffer of a scene.
 
@@ -31,7 +37,7 @@ def surface_pass(
     - albedo, specular weight
     - texture coordinates, occlusion, and either facing (if `scatters`) or opacity (of a layer)
     - m of the second lobe and weight of the first lobe, if a part has two lobes
-    - emission, if a part emits light
+    - emission, with the refracted light, if a part emits or refracts light
     - depth, and index of the triangle in drawing order, if `blended_part` is given
 
     Parameters
@@ -40,10 +46,11 @@ def surface_pass(
     scatters : whether to draw facing, the cosine between the mesh's normal and the direction to
         the camera
     blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn
+    refraction : refraction of the scene; None if no part refracts
     """
     scene, shading = resolved.scene, resolved.shading
     two = any(material.two_lobes for material in scene.mesh.materials)
-    shines = any(any(material.emissive) for material in scene.mesh.materials)
+    shines = any(material.emits for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     further = ("SCATTER",) * (scatters and blended_part is None)
     further += (f"EMITTED {4 + two}",) * shines
@@ -67,6 +74,8 @@ def surface_pass(
         for number, (part, material) in enumerate(parts, 1)
     ]
     uniforms = scene_uniforms(scene, view)
+    if refraction:
+        draws = refraction.refracted(draws)
     shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
     target = Target(colors=4 + two + shines)
     if blended_part is not None:  # two targets alternate, as each layer reads the previous one

@@ -5,16 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Draw, Pass
+from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program
-from facerender.drawing.triangle_setup import triangle_setup_of
+from facerender.drawing.triangle_setup import around, triangle_setup_of
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
+
+T = TypeVar("T")
 
 PREVIOUS_LAYER = "previous_layer"  # name of the previous layer's texture
 _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features that alpha masks use
@@ -62,13 +65,22 @@ def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
     return [part for _, part in sorted(found, key=lambda each: -each[0])]
 
 
-def unblended(scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-    """Return the draws of parts that are not blended.
+def unblended(scene: Scene, values: Sequence[T]) -> tuple[T, ...]:
+    """Return the values, such as draws, of parts that are not blended.
 
-    draws : one draw for each part of the scene
+    values : one value for each part of the scene
     """
-    parts = zip(scene.mesh.parts, scene.mesh.materials, draws, strict=True)
-    return tuple(draw for part, material, draw in parts if drawn_alpha(part, material) != "blend")
+    parts = zip(scene.mesh.parts, scene.mesh.materials, values, strict=True)
+    return tuple(value for part, material, value in parts if drawn_alpha(part, material) != "blend")
+
+
+def blended_area(scene: Scene, view: View, size: tuple[int, int]) -> Area:
+    """Return the bounds of all blended parts in an image; width or height is 0 if there are none.
+
+    size : width and height of the image
+    """
+    parts = [scene.mesh.parts[each.part] for each in blended_parts(scene, view)]
+    return around([triangle_setup_of(part, scene.mesh).area(view, size) for part in parts])
 
 
 def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
@@ -80,16 +92,36 @@ def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw
     return tuple(replace(draws[each.part], order=each.order, depth="blend") for each in over)
 
 
-def with_blended(shaded: Pass, image: Pass) -> list[Pass]:
+def with_blended(
+    shaded: Pass, image: Pass, area: Area, visible: Target | None = None
+) -> list[Pass]:
     """Return two passes. The first draws the blended parts of a shading pass into a texture. The
-    second draws `image`, a pass of one sample per pixel, and composites that texture over it."""
-    hides = [depth_only(draw) for draw in shaded.draws if draw.depth == "test"]
-    over = [draw for draw in shaded.draws if draw.depth == "blend"]
-    target = replace(shaded.target, sampled=True, number=1)
-    blended = replace(
-        shaded, name="transparent", target=target, draws=(*hides, *over), clear=(0.0,) * 4
+    second draws `image`, a pass of one sample per pixel, and composites that texture over it.
+
+    Parameters
+    ----------
+    shaded : forward shading pass of all parts
+    area : bounds of the blended parts in the image
+    visible : target that holds the depth of the other parts; None to draw this depth
+    """
+    hides = (
+        () if visible else tuple(depth_only(each) for each in shaded.draws if each.depth == "test")
     )
-    composite = Draw(Program("transparent.frag", "screen.vert"), {"depth": -1.0}, depth="blend")
+    over = tuple(draw for draw in shaded.draws if draw.depth == "blend")
+    target = replace(
+        shaded.target, sampled=True, number=1, resolved=visible is None, depth_of=visible
+    )
+    blended = replace(
+        shaded,
+        name="transparent",
+        target=target,
+        draws=(*hides, *over),
+        clear=(0.0,) * 4,
+        area=area,
+    )
+    samples = 1 if target.resolved else target.samples
+    program = Program("transparent.frag", "screen.vert", (f"SAMPLES {samples}",))
+    composite = Draw(program, {"depth": -1.0}, area=area, depth="blend")
     return [blended, replace(image, draws=(*image.draws, composite))]
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
+from facerender.drawing.passes.transparency import unblended
 from facerender.drawing.program import Program, Uniforms
-from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup, triangle_setup_of
+from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup, around, triangle_setup_of
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
@@ -27,17 +28,19 @@ _BRIGHTEST = 1e3  # largest background channel: float32 adds and subtracts 1e3 w
 def can_defer(scene: Scene, rows: int) -> bool:
     """Return whether deferred shading supports a scene.
 
-    All parts must be opaque and use one set of texture coordinates. The scene must have fewer than
-    2^24 triangles. The triangle data of each part must fit into one texture. No channel of the
-    background may exceed 1000.
+    No part may have an alpha mask, and some part must be opaque. Opaque parts must use one set of
+    texture coordinates, and have fewer than 2^24 triangles. The triangle data of each part must fit
+    into one texture. No channel of the background may exceed 1000.
 
     rows : largest height of a texture, in texels
     """
-    counts = [len(part.faces) for part in scene.mesh.parts]
     bright = max(scene.background or (0.0,)) > _BRIGHTEST
-    pairs = [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)]
-    if any(drawn_alpha(*each) != "opaque" for each in pairs) or any(
-        part.uv2 is not None and material.second_uv for part, material in pairs
+    pairs = unblended(scene, [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)])
+    counts = [len(part.faces) for part, _ in pairs]
+    if (
+        not pairs
+        or any(drawn_alpha(*each) == "mask" for each in pairs)
+        or any(part.uv2 is not None and material.second_uv for part, material in pairs)
     ):
         return False
     return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW and not bright
@@ -79,7 +82,7 @@ class Visibility:
     view : camera of the image
     size : width and height of the image in pixels
     samples : samples per pixel
-    parts : parts of the scene, in the order of the mesh
+    parts : parts of the scene that are not blended, in the order of the mesh
     shading_rate : "pixel" to shade one triangle for each part and pixel, "sample" to shade all
         visible triangles of a pixel
     """
@@ -101,19 +104,21 @@ class Visibility:
     ) -> Visibility:
         """Assign an index to each triangle, and compute the bounds of each part in the image."""
         parts, first = [], 1
-        for part in scene.mesh.parts:
+        for part in unblended(scene, scene.mesh.parts):
             setup = triangle_setup_of(part, scene.mesh)
-            parts.append(Visible(setup, first, _area(setup, view, size)))
+            parts.append(Visible(setup, first, setup.area(view, size)))
             first += len(setup.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
 
     @property
     def area(self) -> Area:
         """Bounds of all parts in the image."""
-        seen = [part.area for part in self.parts if all(part.area[2:])] or [(0, 0, 0, 0)]
-        left, low = min(area[0] for area in seen), min(area[1] for area in seen)
-        right = max(area[0] + area[2] for area in seen)
-        return left, low, right - left, max(area[1] + area[3] for area in seen) - low
+        return around([part.area for part in self.parts])
+
+    @property
+    def target(self) -> Target:
+        """Target of the visibility pass."""
+        return Target(samples=self.samples, sampled=True, values="number")
 
     def drawn(self) -> Pass:
         """Return the visibility pass."""
@@ -123,15 +128,14 @@ class Visibility:
             for each in self.parts
             if all(each.area[2:])
         )
-        target = Target(samples=self.samples, sampled=True, values="number")
-        return Pass("visible", target, draws, uniforms={"view_projection": self.view.matrix})
+        return Pass("visible", self.target, draws, uniforms={"view_projection": self.view.matrix})
 
     def shaded(self, drawn: Pass, uniforms: Uniforms | None = None) -> Pass:
         """Convert a forward pass to a deferred pass, which shades the visible triangles.
 
         Parameters
         ----------
-        drawn : pass with one draw for each part
+        drawn : pass with one draw for each part that is not blended
         uniforms : further uniforms of the deferred pass
         """
         draws: list[Draw] = []
@@ -187,15 +191,3 @@ def _rays(view: View, size: tuple[int, int]) -> Uniforms:
     corner = to_far_plane(-1.0, -1.0)
     right, up = (to_far_plane(*each) - corner for each in ((1.0, -1.0), (-1.0, 1.0)))
     return {"ray": corner, "ray_x": right / size[0], "ray_y": up / size[1]}
-
-
-def _area(setup: TriangleSetup, view: View, size: tuple[int, int]) -> Area:
-    low, high = setup.bounds
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), [1.0]), axis=-1).reshape(-1, 4)
-    clip = corners @ view.matrix
-    if clip[:, 3].min() <= 0.0:
-        return (0, 0, *size)
-    at = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
-    start = np.clip(np.floor(at.min(axis=0)), 0, size).astype(int)
-    end = np.clip(np.ceil(at.max(axis=0)), 0, size).astype(int)
-    return (*start.tolist(), *(end - start).tolist())

@@ -1,0 +1,290 @@
+"""Refraction. Each connected region of a refracting part, such as a cornea, has a map of the
+surfaces behind it. ``shaders/host/refraction.glsl`` refracts the view ray and finds in this map the
+surface that the ray hits. No OpenGL here."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary, ref
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.passes import Area, Draw, Pass, Target
+from facerender.drawing.program import (
+    Program,
+    Uniforms,
+    part_uniforms,
+    scene_uniforms,
+    shade_program,
+)
+from facerender.drawing.resolve import ResolvedPart, ResolvedScene
+from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
+from facerender.scenes.mesh import Mesh, drawn_alpha
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+SURFACE, MAP = "refraction_surface", "refraction_map"  # uniform names of the textures
+_EMPTY = -1e30  # z of texels without a surface
+_MOST = 8  # most maps of a part; with more regions, the part has one map
+_SIDES = (64, 1024)  # smallest and largest side of a map, in texels
+_MARGIN = 1.15  # half the width of a map, in radii of the region
+_DEEP = 2.5  # depth of a map below the region's foremost vertex, in half widths of the map
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A connected region of a refracting part, and its map space.
+
+    In map space, z points along the mean normal of the region, and the map covers x and y from -1
+    to 1. The deepest vertex of the region is at z = 0. The space is mirrored, as images are.
+
+    Attributes
+    ----------
+    matrix : (4, 4) float64, from the renderer's space to map space, for row vectors
+    faces : (F,) indices of the part's triangles in the region
+    top : largest z of the region's vertices
+    behind : cache of the triangles of other parts within the map, see :meth:`within`
+    """
+
+    matrix: Floats
+    faces: Numbers
+    top: float
+    behind: WeakKeyDictionary[TriangleSetup, Numbers] = field(default_factory=WeakKeyDictionary)
+
+    @classmethod
+    def of(cls, setup: TriangleSetup, faces: Numbers) -> Region:
+        """Return the region that consists of the given triangles of a part."""
+        corners = setup.positions[setup.faces[faces]].astype(np.float64)
+        axis = _axis(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        across = np.cross(np.eye(3)[int(np.abs(axis).argmin())], axis)
+        across /= np.linalg.norm(across)
+        axes = np.stack([across, np.cross(across, axis), axis], axis=1)
+        places = corners.reshape(-1, 3) @ axes
+        low, high = places.min(axis=0), places.max(axis=0)
+        middle = np.append(0.5 * (low + high)[:2], low[2])
+        half = _MARGIN * max(float(np.linalg.norm((places - middle)[:, :2], axis=1).max()), 1e-6)
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[3, :3] = axes / half, -middle / half
+        return cls(matrix, faces, float(high[2] - low[2]) / half)
+
+    @property
+    def bottom(self) -> float:
+        """Smallest z of the map."""
+        return min(self.top - _DEEP, -0.1)
+
+    @property
+    def clip(self) -> Floats:
+        """Matrix (4, 4) from the renderer's space to clip space, for row vectors."""
+        near = self.top + 0.01
+        depth = np.diag([1.0, 1.0, -2.0 / (near - self.bottom), 1.0])
+        depth[3, 2] = (near + self.bottom) / (near - self.bottom)
+        return np.asarray(self.matrix @ depth)
+
+    @property
+    def camera(self) -> Floats:
+        """Position (3,) of a distant camera in front of the region, in the renderer's space."""
+        return np.asarray((np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(self.matrix))[:3])
+
+    def within(self, setup: TriangleSetup) -> Numbers:
+        """Return the indices of a part's triangles that may be within the map."""
+        if setup not in self.behind:
+            places = setup.positions @ self.matrix[:3, :3] + self.matrix[3, :3]
+            corners = places[setup.faces]
+            low, high = corners.min(axis=1), corners.max(axis=1)
+            inside = (low <= (1.0, 1.0, self.top)) & (high >= (-1.0, -1.0, self.bottom))
+            self.behind[setup] = np.flatnonzero(inside.all(axis=1))
+        return self.behind[setup]
+
+    def pixels(self, view: View, size: tuple[int, int]) -> float:
+        """Return the width of the map in pixels of an image, where it is widest."""
+        back = np.linalg.inv(self.matrix)
+        points = np.array([(0, 0, 0, 1), (1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]) @ back
+        clip = points @ view.matrix
+        if clip[:, 3].min() <= 0.0:  # behind the camera
+            return 0.0
+        places = clip[:, :2] / clip[:, 3:] * size
+        return float(np.linalg.norm(places[1:] - places[0], axis=1).max())
+
+
+def _axis(normals: Floats) -> Floats:
+    """Return the mean (3,) of normals. The normals of a closed surface cancel out: then the result
+    is the mean of the normals that point to the front of the mesh."""
+    total, axis = np.linalg.norm(normals, axis=1).sum(), normals.sum(axis=0)
+    if np.linalg.norm(axis) < 0.2 * total:
+        axis = normals[normals[:, 2] > 0.0].sum(axis=0)
+    length = np.linalg.norm(axis)
+    return axis / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+
+
+_regions: WeakKeyDictionary[TriangleSetup, tuple[Region, ...]] = WeakKeyDictionary()
+
+
+def regions_of(setup: TriangleSetup) -> tuple[Region, ...]:
+    """Return the regions of a refracting part, from a cache."""
+    if setup not in _regions:
+        labels = _labels(setup)
+        groups = [np.flatnonzero(labels == label) for label in np.unique(labels)[: _MOST + 1]]
+        if len(groups) > _MOST:
+            groups = [np.arange(len(setup.faces))]
+        _regions[setup] = tuple(Region.of(setup, group) for group in groups)
+    return _regions[setup]
+
+
+def _labels(setup: TriangleSetup) -> Numbers:
+    """Return a label for each triangle, (F,). Connected triangles have the same label, and so have
+    regions whose bounding boxes overlap, such as the front and the back of a shell."""
+    corners = np.unique(setup.positions, axis=0, return_inverse=True)[1].reshape(-1)[setup.faces]
+    labels = _joined(np.asarray(corners), np.arange(corners.max() + 1))[corners[:, 0]]
+    names, labels = np.unique(labels, return_inverse=True)
+    low, high = np.full((2, len(names), 3), np.inf)
+    for i in range(3):
+        np.minimum.at(low, labels, setup.positions[setup.faces[:, i]])
+        np.minimum.at(high, labels, -setup.positions[setup.faces[:, i]])
+    if len(names) > 1000:
+        return np.asarray(labels)
+    overlap = (low[:, None] <= -high[None]).all(axis=-1)
+    pairs = np.argwhere(overlap & overlap.T)
+    return np.asarray(_joined(pairs, np.arange(len(names)))[labels])
+
+
+def _joined(groups: NDArray[np.integer], labels: Numbers) -> Numbers:
+    """Return labels in which all indices of each row of `groups` have the same label."""
+    while True:
+        lowest = labels.copy()
+        np.minimum.at(lowest, groups, labels[groups].min(axis=1, keepdims=True))
+        lowest = lowest[lowest]
+        if (lowest == labels).all():
+            return labels
+        labels = lowest
+
+
+@dataclass(frozen=True, eq=False)
+class Refraction:
+    """The maps of a scene's refracting parts, for one image.
+
+    Attributes
+    ----------
+    parts : regions of each part of the mesh; () for a part that does not refract
+    side : width and height of a map in texels
+    background : linear RGB where nothing is behind a refracting part
+    """
+
+    parts: tuple[tuple[Region, ...], ...]
+    side: int
+    background: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, view: View, size: tuple[int, int]) -> Refraction:
+        """Return the maps for an image of a view. A texel covers at most half a pixel, except in
+        images of an eye alone."""
+        mesh = scene.mesh
+        parts = tuple(
+            regions_of(triangle_setup_of(part, mesh)) if material.refracts else ()
+            for part, material in zip(mesh.parts, mesh.materials, strict=True)
+        )
+        pixels = max(each.pixels(view, size) for own in parts for each in own)
+        side = 2 ** int(np.ceil(np.log2(np.clip(2.0 * pixels, *_SIDES))))
+        return cls(parts, side, np.asarray(scene.background or (0.0, 0.0, 0.0)))
+
+    def refracted(self, draws: Sequence[Draw]) -> list[Draw]:
+        """Return draws in which refracting parts show what is behind them.
+
+        draws : one draw for each part
+        """
+        changed, first = [], 0
+        for draw, own in zip(draws, self.parts, strict=True):
+            if not own:
+                changed.append(draw)
+                continue
+            features = (*draw.program.features, f"REFRACTIONS {len(own)}")
+            uniforms = {
+                **draw.uniforms,
+                "refraction_first": first,
+                "refraction_view": np.array([each.matrix for each in own]),
+                "refraction_bottom": np.array([each.bottom for each in own])[:, None],
+                "refraction_background": self.background,
+            }
+            program = replace(draw.program, features=features)
+            changed.append(replace(draw, program=program, uniforms=uniforms))
+            first += len(own)
+        return changed
+
+    def passes(self, resolved: ResolvedScene, shadows: Sequence[Pass]) -> list[Pass]:
+        """Return the passes that draw the maps, which are reused until the scene changes.
+
+        A texel of a map has the radiance of the diffuse term, without subsurface scattering, and
+        the emission of the foremost surface behind the refracting part.
+
+        shadows : passes that draw the shadow maps
+        """
+        regions = [each for own in self.parts for each in own]
+        size = (len(regions) * self.side, self.side)
+        areas = [(number * self.side, 0, self.side, self.side) for number in range(len(regions))]
+        surface = Target(size=size, sampled=True, values="number", number=2)
+        seen = Target(size=size, sampled=True, number=2)
+        uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
+        key = _key(resolved, self.side, shadows)
+        front = tuple(self._fronts(resolved.scene.mesh, areas))
+        behind = tuple(
+            draw
+            for region, area in zip(regions, areas, strict=True)
+            for draw in _behind(resolved, region, area)
+        )
+        return [
+            Pass(SURFACE, surface, front, key=(SURFACE, *key)),
+            Pass(MAP, seen, behind, (0.0, 0.0, 0.0, _EMPTY), uniforms, key=(MAP, *key)),
+        ]
+
+    def _fronts(self, mesh: Mesh, areas: Sequence[Area]) -> Iterator[Draw]:
+        """Yield the draws of the regions themselves: z in map space."""
+        program, places = Program("refraction_surface.frag"), iter(areas)
+        for part, own in zip(mesh.parts, self.parts, strict=True):
+            setup = triangle_setup_of(part, mesh)
+            for region in own:
+                uniforms = {"view_projection": region.clip, "to_map": region.matrix}
+                yield Draw(program, uniforms, setup=setup, area=next(places), order=region.faces)
+
+
+_NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))
+
+
+def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Draw]:
+    """Yield the draws of the surfaces behind a region."""
+    mesh = resolved.scene.mesh
+    shading = resolved.shading.replace(diffuse="lambert", environment_samples=0)
+    resolved = replace(resolved, shading=shading)
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        if material.transmission > 0.0 or drawn_alpha(part, material) == "blend":
+            continue
+        order = region.within(triangle_setup_of(part, mesh))
+        if not len(order):
+            continue
+        program = shade_program(resolved, ResolvedPart(part, material, 0.0, ()))
+        program = replace(program, features=(*program.features, "BEHIND_REFRACTION"))
+        uniforms: Uniforms = {
+            **part_uniforms(part, material),
+            "view_projection": region.clip,
+            "to_map": region.matrix,
+            "camera_position": region.camera,
+        }
+        yield Draw(program, uniforms, part, material, area=area, order=order)
+
+
+def _key(resolved: ResolvedScene, side: int, shadows: Sequence[Pass]) -> tuple[Hashable, ...]:
+    """Return everything that the maps depend on, for ``Pass.key``."""
+    scene, shading = resolved.scene, resolved.shading
+    around = scene.environment
+    return (
+        *(ref(part) for part in scene.mesh.parts),
+        *(ref(material) for material in scene.mesh.materials),
+        *(scene.mesh.center.tobytes(), scene.mesh.radius, side),
+        *(scene.lights, np.asarray(scene.ambient).tobytes()),
+        around and (ref(around.panorama), around.rotation, around.scale),
+        shading.slope_filter,
+        *(each.key for each in shadows),
+    )
