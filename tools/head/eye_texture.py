@@ -30,7 +30,7 @@ SCLERA: Colour = (220, 209, 201)
 CORNER: Colour = (196, 142, 130)
 CORNER_STRENGTH = 0.55
 VESSEL: Colour = (176, 92, 80)
-SCLERA_EDGE: Colour = (118, 116, 112)  # where the sclera overlaps the iris
+SCLERA_EDGE: Colour = (92, 91, 88)  # where the sclera overlaps the iris
 RIM: Colour = (40, 38, 36)  # limbal ring
 IRIS_OUTER: Colour = (98, 104, 96)
 IRIS_MIDDLE: Colour = (126, 118, 88)
@@ -92,7 +92,7 @@ def _iris(around: Floats, place: Floats, random: np.random.Generator) -> Floats:
     for furrow, depth in ((0.60, 0.14), (0.76, 0.18)):
         bent = place - furrow - 0.03 * np.sin(3 * around + 9 * furrow) - 0.01 * fibre
         colour = colour * (1 - depth * bell(bent / 0.02))[:, None]
-    colour = cover(np.asarray(colour, np.float32), 0.88 * ramp(0.78, 1.0, place), RIM)
+    colour = cover(np.asarray(colour, np.float32), 0.85 * ramp(0.66, 0.94, place), RIM)
     return cover(colour, 0.9 * ramp(0.075, 0.0, place), RUFF)
 
 
@@ -150,7 +150,7 @@ def _paint_eye(eye: Eye, size: int, seed: int) -> tuple[Floats, Floats, Floats]:
     colour = cover(colour, np.clip(CORNER_STRENGTH * corner, 0, 1), CORNER)
     vessels = _vessels(size, random).ravel()
     colour = cover(colour, 0.8 * vessels * ramp(0.05, 0.30, share), VESSEL)
-    colour = cover(colour, 0.75 * ramp(0.11, -0.015, share) ** 1.5, SCLERA_EDGE)
+    colour = cover(colour, 0.85 * ramp(0.13, -0.02, share) ** 1.2, SCLERA_EDGE)
 
     place = np.asarray((chart - CHART_PUPIL) / (CHART_IRIS - CHART_PUPIL), np.float32)
     iris = _iris(around, np.clip(place, 0, 1), random)

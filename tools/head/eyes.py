@@ -106,10 +106,10 @@ def joined(pieces: Sequence[Textured]) -> Textured:
 
 def front_height(radius: Floats, offset: float = 0.0, rounding: float = LIMBUS_ROUNDING) -> Floats:
     """Return the height of the surface ``offset`` outside the eye, at a distance from the axis."""
-    spheres = ((SCLERA_RADIUS + offset, 0.0), (CORNEA_RADIUS + offset, CORNEA_CENTRE))
-    sclera, cornea = (
-        centre + np.sqrt(np.maximum(size * size - radius * radius, 0)) for size, centre in spheres
-    )
+    sclera_size, cornea_size = SCLERA_RADIUS + offset, CORNEA_RADIUS + offset
+    sclera = np.sqrt(np.maximum(sclera_size**2 - radius * radius, 0))
+    cap = np.sqrt(np.maximum(cornea_size**2 - radius * radius, 0))
+    cornea = np.where(radius < cornea_size, CORNEA_CENTRE + cap, 0)
     return smooth_maximum(sclera, cornea, rounding)
 
 

@@ -49,7 +49,7 @@ RIGHT_LID_HEIGHT = 0.97  # height of the right eye's opening, relative to the le
 
 HOLE_CENTRE = (0.02, -0.10)
 HOLE_HALF = (2.15, 1.28)  # half axes of the outermost ring
-HOLE_MARGIN = 0.04  # the hole is larger than this ring
+HOLE_MARGIN = 0.05  # the hole is larger than this ring
 
 LID_THICKNESS = 0.17
 SHELL_ROUNDING = 0.12  # height difference within which the lid's shape over the cornea blends
@@ -63,8 +63,8 @@ EDGE_ROUNDING = 0.045
 EDGE_STEPS, MARGIN_STEPS = 3, 3
 WIDEST = 1.12  # largest distance from the axis at which a margin touches the eyeball
 LOWER_SHELF = 0.055  # width of the lower margin in the front view
-GAP = 0.005  # between margin and eyeball
-BACK = ((9.0, 0.015), (26.0, 0.03))  # polar angle behind the margin, degrees; gap
+GAP = 0.008  # between margin and eyeball
+BACK = ((9.0, 0.03), (26.0, 0.06))  # polar angle behind the margin, degrees; gap
 CARUNCLE = (-1.33, -0.18, 0.11, 0.12)  # x, y, radius, height
 
 HIGHEST, TRACING_STEPS = 4.5, 100  # start and steps of the search for the face from the front
@@ -181,7 +181,7 @@ def _skin(eye: Eye, edge: Floats) -> Floats:
     crease = above * ramp(1.75, 1.1, np.abs(flat[:, 0] - 0.05))
     hanging = ramp(CREASE - 0.03, CREASE + 0.10, place) * ramp(0.95, 0.50, place)
     height += crease * (0.075 * hanging - 0.05 * bell((place - CREASE) / 0.035))
-    height += below * (0.09 * bell((place - 0.38) / 0.20) - 0.02 * bell((place - 0.75) / 0.10))
+    height += below * (0.14 * bell((place - 0.42) / 0.23) - 0.02 * bell((place - 0.80) / 0.08))
     return np.concatenate([flat, height[:, None]], 1).reshape(count, len(edge), 3)
 
 
@@ -259,28 +259,31 @@ def _border(faces: Faces, removed: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.array(loop)
 
 
-def _turns(loop: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the vertices of a loop (N, 2) from angle 0 on, and N + 1 increasing angles."""
-    angle = np.arctan2(*(loop / HOLE_HALF).T[::-1])
-    order = np.roll(np.arange(len(loop)), -int(np.abs(angle).argmin()))
-    turned = np.unwrap(angle[order])
-    return order, np.append(turned, turned[0] + 2 * np.pi)
+def _from_angle_0(loop: Floats) -> NDArray[np.int64]:
+    """Return the rows of a loop (N, 3), from the vertex at angle 0 in the front view on."""
+    return np.roll(np.arange(len(loop)), -int(np.abs(np.arctan2(loop[:, 1], loop[:, 0])).argmin()))
 
 
 def _stitched(outer: Floats, inner: Floats) -> NDArray[np.int64]:
-    """Return triangles between two loops (N, 2), both counter-clockwise, as rows of their union."""
-    (order, turn), (inner_order, inner_turn) = _turns(outer), _turns(inner)
-    inner_order = inner_order + len(outer)
+    """Return triangles between two loops (N, 3), both counter-clockwise, as rows of their union.
+
+    Each triangle advances on the loop whose next vertex is nearer.
+    """
+    points = np.concatenate([outer, inner])
+    first, second = _from_angle_0(outer), len(outer) + _from_angle_0(inner)
     triangles = []
     i = j = 0
     while i < len(outer) or j < len(inner):
-        a, b = order[i % len(outer)], inner_order[j % len(inner)]
-        if j == len(inner) or (i < len(outer) and turn[i + 1] < inner_turn[j + 1]):
+        a, b = first[i % len(outer)], second[j % len(inner)]
+        after_a, after_b = first[(i + 1) % len(outer)], second[(j + 1) % len(inner)]
+        to_a = np.linalg.norm(points[after_a] - points[b])
+        to_b = np.linalg.norm(points[after_b] - points[a])
+        if j == len(inner) or (i < len(outer) and to_a < to_b):
+            triangles.append((b, a, after_a))
             i += 1
-            triangles.append((b, a, order[i % len(outer)]))
         else:
+            triangles.append((b, a, after_b))
             j += 1
-            triangles.append((b, a, inner_order[j % len(inner)]))
     return np.array(triangles)
 
 
@@ -325,7 +328,7 @@ def _fill(mesh: Mesh, opening: Opening) -> tuple[Mesh, Tucked]:
     # Rings run clockwise around the left eye, seen from the front.
     ring = first + np.arange(count)
     ring = ring[::-1] if opening.eye.mirror > 0 else ring
-    loops = [positions[rows][:, :2] - opening.eye.centre[:2] for rows in (border, ring)]
+    loops = [positions[rows] - opening.eye.centre for rows in (border, ring)]
     stitches = np.concatenate([border, ring])[_stitched(*loops)]
     filling = first + ring_faces(len(opening.rings), count)
     filling = filling if opening.eye.mirror > 0 else filling[:, ::-1]
