@@ -169,7 +169,7 @@ def head() -> fr.Mesh:
 
 @pytest.fixture(scope="session")
 def coarse_head() -> fr.Mesh:
-    """The skin of the built-in head with a tenth of its triangles; it renders four times as fast."""
+    """The skin of the built-in head with a tenth of its triangles: four times as fast."""
     require_module("meshoptimizer")
     return fr.simplified(fr.load_mesh().select("head"), 6000)
 
