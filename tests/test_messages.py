@@ -117,8 +117,9 @@ MESSAGES = [
         "environment_samples = 7: give an even number up to 4096",
     ),
     (
-        "render --parts '*lash*' -o x.png",
-        "no part of head.glb is called '*lash*': its parts are head",
+        "render --parts '*brow*' -o x.png",
+        "no part of head.glb is called '*brow*': its parts are head, eyeballs, lashes, tear-line, "
+        "cornea",
     ),
     (
         "render --albedo gone.png -o x.png",
@@ -269,7 +270,7 @@ MESSAGES = [
         "sizes '512..256': give the smaller size first, such as 512..1024",
     ),
     (
-        "plan --budget 1/255 --cost gpu",
+        "plan --parts head --budget 1/255 --cost gpu",
         "unknown cost 'gpu'; known: frame, auto, navi21, vega10, llvmpipe, here",
     ),
     (
@@ -346,7 +347,8 @@ MESSAGES = [
     ),
     (
         "render --parts head --hide head -o x.png",
-        "every part of head.glb is hidden: its parts are head; hide fewer",
+        "every part of head.glb is hidden: its parts are head, eyeballs, lashes, tear-line, "
+        "cornea; hide fewer",
     ),
     (
         "render --camera front --camera profile -o -",

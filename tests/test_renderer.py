@@ -783,8 +783,8 @@ def test_slope_of_a_map_outside_the_domain_is_refused(renderer, head):
     assert np.isfinite(renderer.render(fr.Scene(wide), fr.Shading()).linear).all()
 
 
-def test_render_mesh_is_optional(egl, head):
-    frame = fr.render(head, m=0.25, size=(64, 48), samples=1, backend=egl)
+def test_render_mesh_is_optional(egl):
+    frame = fr.render(fr.load_mesh(), m=0.25, size=(64, 48), samples=1, backend=egl)
     assert frame.linear.shape == (48, 64, 4)
     assert frame.linear.dtype == np.float32
     assert frame.linear.flags.c_contiguous

@@ -139,7 +139,7 @@ class Materials:
             normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
             occlusion_strength=self._strength(source, "occlusionTexture", "strength", 1.0),
             second_uv=tuple(key for key in maps if maps[key] and places[key] != first),
-            **self._transmission(extensions),
+            **self._transmission(extensions, metallic),
             **maps,
         )
         return Look(material, first, second)
@@ -205,9 +205,9 @@ class Materials:
         grey = self._factor("specularColor", sum(tint) / 3.0, HIGHEST)
         return min(f0 * grey, 0.999)
 
-    def _transmission(self, extensions: Doc) -> dict[str, Any]:
-        """Return the fields transmission and refraction. Without a thickness the surface is thin
-        and does not refract."""
+    def _transmission(self, extensions: Doc, metallic: Doc) -> dict[str, Any]:
+        """Return the fields transmission and refraction, and m from the roughness factor. Without a
+        thickness the surface is thin and does not refract."""
         own = extensions.get("KHR_materials_transmission", {})
         passes = self._factor("transmission", own.get("transmissionFactor", 0.0))
         if not passes:
@@ -217,7 +217,9 @@ class Materials:
         thickness = extensions.get("KHR_materials_volume", {}).get("thicknessFactor", 0.0)
         ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5) if thickness > 0.0 else 1.0
         most = range_of(Material, "refraction").high
-        return {"transmission": passes, "refraction": min(max(ior, 1.0), most)}
+        roughness = self._factor("roughness", metallic.get("roughnessFactor", 1.0))
+        m = max(roughness * roughness, range_of(Material, "m").low)
+        return {"transmission": passes, "refraction": min(max(ior, 1.0), most), "m": m}
 
     def _look_for_metal(self, metallic: Doc) -> None:
         """Warn of a metallic material. This check decodes the metallic map unless it is large."""

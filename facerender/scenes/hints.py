@@ -373,7 +373,9 @@ def wrong_unit(mesh: Mesh) -> str | None:
 
 def _head(mesh: Mesh) -> float:
     """Return the height of the head in mesh units."""
-    return 2.0 * find_regions(mesh)["head"].height * mesh.radius
+    head = find_regions(mesh)["head"]
+    assert head is not None
+    return 2.0 * head.height * mesh.radius
 
 
 # --- shadows ------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
-"""Procedural generator of the built-in head: an adult face with closed eyes.
+"""Procedural generator of the built-in head: an adult face with open eyes.
 
     python -m tools.head -o OUT.glb
+    python -m tools.head --eyes closed -o OUT.glb
 
 The modules, in the order of the data flow:
 
@@ -8,11 +9,15 @@ The modules, in the order of the data flow:
     landmarks  lines of the face that shape and texture share (mouth, lids, hairline)
     shape      the head as one implicit surface
     surface    the implicit surface as a triangle mesh
+    eyes       eyeballs and corneas
+    lids       open eyelids, cut into the mesh
+    lashes     lashes, and the tear line of the lower lids
     unwrap     texture coordinates, and the surface point of every texel
     noise      random patterns in space and random points on the mesh
     regions    weights of the skin regions
-    hairs      single hairs of brows and lashes
+    hairs      single hairs of brows, and of the lashes of closed eyes
     texture    albedo, normal and occlusion-roughness maps
+    eye_texture  the maps of the eyeballs
     glb        writer of the GLB file
 
 Internal lengths are in centimetres: x to the head's left, y up from the eye line, z forward from

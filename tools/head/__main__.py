@@ -5,10 +5,34 @@ import sys
 import time
 from pathlib import Path
 
-from .glb import write_glb
-from .surface import build_mesh
+from .eye_texture import paint_eyes
+from .eyes import both_eyes, corneas, eyeballs
+from .glb import CORNEA, EYEBALLS, LASHES, TEAR_LINE, Part, write_glb
+from .lashes import lashes, tear_lines
+from .lids import open_lids, with_open_eyes
+from .surface import Mesh, build_mesh
 from .texture import paint
 from .unwrap import unwrap
+
+EYE_TEXTURE_SHARE = 4  # the chart of an eye is so many times narrower than the skin's maps
+
+
+def write_head(path: Path, closed: Mesh, *, open_eyes: bool, texture_size: int, seed: int) -> None:
+    """Paint the ``closed`` head, open its eyes if wanted, and write the GLB file."""
+    eyes = both_eyes() if open_eyes else ()
+    openings = [open_lids(eye) for eye in eyes]
+    head = unwrap(*with_open_eyes(closed, openings)) if eyes else unwrap(closed)
+    maps = paint(head, texture_size, seed, closed, eyes)
+    parts = []
+    if eyes:
+        eye_maps = paint_eyes(eyes, texture_size // EYE_TEXTURE_SHARE, seed)
+        parts = [
+            Part("eyeballs", eyeballs(eyes), EYEBALLS, eye_maps),
+            Part("lashes", lashes(openings, seed), LASHES),
+            Part("tear-line", tear_lines(openings), TEAR_LINE),
+            Part("cornea", corneas(eyes), CORNEA),
+        ]
+    write_glb(path, head, maps, parts)
 
 
 def main() -> None:
@@ -21,19 +45,21 @@ def main() -> None:
         "--texture-size", type=int, default=2048, help="width of albedo and normal map in texels"
     )
     parser.add_argument("--seed", type=int, default=7, help="seed of pores, hairs and blotches")
+    parser.add_argument("--eyes", choices=("open", "closed"), default="open", help="default: open")
     arguments = parser.parse_args()
     if arguments.texture_size < 64:
         parser.error(f"--texture-size {arguments.texture_size} is too small: give at least 64")
 
     start = time.perf_counter()
-    head = unwrap(build_mesh())
-    maps = paint(head, arguments.texture_size, arguments.seed)
-    write_glb(arguments.output, head, maps)
-    print(
-        f"{arguments.output}: {len(head.mesh.positions)} vertices, {len(head.mesh.faces)} faces, "
-        f"{arguments.output.stat().st_size} bytes, {time.perf_counter() - start:.0f} s",
-        file=sys.stderr,
+    write_head(
+        arguments.output,
+        build_mesh(),
+        open_eyes=arguments.eyes == "open",
+        texture_size=arguments.texture_size,
+        seed=arguments.seed,
     )
+    size, seconds = arguments.output.stat().st_size, time.perf_counter() - start
+    print(f"{arguments.output}: {size} bytes, {seconds:.0f} s", file=sys.stderr)
 
 
 if __name__ == "__main__":

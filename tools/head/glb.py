@@ -1,4 +1,4 @@
-"""Writer of the head as a binary glTF 2.0 file: one mesh, one material, three embedded JPEG maps.
+"""Writer of the head as a binary glTF 2.0 file with embedded JPEG maps: the skin, and open eyes.
 
 Converts centimetres to metres, and v from up to down, as in glTF.
 """
@@ -6,6 +6,8 @@ Converts centimetres to metres, and v from up to down, as in glTF.
 import io
 import json
 import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from .eye_texture import EyeMaps
+from .eyes import IRIS_DEPTH, Textured
+from .fields import Floats
+from .surface import Mesh
 from .texture import Maps
 from .unwrap import Unwrapped
 
 GENERATOR = "facerender tools/head"
 METRES_PER_CM = 0.01
+
+Doc = dict[str, Any]
 
 # JPEG quality, and whether chroma keeps the full resolution. Maps of numbers need full resolution,
 # because errors in their channels are more visible than errors of colour.
@@ -29,6 +37,35 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 REPEAT, CLAMP_TO_EDGE = 10497, 33071
 GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+
+
+def _clear(name: str, roughness: float, index: float, thickness: float = 0.0) -> Doc:
+    """Return a clear material; a thickness in metres makes it the surface of a volume."""
+    extensions = {
+        "KHR_materials_transmission": {"transmissionFactor": 1.0},
+        "KHR_materials_ior": {"ior": index},
+    }
+    if thickness:
+        extensions["KHR_materials_volume"] = {"thicknessFactor": thickness}
+    return {
+        "name": name,
+        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": roughness},
+        "extensions": extensions,
+    }
+
+
+# Roughness is the square root of m. The indices are those of the aqueous humour and of tears.
+CORNEA = _clear("cornea", 0.173, 1.336, IRIS_DEPTH * METRES_PER_CM)
+TEAR_LINE = _clear("tear-line", 0.3, 1.337)
+EYEBALLS: Doc = {"name": "eyeballs"}  # with maps
+LASHES: Doc = {
+    "name": "lashes",
+    "pbrMetallicRoughness": {
+        "baseColorFactor": [0.012, 0.008, 0.006, 1.0],
+        "metallicFactor": 0.0,
+        "roughnessFactor": 0.7,
+    },
+}
 
 
 def _jpeg(image: Image.Image, quality: int, full_colour: bool) -> bytes:
@@ -43,14 +80,26 @@ def _padded(content: bytes, filler: bytes) -> bytes:
     return content + filler * (-len(content) % 4)
 
 
-class _Buffer:
-    """The binary part of the file, with its buffer views."""
+@dataclass(frozen=True)
+class Part:
+    """A part besides the skin: its mesh in cm, its glTF material, and its maps or None."""
+
+    name: str
+    shape: Textured
+    material: Doc
+    maps: EyeMaps | None = None
+
+
+class _Writer:
+    """The binary part of the file, and what describes it."""
 
     def __init__(self) -> None:
         self.content = b""
         self.views: list[dict[str, int]] = []
+        self.accessors: list[Doc] = []
+        self.images: list[Doc] = []
 
-    def add(self, content: bytes, target: int | None = None) -> int:
+    def view(self, content: bytes, target: int | None = None) -> int:
         view = {"buffer": 0, "byteOffset": len(self.content), "byteLength": len(content)}
         if target is not None:
             view["target"] = target
@@ -58,16 +107,11 @@ class _Buffer:
         self.content += _padded(content, b"\0")
         return len(self.views) - 1
 
-
-def _describe(unwrapped: Unwrapped, maps: Maps) -> tuple[dict[str, Any], bytes]:
-    buffer = _Buffer()
-    accessors: list[dict[str, Any]] = []
-
-    def attribute(values: NDArray[Any], kind: str) -> int:
+    def attribute(self, values: NDArray[Any], kind: str) -> int:
         values = np.ascontiguousarray(values, "<f4")
-        accessors.append(
+        self.accessors.append(
             {
-                "bufferView": buffer.add(values.tobytes(), ARRAY_BUFFER),
+                "bufferView": self.view(values.tobytes(), ARRAY_BUFFER),
                 "componentType": FLOAT,
                 "count": len(values),
                 "type": kind,
@@ -75,65 +119,86 @@ def _describe(unwrapped: Unwrapped, maps: Maps) -> tuple[dict[str, Any], bytes]:
                 "max": values.max(0).tolist(),
             }
         )
-        return len(accessors) - 1
+        return len(self.accessors) - 1
 
-    mesh = unwrapped.mesh
-    coordinates = unwrapped.coordinates * (1, -1) + (0, 1)
-    attributes = {
-        "POSITION": attribute(mesh.positions * METRES_PER_CM, "VEC3"),
-        "NORMAL": attribute(mesh.normals, "VEC3"),
-        "TEXCOORD_0": attribute(coordinates, "VEC2"),
-    }
-    # Index 65,535 is excluded: it is the primitive restart index.
-    short = len(mesh.positions) < 65_535
-    indices = mesh.faces.astype("<u2" if short else "<u4").tobytes()
-    accessors.append(
-        {
-            "bufferView": buffer.add(indices, ELEMENT_ARRAY_BUFFER),
-            "componentType": UNSIGNED_SHORT if short else UNSIGNED_INT,
-            "count": mesh.faces.size,
-            "type": "SCALAR",
+    def mesh(self, name: str, mesh: Mesh, coordinates: Floats | None, material: int) -> Doc:
+        attributes = {
+            "POSITION": self.attribute(mesh.positions * METRES_PER_CM, "VEC3"),
+            "NORMAL": self.attribute(mesh.normals, "VEC3"),
         }
-    )
-    images = [
-        {"bufferView": buffer.add(_jpeg(image, *encoding)), "mimeType": "image/jpeg", "name": name}
-        for name, image, encoding in (
-            ("albedo", maps.albedo, ALBEDO_JPEG),
-            ("normal", maps.normal, NORMAL_JPEG),
-            (
-                "occlusion-roughness",
-                maps.occlusion_roughness,
-                OCCLUSION_ROUGHNESS_JPEG,
-            ),
+        if coordinates is not None:
+            attributes["TEXCOORD_0"] = self.attribute(coordinates * (1, -1) + (0, 1), "VEC2")
+        # Index 65,535 is excluded: it is the primitive restart index.
+        short = len(mesh.positions) < 65_535
+        indices = mesh.faces.astype("<u2" if short else "<u4").tobytes()
+        self.accessors.append(
+            {
+                "bufferView": self.view(indices, ELEMENT_ARRAY_BUFFER),
+                "componentType": UNSIGNED_SHORT if short else UNSIGNED_INT,
+                "count": mesh.faces.size,
+                "type": "SCALAR",
+            }
         )
-    ]
+        indices_at = len(self.accessors) - 1
+        primitive = {"attributes": attributes, "indices": indices_at, "material": material}
+        return {"name": name, "primitives": [primitive]}
+
+    def image(self, name: str, image: Image.Image, encoding: tuple[int, bool]) -> int:
+        view = self.view(_jpeg(image, *encoding))
+        self.images.append({"bufferView": view, "mimeType": "image/jpeg", "name": name})
+        return len(self.images) - 1
+
+
+def _material(name: str, albedo: int, numbers: int, normal: int | None = None) -> Doc:
+    """Return a material with maps, given as indices of textures."""
+    found: Doc = {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": albedo},
+            "metallicRoughnessTexture": {"index": numbers},
+            "metallicFactor": 0.0,
+            "roughnessFactor": 1.0,
+        },
+    }
+    if normal is not None:
+        found["normalTexture"] = {"index": normal}
+    return found | {"occlusionTexture": {"index": numbers}}
+
+
+def _describe(
+    unwrapped: Unwrapped, maps: Maps, parts: Sequence[Part]
+) -> tuple[dict[str, Any], bytes]:
+    writer = _Writer()
+    meshes = [writer.mesh("head", unwrapped.mesh, unwrapped.coordinates, 0)]
+    albedo = writer.image("albedo", maps.albedo, ALBEDO_JPEG)
+    normal = writer.image("normal", maps.normal, NORMAL_JPEG)
+    numbers = writer.image(
+        "occlusion-roughness", maps.occlusion_roughness, OCCLUSION_ROUGHNESS_JPEG
+    )
+    materials = [_material("skin", albedo, numbers, normal)]
+    for part in parts:
+        shape = part.shape
+        meshes.append(writer.mesh(part.name, shape.mesh, shape.coordinates, len(materials)))
+        material = part.material
+        if part.maps is not None:
+            albedo = writer.image(f"{part.name}-albedo", part.maps.albedo, ALBEDO_JPEG)
+            numbers = writer.image(
+                f"{part.name}-occlusion-roughness",
+                part.maps.occlusion_roughness,
+                OCCLUSION_ROUGHNESS_JPEG,
+            )
+            material = _material(material["name"], albedo, numbers)
+        materials.append(material)
+    used = sorted({key for material in materials for key in material.get("extensions", {})})
     description = {
         "asset": {"version": "2.0", "generator": GENERATOR},
+        **({"extensionsUsed": used} if used else {}),
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "head"}],
-        "meshes": [
-            {
-                "name": "head",
-                "primitives": [
-                    {"attributes": attributes, "indices": len(accessors) - 1, "material": 0}
-                ],
-            }
-        ],
-        "materials": [
-            {
-                "name": "skin",
-                "pbrMetallicRoughness": {
-                    "baseColorTexture": {"index": 0},
-                    "metallicRoughnessTexture": {"index": 2},
-                    "metallicFactor": 0.0,
-                    "roughnessFactor": 1.0,
-                },
-                "normalTexture": {"index": 1},
-                "occlusionTexture": {"index": 2},
-            }
-        ],
-        "textures": [{"source": index, "sampler": 0} for index in range(len(images))],
+        "scenes": [{"nodes": list(range(len(meshes)))}],
+        "nodes": [{"mesh": index, "name": mesh["name"]} for index, mesh in enumerate(meshes)],
+        "meshes": meshes,
+        "materials": materials,
+        "textures": [{"source": index, "sampler": 0} for index in range(len(writer.images))],
         "samplers": [
             {
                 "magFilter": LINEAR,
@@ -142,17 +207,17 @@ def _describe(unwrapped: Unwrapped, maps: Maps) -> tuple[dict[str, Any], bytes]:
                 "wrapT": CLAMP_TO_EDGE,
             }
         ],
-        "images": images,
-        "accessors": accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.content)}],
+        "images": writer.images,
+        "accessors": writer.accessors,
+        "bufferViews": writer.views,
+        "buffers": [{"byteLength": len(writer.content)}],
     }
-    return description, buffer.content
+    return description, writer.content
 
 
-def write_glb(path: Path, unwrapped: Unwrapped, maps: Maps) -> None:
-    """Write the head to ``path``."""
-    description, binary = _describe(unwrapped, maps)
+def write_glb(path: Path, unwrapped: Unwrapped, maps: Maps, parts: Sequence[Part] = ()) -> None:
+    """Write the head to ``path``; ``parts`` are the eyes if they are open."""
+    description, binary = _describe(unwrapped, maps, parts)
     text = _padded(json.dumps(description, separators=(",", ":")).encode(), b" ")
     size = 12 + 8 + len(text) + 8 + len(binary)
     path.write_bytes(

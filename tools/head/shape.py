@@ -356,7 +356,17 @@ def _bent(points: Floats) -> tuple[Floats, Floats, Floats]:
     return np.asarray(bent, np.float32), np.asarray(raised, np.float32), z
 
 
-def _without_ears(x: Floats, y: Floats, z: Floats, *, fine: bool) -> Floats:
+def placed(points: Floats) -> Floats:
+    """Return the places on the asymmetric head of points (N, 3) of the symmetric head."""
+    found = points
+    for _ in range(8):
+        found = found + points - np.stack(_bent(found), 1)
+    return np.asarray(found, np.float32)
+
+
+def _without_ears(
+    x: Floats, y: Floats, z: Floats, *, fine: bool, closed_lids: bool = True
+) -> Floats:
     side = np.sqrt(x * x + MIDDLE_ROUNDING**2)
     in_front = ramp(FACE_BACK, FACE_FRONT, z)
 
@@ -373,7 +383,8 @@ def _without_ears(x: Floats, y: Floats, z: Floats, *, fine: bool) -> Floats:
     head = head - relief * in_front
 
     head = smooth_minimum(head, EYEBALL.distance(side, y, z), EYEBALL_BLEND)
-    head = head - _lid_relief(side, y, fine=fine) * in_front
+    if closed_lids:
+        head = head - _lid_relief(side, y, fine=fine) * in_front
 
     head = smooth_minimum(head, _nose(x, side, y, z), 0.62)
     head = smooth_maximum(head, -_nostrils(side, y, z), 0.12)
@@ -398,6 +409,11 @@ def head_distance(points: Floats, *, fine: bool = False) -> Floats:
     """
     bent = _bent(points)
     return smooth_minimum(_without_ears(*bent, fine=fine), ear_distance(np.stack(bent, 1)), 0.35)
+
+
+def lidless_distance(points: Floats) -> Floats:
+    """Return the distance to a face whose eyelids have no edges and folds, without ears."""
+    return _without_ears(*_bent(points), fine=False, closed_lids=False)
 
 
 def nostril_distance(points: Floats) -> Floats:
@@ -434,6 +450,6 @@ def gradient(distance: Callable[[Floats], Floats], points: Floats, step: float) 
 
 
 def unit(vectors: Floats) -> Floats:
-    """Return vectors (N, 3) scaled to length 1."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    """Return vectors (..., 3) scaled to length 1."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.maximum(lengths, 1e-9), np.float32)

@@ -190,6 +190,14 @@ def face_normals(positions: Floats, faces: Faces) -> Floats:
     )
 
 
+def vertex_normals(positions: Floats, faces: Faces) -> Floats:
+    """Return the means of the normals of the faces around each vertex, weighted by their areas."""
+    total = np.zeros_like(positions)
+    for corner in range(3):
+        np.add.at(total, faces[:, corner], face_normals(positions, faces))
+    return unit(total)
+
+
 def build_mesh() -> Mesh:
     """Return the head as a mesh that is open at the lower end of the neck."""
     positions, faces = _extract()

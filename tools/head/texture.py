@@ -3,18 +3,26 @@
 Colours are linear until the output; heights and distances are in cm.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
 
+from .eyes import Eye
 from .fields import Floats, bell, ramp
 from .hairs import brow_cover, lash_cover
 from .landmarks import hairline
+from .lids import Lids, find_lids
 from .noise import Noise, nearest, scatter
 from .regions import Regions, find_regions
-from .shape import fine_head_distance, gradient, head_distance, in_blocks, unit
+from .shape import (
+    fine_head_distance,
+    gradient,
+    head_distance,
+    in_blocks,
+    unit,
+)
 from .surface import Mesh
 from .unwrap import Texels, Unwrapped, find_texels
 
@@ -27,6 +35,9 @@ STUBBLE: Colour = (92, 84, 84)
 SCALP_HAIR: Colour = (62, 51, 45)
 BROW: Colour = (58, 44, 36)
 LASHES: Colour = (46, 34, 30)
+LID_MARGIN: Colour = (206, 142, 126)
+CARUNCLE: Colour = (198, 116, 106)
+LID_WHITE: Colour = (204, 158, 146)  # at the border of the corners and the sclera
 
 # Absorption of red, green and blue by one unit of a pigment: the exponent of its transmission.
 BLOOD: Colour = (0.03, 0.26, 0.24)
@@ -77,6 +88,7 @@ SLOPE_ADDED = {
     "scalp": 0.10,
     "nostril": 0.15,
 }
+SLOPE_ADDED_WET = -0.07  # on the margins of open lids
 SLOPE_RANGE = (0.19, 0.54)  # narrower than the required 0.18 to 0.55, because JPEG adds errors
 
 
@@ -112,25 +124,27 @@ class Marks:
     lash: Floats
 
 
-def _linear(colour: Colour) -> Floats:
+def linear(colour: Colour) -> Floats:
     """Convert 8-bit sRGB to linear."""
     value = np.array(colour, np.float32) / 255
     return np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
-def _encoded(linear: Floats) -> Floats:
+def encoded(colour: Floats) -> Floats:
     """Convert linear to sRGB, in [0, 1]."""
-    value = np.clip(linear, 0, 1)
+    value = np.clip(colour, 0, 1)
     return np.where(value < 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
 
 
-def _absorb(colour: Floats, amount: Floats, pigment: Colour) -> Floats:
+def absorb(colour: Floats, amount: Floats, pigment: Colour) -> Floats:
+    """Return colours (N, 3) behind an amount (N,) of a pigment."""
     return np.asarray(colour * np.exp(-amount[:, None] * np.array(pigment, np.float32)), np.float32)
 
 
-def _cover(colour: Floats, amount: Floats, over: Colour) -> Floats:
+def cover(colour: Floats, amount: Floats, over: Colour) -> Floats:
+    """Return colours (N, 3) behind an opaque colour with the coverage ``amount`` (N,)."""
     share = amount[:, None]
-    return np.asarray(colour * (1 - share) + _linear(over) * share, np.float32)
+    return np.asarray(colour * (1 - share) + linear(over) * share, np.float32)
 
 
 # Relative densities of marks at points (N, 3).
@@ -221,7 +235,7 @@ def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
     return np.asarray(height, np.float32)
 
 
-def _tangent_normals(texels: Texels, height: Floats, nostril: Floats) -> Floats:
+def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, open_eye: Floats) -> Floats:
     """Return tangent-space normals: x along u, z along the mesh normal.
 
     They encode the normals of the surface with its fine folds, tilted by the slope of ``height``.
@@ -244,7 +258,7 @@ def _tangent_normals(texels: Texels, height: Floats, nostril: Floats) -> Floats:
     slope *= np.minimum(1, STEEPEST / np.maximum(steepness, 1e-6))
 
     folded = unit(gradient(fine_head_distance, texels.positions, 0.018))
-    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole
+    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole * (1 - open_eye)
     wanted = normals + (folded - normals) * trusted[:, None] - slope
     wanted += (np.array(NOSTRIL_OPENING, np.float32) - wanted) * nostril[:, None]
 
@@ -255,14 +269,23 @@ def _tangent_normals(texels: Texels, height: Floats, nostril: Floats) -> Floats:
     return unit(np.asarray(in_frame, np.float32))
 
 
-def _occlusion(texels: Texels, regions: Regions) -> Floats:
-    """Return the unoccluded fraction of the space around each point, from 0 to 1."""
-    blocked = np.zeros(len(texels.positions), np.float32)
+def _open_share(points: Floats, normals: Floats, distance: Callable[[Floats], Floats]) -> Floats:
+    blocked = np.zeros(len(points), np.float32)
     for step, reach in enumerate(OCCLUSION_REACH):
-        outside = texels.positions + texels.normals * np.float32(reach)
-        missing = np.clip(reach - in_blocks(head_distance, outside), 0, None)
+        outside = points + normals * np.float32(reach)
+        missing = np.clip(reach - in_blocks(distance, outside), 0, None)
         blocked += missing / reach * 0.5**step
-    open_share = np.clip(1 - OCCLUSION_STRENGTH * blocked, 0, 1)
+    return np.asarray(np.clip(1 - OCCLUSION_STRENGTH * blocked, 0, 1))
+
+
+def _occlusion(texels: Texels, regions: Regions, lids: Lids) -> Floats:
+    """Return the unoccluded fraction of the space around each point, from 0 to 1."""
+    open_share = _open_share(texels.positions, texels.normals, head_distance)
+    at_eye = np.flatnonzero(lids.region)
+    if len(at_eye):
+        share = lids.region[at_eye]
+        wanted = lids.open_share[at_eye]
+        open_share[at_eye] += (wanted - open_share[at_eye]) * share
     return np.asarray(open_share * (1 - 0.4 * regions.nostril), np.float32)
 
 
@@ -280,26 +303,26 @@ def _skin_colour(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
     carotene = 0.12 * regions.forehead + 0.08 * regions.neck
     vein = np.clip(1 - 9 * np.abs(noise(points, 0.75, 81, layers=3)), 0, 1)
 
-    colour = np.tile(_linear(SKIN), (len(points), 1)).astype(np.float32)
-    colour = _absorb(colour, np.clip(blood, -1, 3), BLOOD)
-    colour = _absorb(colour, melanin, MELANIN)
-    colour = _absorb(colour, carotene, CAROTENE)
-    colour = _absorb(colour, vein * (0.35 * regions.under_eye + 0.25 * regions.temple), VEIN)
+    colour = np.tile(linear(SKIN), (len(points), 1)).astype(np.float32)
+    colour = absorb(colour, np.clip(blood, -1, 3), BLOOD)
+    colour = absorb(colour, melanin, MELANIN)
+    colour = absorb(colour, carotene, CAROTENE)
+    colour = absorb(colour, vein * (0.35 * regions.under_eye + 0.25 * regions.temple), VEIN)
     pore = 0.10 * bell(marks.pores.distance / PORE_SIZE) * regions.plain_skin
     pore *= 0.4 + 0.6 * np.clip(regions.nose + regions.cheek, 0, 1)
-    colour = _absorb(colour, pore, (0.6, 1.0, 1.0))
+    colour = absorb(colour, pore, (0.6, 1.0, 1.0))
     strength = marks.freckles.rank**2
     freckle = bell(marks.freckles.distance / (FRECKLE_SIZE + 0.035 * strength))
-    colour = _absorb(colour, freckle * (0.10 + 0.22 * strength), (0.5, 0.9, 1.2))
+    colour = absorb(colour, freckle * (0.10 + 0.22 * strength), (0.5, 0.9, 1.2))
     strength = marks.moles.rank
     mole = ramp(1.25, 0.75, marks.moles.distance / (MOLE_SIZE + 0.05 * strength))
-    return _absorb(colour, mole * (0.35 + 0.6 * strength), (0.8, 1.15, 1.3))
+    return absorb(colour, mole * (0.35 + 0.6 * strength), (0.8, 1.15, 1.3))
 
 
 def _add_lips(colour: Floats, points: Floats, regions: Regions, noise: Noise) -> Floats:
     furrow = 1 + 0.07 * noise(points, 5, 91, layers=3, stretch=(1, 0.2, 0.4))
     lighter_below = 1 + 0.12 * (regions.lower_lip - regions.upper_lip)
-    lips = _linear(LIPS) * (furrow * lighter_below)[:, None]
+    lips = linear(LIPS) * (furrow * lighter_below)[:, None]
     opacity = np.clip(0.72 + 0.07 * noise(points, 4, 95, layers=2), 0.55, 0.85)
     share = (regions.lips * opacity)[:, None]
     return np.asarray(colour * (1 - share) + lips * share, np.float32)
@@ -315,7 +338,7 @@ def _add_hair(
         0.55 * bell(marks.stubbles.distance / STUBBLE_SIZE) * (marks.stubbles.rank < regions.beard)
     )
     stubble = regions.beard * shadow + single * np.sqrt(regions.beard)
-    colour = _cover(colour, stubble, STUBBLE)
+    colour = cover(colour, stubble, STUBBLE)
     shadow = 0.66 * regions.scalp**1.5 * (1 + 0.03 * noise(points, 3, 99, layers=2))
     single = (
         0.40
@@ -323,25 +346,29 @@ def _add_hair(
         * (marks.follicles.rank < regions.scalp)
     )
     scalp = shadow + single
-    colour = _cover(colour, np.clip(scalp, 0, 0.93), SCALP_HAIR)
-    colour = _cover(colour, np.clip(marks.brow + 0.28 * marks.brow_shade, 0, 0.93), BROW)
-    return _cover(colour, np.clip(marks.lash, 0, 0.88), LASHES)
+    colour = cover(colour, np.clip(scalp, 0, 0.93), SCALP_HAIR)
+    colour = cover(colour, np.clip(marks.brow + 0.28 * marks.brow_shade, 0, 0.93), BROW)
+    return cover(colour, np.clip(marks.lash, 0, 0.88), LASHES)
 
 
 def _albedo(
-    points: Floats, regions: Regions, marks: Marks, noise: Noise, occlusion: Floats
+    points: Floats, regions: Regions, marks: Marks, noise: Noise, occlusion: Floats, lids: Lids
 ) -> Floats:
     colour = _skin_colour(points, regions, marks, noise)
     colour = _add_lips(colour, points, regions, noise)
     colour = _add_hair(colour, points, regions, marks, noise)
+    colour = cover(colour, 0.85 * lids.wet, LID_MARGIN)
+    colour = cover(colour, 0.80 * lids.caruncle, CARUNCLE)
+    colour = cover(colour, lids.white, LID_WHITE)
+    colour = cover(colour, 0.5 * lids.roots, LASHES)
     # Pits reflect less light, and redder light.
     open_share = 0.60 + 0.40 * occlusion
     open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.36 * regions.mouth_seam)
     return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
 
 
-def _rms_slope(points: Floats, regions: Regions, noise: Noise) -> Floats:
-    slope = SLOPE_BASE + 0.02 * noise(points, 1.5, 101, layers=3)
+def _rms_slope(points: Floats, regions: Regions, noise: Noise, lids: Lids) -> Floats:
+    slope = SLOPE_BASE + 0.02 * noise(points, 1.5, 101, layers=3) + SLOPE_ADDED_WET * lids.wet
     for region, added in SLOPE_ADDED.items():
         slope = slope + added * getattr(regions, region)
     return np.asarray(np.clip(slope, *SLOPE_RANGE), np.float32)
@@ -353,24 +380,30 @@ def _picture(texels: Texels, values: Floats) -> Image.Image:
     return Image.fromarray(image[::-1])
 
 
-def paint(unwrapped: Unwrapped, size: int, seed: int) -> Maps:
-    """Compute the maps; ``size`` is their width in texels, halved for occlusion and roughness."""
+def paint(unwrapped: Unwrapped, size: int, seed: int, closed: Mesh, eyes: Sequence[Eye]) -> Maps:
+    """Compute the maps; ``size`` is their width in texels, halved for occlusion and roughness.
+
+    The marks of the skin are scattered on the ``closed`` head, so that they do not depend on the
+    ``eyes`` that are open.
+    """
     random = np.random.default_rng(seed)
     noise = Noise(seed)
     texels = find_texels(unwrapped, size)
     points = texels.positions
     regions = find_regions(points, noise)
-    marks = _scatter_marks(unwrapped.mesh, points, random)
-    occlusion = _occlusion(texels, regions)
+    lids = find_lids(points, eyes)
+    marks = _scatter_marks(closed, points, random)
+    marks = replace(marks, lash=marks.lash * (1 - lids.region))
+    occlusion = _occlusion(texels, regions, lids)
 
     height = _fine_height(points, regions, marks, noise)
-    normals = _tangent_normals(texels, height, regions.nostril)
-    albedo = _albedo(points, regions, marks, noise, occlusion)
-    roughness = np.sqrt(_rms_slope(points, regions, noise))
+    normals = _tangent_normals(texels, height, regions.nostril, lids.region)
+    albedo = _albedo(points, regions, marks, noise, occlusion, lids)
+    roughness = np.sqrt(_rms_slope(points, regions, noise, lids))
     combined = np.stack([occlusion, roughness, np.zeros_like(occlusion)], 1)
     half = (size // 2, size // 2)
     return Maps(
-        albedo=_picture(texels, _encoded(albedo)),
+        albedo=_picture(texels, encoded(albedo)),
         normal=_picture(texels, normals * 0.5 + 0.5),
         occlusion_roughness=_picture(texels, combined).resize(half, Image.Resampling.BOX),
     )

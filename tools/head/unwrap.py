@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from .fields import Floats, ramp
+from .lids import Tucked
 from .shape import belongs_to_ear
 from .surface import Faces, Mesh, face_normals
 
@@ -174,9 +175,15 @@ def _hidden(mesh: Mesh, coordinates: Floats) -> NDArray[np.bool_]:
     return hidden
 
 
-def unwrap(mesh: Mesh) -> Unwrapped:
-    """Assign texture coordinates to the mesh."""
+def unwrap(mesh: Mesh, tucked: Tucked | None = None) -> Unwrapped:
+    """Assign texture coordinates to the mesh; ``tucked`` vertices lie between others in the chart.
+
+    These are the margins and backs of the lids, which fill the openings of the eyes.
+    """
     coordinates = _unroll(mesh.positions)
+    if tucked is not None:
+        anchors = coordinates[tucked.anchors]
+        coordinates[tucked.vertices] = (anchors * tucked.weights[:, :, None]).sum(1)
     # Faces across the back of the head get u above 1 on one side, because the texture repeats.
     faces = mesh.faces
     span = np.ptp(coordinates[faces][:, :, 0], axis=1)
