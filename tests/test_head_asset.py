@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 HEAD = ROOT / "assets" / "head.glb"
 
 
-PARTS = ("head", "eyeballs", "lashes", "tear-line", "cornea")
+PARTS = ("head", "eyeballs", "lash-strands", "tear-line", "cornea")
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ def test_parts_of_the_eyes_have_materials(head: Head):
     thickness = materials["cornea"]["extensions"]["KHR_materials_volume"]["thicknessFactor"]
     assert thickness == pytest.approx(0.0036), "m, from the apex to the iris"
     assert "KHR_materials_volume" not in materials["tear-line"]["extensions"]
-    assert max(found["lashes"].albedo) < 0.02
-    for name in ("head", "eyeballs", "lashes"):
+    assert max(found["lash-strands"].albedo) < 0.02
+    for name in ("head", "eyeballs", "lash-strands"):
         assert (found[name].transmission, found[name].alpha) == (0.0, "opaque")
     roughness = np.asarray(head.parts["eyeballs"].visual.material.metallicRoughnessTexture)
     assert ((roughness[..., 1] / 255) ** 2).min() > 0.1, "the cornea has the highlight"
@@ -311,7 +311,7 @@ def test_lashes_grow_out_of_the_lids(eye: MeasuredEye):
     """In mm. Only the first section of a lash, of 13 vertices, is in the skin."""
     from scipy.spatial import cKDTree
 
-    lashes = eye.vertices("lashes").reshape(-1, 13, 3)
+    lashes = eye.vertices("lash-strands").reshape(-1, 13, 3)
     assert len(lashes) > 80
     assert np.linalg.norm(lashes[:, 12] - lashes[:, 0], axis=1).max() < 10
     mesh = eye.head.mesh

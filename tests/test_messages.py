@@ -118,8 +118,8 @@ MESSAGES = [
     ),
     (
         "render --parts '*brow*' -o x.png",
-        "no part of head.glb is called '*brow*': its parts are head, eyeballs, lashes, tear-line, "
-        "cornea",
+        "no part of head.glb is called '*brow*': its parts are head, eyeballs, lash-strands, "
+        "tear-line, cornea",
     ),
     (
         "render --albedo gone.png -o x.png",
@@ -347,8 +347,8 @@ MESSAGES = [
     ),
     (
         "render --parts head --hide head -o x.png",
-        "every part of head.glb is hidden: its parts are head, eyeballs, lashes, tear-line, "
-        "cornea; hide fewer",
+        "every part of head.glb is hidden: its parts are head, eyeballs, lash-strands, "
+        "tear-line, cornea; hide fewer",
     ),
     (
         "render --camera front --camera profile -o -",

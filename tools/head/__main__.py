@@ -28,7 +28,7 @@ def write_head(path: Path, closed: Mesh, *, open_eyes: bool, texture_size: int, 
         eye_maps = paint_eyes(eyes, texture_size // EYE_TEXTURE_SHARE, seed)
         parts = [
             Part("eyeballs", eyeballs(eyes), EYEBALLS, eye_maps),
-            Part("lashes", lashes(openings, seed), LASHES),
+            Part("lash-strands", lashes(openings, seed), LASHES),
             Part("tear-line", tear_lines(openings), TEAR_LINE),
             Part("cornea", corneas(eyes), CORNEA),
         ]

@@ -59,7 +59,7 @@ CORNEA = _clear("cornea", 0.173, 1.336, IRIS_DEPTH * METRES_PER_CM)
 TEAR_LINE = _clear("tear-line", 0.3, 1.337)
 EYEBALLS: Doc = {"name": "eyeballs"}  # with maps
 LASHES: Doc = {
-    "name": "lashes",
+    "name": "lash-strands",
     "pbrMetallicRoughness": {
         "baseColorFactor": [0.012, 0.008, 0.006, 1.0],
         "metallicFactor": 0.0,
