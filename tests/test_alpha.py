@@ -114,7 +114,7 @@ def test_transmission_scales_the_diffuse_term_and_the_coverage(single):
 
 
 def test_parts_with_transmission_cast_no_shadow(single):
-    lights = (parse_light("0,30,3,shadow"),)
+    lights = (parse_light("0,30,3"),)
     thin, cornea = Material(transmission=0.5), Material(transmission=0.5, refraction=1.3)
     for front, least in ((thin, 1.0), (Material(), 0.0), (cornea, 1.0), (Material(), 0.0)):
         scene = scene_of([quad(0.0), quad(0.5, 0.5)], [Material(), front], lights=lights)

@@ -56,7 +56,7 @@ def test_module_is_not_imported_without_an_environment():
 def test_small_spot_equals_a_directional_light(small, head):
     """Position, brightness and rotation must agree."""
     wide = head.with_material(m=0.4, normal_map=None, occlusion_map=None)
-    light = fr.Light(-50.0, 42.0)
+    light = fr.Light(-50.0, 42.0, shadow=False)
     expected = small.render(around(wide, None, lights=(light,)), only="specular").linear[..., :3]
     for turned, rotation in ((-50.0, 0.0), (10.0, -60.0)):
         environment = fr.Environment(spot(turned, 42.0), rotation)

@@ -18,7 +18,7 @@ from facerender.scenes.mesh import Mesh
 from tests.verification.eye import CLEAR, camera, cap, disc, eye, iris_errors
 from tests.verification.parts_head import joined
 
-LIGHTS = tuple(map(parse_light, ("-30,35,3,radius=3,shadow", "rim", "fill")))
+LIGHTS = tuple(map(parse_light, ("-30,35,3,radius=3", "rim,no-shadow", "fill,no-shadow")))
 
 
 @pytest.fixture(scope="module")

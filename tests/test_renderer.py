@@ -445,7 +445,8 @@ def test_background_alpha_and_multisampling(egl, head):
 def test_orbits_frame_the_whole_mesh(renderer, head, scan_mesh):
     for mesh in (head, scan_mesh):
         for camera in (SIDE, fr.Camera(90.0), fr.Camera(180.0, -30.0), fr.Camera(20.0, 90.0)):
-            covered = renderer.gbuffer(fr.Scene(mesh, camera)).part >= 0
+            scene = fr.Scene(mesh, replace(camera, frame="all"))
+            covered = renderer.gbuffer(scene).part >= 0
             assert covered.any()
             assert not covered[[0, -1], :].any()
             assert not covered[:, [0, -1]].any()

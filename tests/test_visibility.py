@@ -19,6 +19,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
+from tests.verification.lights import PLAIN_THREE
 
 Both = Callable[..., tuple[NDArray[np.float32], NDArray[np.float32]]]
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -164,7 +165,7 @@ def test_zero_width_triangles(both, monkeypatch):
     faces = np.stack(np.arange(1500, dtype=np.uint32).reshape(3, 500), axis=1)
     part = Part(positions, normals, faces, colors=0.5 + 0.25 * np.sign(positions))
     mesh = mesh_of(part).with_material(albedo=(1.0, 1.0, 1.0))
-    scene = fr.Scene(mesh, fr.Camera(30.0))
+    scene = fr.Scene(mesh, fr.Camera(30.0, frame="all"))
     with pytest.raises(fr.InputError, match="pixels of cube are not finite.* has no width"):
         both(scene, (512, 512), only="albedo")
     monkeypatch.setattr("facerender.drawing.renderer._check", lambda *_: None)
@@ -268,7 +269,7 @@ def test_per_pixel_shading_shades_every_part(rates):
 
 
 def test_per_pixel_shading_of_a_head(rates, head):
-    one, full = rates(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
+    one, full = rates(fr.Scene(head, fr.Camera(-35.0), PLAIN_THREE, background=None), (1024, 1024))
     assert (one != full).any()
     assert_same(one, full, 0.985)
     assert_same(one, full, 0.999, 8.0)

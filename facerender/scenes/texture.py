@@ -419,7 +419,8 @@ class Texture:
             computed = [each for each in self._levels.values() if each.done()]
         if computed:
             levels = computed[0].result()
-            level = next(each for each in levels if max(each.shape[:2]) <= side)
+            small = (each for each in levels if max(each.shape[:2]) <= side)
+            level = next(small, levels[-1])
             if level.dtype != np.uint8:
                 level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
             return np.asarray(level[..., :3])

@@ -522,8 +522,9 @@ def shadow_hard(function: str, arguments: str) -> Case:
 def shadow_depth() -> Case:
     tile, inputs, map_, _ = shadows()
     expected = shadow.shadow_depth(map_, tile, 8.0 * inputs["p"][:PLACES, :2] + 8.0)
-    call = f"fr_shadow_depth(map_texels, ivec3{tile}, 8.0 * p.xy + 8.0)"
-    return Case(include("shadow"), call, inputs, repeated(expected, len(inputs["p"])), 0.0, 0.0)
+    call = f"2.0 + fr_shadow_depth(map_texels, ivec3{tile}, 8.0 * p.xy + 8.0)"
+    expected = 2.0 + repeated(expected, len(inputs["p"]))
+    return Case(include("shadow"), call, inputs, expected, 0.0, 1e-6)
 
 
 @case()

@@ -65,14 +65,14 @@ class Setting:
 
 @cache
 def head_of(name: str) -> fr.Mesh:
-    """Return the mesh "head" (built-in), "parts", "mini" or "scan"."""
+    """Return the mesh "head" (the skin of the built-in head), "parts", "mini" or "scan"."""
     if name == "mini":
         return fr.load_mesh(MINI_HEAD).with_material(normal_map=wrinkles())
     if name == "scan":
         folder = scan_folder()
         assert folder is not None
         return load_scan(folder)
-    return parts_head() if name == "parts" else fr.load_mesh()
+    return parts_head() if name == "parts" else fr.load_mesh().select("head")
 
 
 def wrinkles(size: int = 512) -> fr.Texture:
