@@ -272,7 +272,7 @@ def test_per_pixel_shading_of_a_head(rates, head):
     one, full = rates(fr.Scene(head, fr.Camera(-35.0), PLAIN_THREE, background=None), (1024, 1024))
     assert (one != full).any()
     assert_same(one, full, 0.985)
-    assert_same(one, full, 0.999, 8.0)
+    assert_same(one, full, 0.999, 16.0)
 
 
 @pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])

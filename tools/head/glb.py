@@ -29,7 +29,7 @@ Doc = dict[str, Any]
 
 # JPEG quality, and whether chroma keeps the full resolution. Maps of numbers need full resolution,
 # because errors in their channels are more visible than errors of colour.
-ALBEDO_JPEG, NORMAL_JPEG, OCCLUSION_ROUGHNESS_JPEG = (86, False), (83, True), (90, True)
+ALBEDO_JPEG, NORMAL_JPEG, OCCLUSION_ROUGHNESS_JPEG = (86, False), (83, True), (95, True)
 
 # Constants of glTF, with the names in its specification.
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125

@@ -89,7 +89,7 @@ SLOPE_ADDED = {
     "nostril": 0.15,
 }
 SLOPE_ADDED_WET = -0.07  # on the margins of open lids
-SLOPE_RANGE = (0.203, 0.54)  # at least 0.2 after rounding: the plain half vector needs it
+SLOPE_RANGE = (0.205, 0.54)  # at least 0.2 after rounding: the plain half vector needs it
 
 
 @dataclass(frozen=True)
