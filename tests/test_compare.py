@@ -75,6 +75,9 @@ NEEDS_STRICT = {("scan", "front", "m 0.300 to 0.306"), ("scan", "front", "no mas
 ALSO = {
     ("head", "front", 1, "3 fireflies"): {"false highlights"},
     ("head", "front", 4, "3 fireflies"): {"false highlights"},
+    ("head", "three-quarter", 1, "green of the normals inverted"): {
+        *("false highlights", "a lobe or weight change"),
+    },
     ("head", "three-quarter", 4, "no masking"): {"fireflies"},
     ("scan", "three-quarter", 1, "no masking"): {"fireflies"},
     ("scan", "three-quarter", 4, "no masking"): {"fireflies"},

@@ -87,6 +87,7 @@ def test_the_readme_and_the_guide_are_short():
 
 
 @pytest.mark.parametrize("page", pages_with_python(), ids=name)
+@pytest.mark.filterwarnings("ignore:.*presets by name")  # trimesh drops transmission
 def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monkeypatch):
     shutil.copy(ROOT / "assets" / "head.glb", tmp_path)
     monkeypatch.chdir(tmp_path)
