@@ -26,6 +26,7 @@ ATTRIBUTES = {
 }
 SHADOW_MAP = "shadow_map"  # name of the texture with the shadow maps of all lights
 SHADOW_CONES = "shadow_cones"
+SHADOW_TOPS = "shadow_tops"
 ENVIRONMENT_MAP = "environment_map"
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)

@@ -32,7 +32,8 @@ class TriangleSetup:
     ----------
     positions : (N, 3) float32, vertex positions in the renderer's space
     faces : (F, 3) uint32, indices of vertices
-    columns : (N, K) float32, vertex attributes; the first three columns are the normal
+    columns : (N, K) float32, vertex attributes; the first three columns are the normal, and the last
+        one is the dot product of position and normal
     """
 
     positions: NDArray[np.float32]
@@ -45,6 +46,8 @@ class TriangleSetup:
         columns = part_columns(part, mesh)
         positions = columns.pop("in_position").astype(np.float32)
         columns.pop("in_uv2", None)  # deferred shading supports one set of texture coordinates
+        tangent_planes = np.einsum("ij,ij->i", positions, columns["in_normal"])[:, None]
+        columns["tangent_plane"] = tangent_planes
         attributes = np.hstack([*columns.values()], dtype=np.float32, casting="same_kind")
         return cls(positions, np.asarray(part.faces, dtype=np.uint32), attributes)
 

@@ -89,15 +89,20 @@ float fr_shadow_hard(
 //   plane:       Change of z per unit of x and per unit of y on the tangent plane at p, in [-8, 8].
 //   tan_radius:  Tangent of the angle between the centre and the rim of the light, seen from the
 //                centre of the mesh, in [0, tan(20 degrees)].
-//   top:         Largest z of the occluders: 1 for a distant light, s d/(d - 1) for a point light.
-//                If top is at most p.z, the function skips the search and returns 1.
+//   top:         Largest z of the occluders between p and the light: at most 1 for a distant light,
+//                s d/(d - 1) for a point light. The search finds smaller occluders if the host
+//                gives a smaller top, from maxima of the map around p. If top is at most p.z, the
+//                function skips the search and returns 1.
 //   width:       Smallest side of the square in texels, in [1, 3]: the width of a pixel.
 //   turn:        Rotation of the spiral in radians; a different angle at each pixel turns banding
 //                into noise.
 //   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds an occluder.
 //                The radius of the search is tan_radius times top - p.z, which is clamped to [0,
-//                1], and at least half of the width. Search and mean use samples on a spiral (Vogel
-//                1979): radius sqrt((i + 1/2)/N), angle 2.39996 i + turn.
+//                1], and at least half of the width. Both loops use N samples at the angles
+//                2.39996 i + turn. The search uses radius (i + 1/2)/N, which is denser near p; the
+//                mean uses radius sqrt((i + 1/2)/N) (Vogel 1979). An occluder outside the cone
+//                from p to the light hides no light: its weight in the search is 0.1, and the mean
+//                ignores it if it is more than 1.5 times as far from the axis as the cone's edge.
 float fr_shadow_disc(
     sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
     float width, float turn
@@ -106,40 +111,45 @@ float fr_shadow_disc(
     float texels = float(tile.z);
     vec2 centre = (p.xy * 0.5 + 0.5) * texels;
     float z = p.z + bias;
-    float reach = max(0.5 * texels * tan_radius * clamp(top - p.z, 0.0, 1.0), 0.5 * width);
+    float cone = 0.5 * texels * tan_radius;  // Radius of the cone in texels, per unit of z.
+    float reach = max(cone * clamp(top - p.z, 0.0, 1.0), 0.5 * width);
     vec2 slope = plane * (2.0 / texels);
     vec2 start = vec2(cos(turn), sin(turn));
     // Loops with 0 iterations replace branches, because some drivers execute both sides of a
     // branch.
     int turns = top > p.z ? FR_SHADOW_SEARCH : 0;
     int blocked = 0;
-    float depth = 0.0;
-    vec2 towards = start * (reach * inversesqrt(float(FR_SHADOW_SEARCH)));
+    float depth = 0.0, weights = 0.0;
+    vec2 towards = start;
     for (int i = 0; i < turns; ++i) {
-        vec2 aside = sqrt(float(i) + 0.5) * towards;
+        float away = (float(i) + 0.5) * reach / float(FR_SHADOW_SEARCH);
+        vec2 aside = away * towards;
         towards = next * towards;
         float other = fr_shadow_depth(map, tile, centre + aside);
-        if (other > z + max(dot(slope, aside), 0.0) + bias) {
+        if (other > z + max(dot(slope, aside), 0.0)) {
+            float weight = away < max(cone * (other - p.z), 1.0) ? 1.0 : 0.1;
             ++blocked;
-            depth += other;
+            depth += weight * other;
+            weights += weight;
         }
     }
     if (blocked == turns || blocked == 0) turns = 0;
-    float radius = 0.5 * texels * tan_radius * (depth / float(max(blocked, 1)) - p.z);
+    float radius = cone * (depth / max(weights, 0.1) - p.z);
     bool narrow = radius < 1.5;
     float side = clamp(2.0 * radius, width, 3.0);
     float total = narrow ? 1.0 : float(FR_SHADOW_SAMPLES);
     float seen = blocked > 0 ? 0.0 : total;
-    towards = start * (radius * inversesqrt(float(FR_SHADOW_SAMPLES)));
+    towards = start;
     turns = turns > 0 ? (narrow ? 16 : FR_SHADOW_SAMPLES) : 0;
     for (int i = 0; i < turns; ++i) {
         vec2 texel = floor(centre - 0.5 * side) + vec2(float(i & 3), float(i >> 2));
-        vec2 aside = sqrt(float(i) + 0.5) * towards;
+        float away = radius * sqrt((float(i) + 0.5) / float(FR_SHADOW_SAMPLES));
+        vec2 aside = narrow ? texel + 0.5 - centre : away * towards;
         towards = next * towards;
-        if (narrow) aside = texel + 0.5 - centre;
         float other = fr_shadow_depth(map, tile, centre + aside);
         float weight = narrow ? fr_shadow_weight(texel, centre, side) : 1.0;
-        if (other <= z + max(dot(slope, aside), 0.0)) seen += weight;
+        bool outside = !narrow && away > max(1.5 * cone * (other - p.z), 1.0);
+        if (outside || other <= z + max(dot(slope, aside), 0.0)) seen += weight;
     }
     return seen / total;
 }

@@ -5,6 +5,9 @@ in vec3 in_normal;
 uniform mat4 view_projection;
 out vec3 position;
 out vec3 vertex_normal;
+#ifdef SHADOWS
+out float tangent_plane;
+#endif
 #ifdef UV
 in vec2 in_uv;
 out vec2 uv;
@@ -25,6 +28,9 @@ out vec3 vertex_color;
 void main() {
     position = in_position;
     vertex_normal = in_normal;
+#ifdef SHADOWS
+    tangent_plane = dot(in_position, in_normal);
+#endif
 #ifdef UV
     uv = in_uv;
 #endif

@@ -16,6 +16,7 @@ from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     SHADOW_CONES,
     SHADOW_MAP,
+    SHADOW_TOPS,
     Program,
     light_visibility_program,
     part_uniforms,
@@ -36,6 +37,7 @@ MOST = 16  # largest number of lights that cast shadows; one texture holds their
 _FEWEST_TEXELS, _MOST_TEXELS = 512, 4096  # width and height of a light's shadow map
 _ALL_TEXELS = 1 << 24  # of the maps of all lights
 _BLOCKS = 256  # width and height of a light's tile in the passes of _cones
+_LEVELS = (1, 4, 16, 64)  # blocks per texel of the levels of _tops
 _TAPS = 3  # samples of shadow_cones.frag on each side
 _EMPTY = -1e30  # z, in light space, of texels without a surface
 
@@ -131,7 +133,7 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
                 Draw(program, {"stride": stride, "left": area[0], "fall": fall}, area=area)
             )
         steps.append(tuple(draws))
-    return [
+    passes = [
         Pass(
             SHADOW_CONES,
             Target(size=size, sampled=True, values="number", number=1 + number),
@@ -140,6 +142,24 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
         )
         for number, step in enumerate(steps)
     ]
+    passes.insert(1, _tops(len(spaces), (map_key, texels)))
+    return passes
+
+
+def _tops(count: int, key: Hashable) -> Pass:
+    """Return the pass that draws the largest z around each point, at four scales. ``top_of`` in
+    ``shaders/host/shadow.glsl`` reads this image. The pass reads the first image of :func:`_cones`.
+    """
+    program = Program("shadow_tops.frag", "screen.vert")
+    draws, column = [], 0
+    for number in range(count):
+        for size in _LEVELS:
+            side = _BLOCKS // size
+            values = {"left": number * _BLOCKS, "column": column, "size": size}
+            draws.append(Draw(program, values, area=(column, 0, side, side)))
+            column += side
+    target = Target(size=(column, _BLOCKS), sampled=True, values="number")
+    return Pass(SHADOW_TOPS, target, tuple(draws), key=key)
 
 
 def _draws(scene: Scene, space: LightSpace, area: Area) -> list[Draw]:

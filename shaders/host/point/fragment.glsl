@@ -3,6 +3,9 @@
 
 in vec3 position;
 in vec3 vertex_normal;
+#ifdef SHADOWS
+in float tangent_plane;
+#endif
 #ifdef UV
 in vec2 uv;
 #endif
@@ -30,6 +33,9 @@ Point point() {
 #if defined(NORMAL_MAP) || defined(SHADOWS)
     p.position_x = dFdx(position);
     p.position_y = dFdy(position);
+#endif
+#ifdef SHADOWS
+    p.tangent_plane = tangent_plane;
 #endif
 #ifdef UV
     p.uv = uv;

@@ -14,6 +14,9 @@ struct Point {
     vec3 position_x;  // Change of the position per pixel.
     vec3 position_y;
 #endif
+#ifdef SHADOWS
+    float tangent_plane;  // Interpolated dot product of the vertices' positions and normals.
+#endif
 #ifdef UV
     vec2 uv;
 #if defined(NORMAL_MAP) || defined(VISIBLE)

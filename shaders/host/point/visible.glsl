@@ -69,6 +69,9 @@ Point point(uint triangle) {
     p.position_x = position_x;
     p.position_y = position_y;
 #endif
+#ifdef SHADOWS
+    p.tangent_plane = affine(triangle, TRIANGLE_TEXELS - 1, p.position);
+#endif
 #ifdef VERTEX_OCCLUSION
 #ifdef UV
     p.occlusion = affine(triangle, 6, p.position);
@@ -78,9 +81,9 @@ Point point(uint triangle) {
 #endif
 #ifdef VERTEX_COLORS
     p.color = vec3(
+        affine(triangle, TRIANGLE_TEXELS - 4, p.position),
         affine(triangle, TRIANGLE_TEXELS - 3, p.position),
-        affine(triangle, TRIANGLE_TEXELS - 2, p.position),
-        affine(triangle, TRIANGLE_TEXELS - 1, p.position)
+        affine(triangle, TRIANGLE_TEXELS - 2, p.position)
     );
 #endif
     return p;
