@@ -198,7 +198,8 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
     if not shadowed:
         return ()
     discs = ("SHADOW_DISCS",) * any(light.radius for light in shadowed)
-    return (f"SHADOWS {len(shadowed)}", *discs)
+    points = ("SHADOW_POINTS",) * any(light.position is not None for light in shadowed)
+    return (f"SHADOWS {len(shadowed)}", *discs, *points)
 
 
 def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:

@@ -110,7 +110,9 @@ class Lighting:
             arrays |= kind.uniforms(lights, mesh)
         if spaces := self.spaces(mesh):
             arrays["shadow_view"] = np.array([space.matrix for space in spaces])
-            arrays["shadow_size"] = np.array([(space.tan_radius, space.top) for space in spaces])
+            arrays["shadow_size"] = np.array(
+                [(space.tan_radius, space.top, space.scale) for space in spaces]
+            )
         return arrays
 
 

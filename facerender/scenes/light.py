@@ -256,11 +256,14 @@ class LightSpace:
     matrix : (4, 4) float64, for row vectors; the result must be divided by w
     tan_radius : tangent of the light's angular radius, seen from the mesh's centre
     top : largest projected z of the unit sphere
+    scale : sqrt(1 - 1/d^2) of a point light at distance d, in units of the renderer's space; 0 for
+        a distant light
     """
 
     matrix: Float
     tan_radius: float
     top: float
+    scale: float = 0.0
 
 
 def light_space(light: Light, mesh: Mesh) -> LightSpace:
@@ -283,12 +286,12 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
             f"radii from the mesh's centre; give {NEAREST:g} or more, or shadow=False (,no-shadow)"
         )
     axes = light_axes(light, mesh)
-    scale = distance * math.sqrt(1.0 - 1.0 / distance**2)
+    scale = math.sqrt(1.0 - 1.0 / distance**2)
     matrix = np.zeros((4, 4))
-    matrix[:3, :3] = scale * axes
+    matrix[:3, :3] = scale * distance * axes
     matrix[:3, 3] = -axes[:, 2]
     matrix[3, 3] = distance
-    return LightSpace(matrix, tan_radius, scale / (distance - 1.0))
+    return LightSpace(matrix, tan_radius, scale * distance / (distance - 1.0), scale)
 
 
 def light_axes(light: Light, mesh: Mesh) -> Float:

@@ -76,7 +76,7 @@ def shadow_disc(
     top: float,
     bias: float,
     width: float,
-    turn: ArrayLike,
+    start: ArrayLike,
 ) -> Float:
     """Return the visible fraction of a disc light or a sphere light.
 
@@ -87,32 +87,43 @@ def shadow_disc(
     top : largest z of the occluders; the light is fully visible if the z of p is at least this
         value
     width : smallest side of the square in texels, in [1, 3]
-    turn : rotation of the spiral of samples, in radians
+    start : direction of the first sample, a unit vector (..., 2)
     """
     place = np.asarray(p, dtype=np.float64)
-    slope = np.asarray(plane, dtype=np.float64)[..., None, :]
-    far = np.clip(top - place[..., 2], 0.0, 1.0)
-    reach = np.maximum(tan_radius * far, width / tile[2])
-    aside = reach[..., None, None] * _spiral(SEARCH, turn)
-    z = (place[..., 2] + bias)[..., None]
+    slope = np.asarray(plane, dtype=np.float64)[..., None, :] * (2.0 / tile[2])
     middle = (0.5 * place[..., :2] + 0.5)[..., None, :] * tile[2]
-    other = shadow_depth(map, tile, middle + 0.5 * tile[2] * aside)
-    blocks = other > z + np.maximum((slope * aside).sum(axis=-1), 0.0) + bias
-    blocks &= place[..., 2:] < top
+    z, base = (place[..., 2] + bias)[..., None], place[..., 2:]
+    cone = 0.5 * tile[2] * tan_radius
+    spiral = _directions(max(SEARCH, SAMPLES), start)
+
+    def texels(away: Float) -> tuple[Float, NDArray[np.bool_]]:
+        """Return the map's z at samples, and whether it is above the tangent plane.
+
+        away : distances (..., N) of the samples from p, in texels
+        """
+        aside = away[..., None] * spiral[..., : away.shape[-1], :]
+        other = shadow_depth(map, tile, middle + aside)
+        return other, other > z + np.maximum((slope * aside).sum(axis=-1), 0.0)
+
+    reach = np.maximum(cone * np.clip(top - base, 0.0, 1.0), 0.5 * width)
+    away = reach * (np.arange(SEARCH) + 0.5) / SEARCH
+    other, blocks = texels(away)
+    blocks &= base < top
+    weights = np.where(away < np.maximum(cone * (other - base), 1.0), 1.0, 0.1) * blocks
+    depth = (weights * other).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 0.1)
+
+    radius = cone * (depth - place[..., 2])
+    away = radius[..., None] * np.sqrt((np.arange(SAMPLES) + 0.5) / SAMPLES)
+    other, above = texels(away)
+    above &= away <= np.maximum(1.5 * cone * (other - base), 1.0)
+    wide = 1.0 - above.mean(axis=-1)
+    narrow = shadow_hard(map, tile, place, plane, np.clip(2.0 * radius, width, 3.0), bias)
     count = blocks.sum(axis=-1)
-    depth = np.where(blocks, other, 0.0).sum(axis=-1) / np.maximum(count, 1)
-
-    radius = tan_radius * (depth - place[..., 2])
-    aside = radius[..., None, None] * _spiral(SAMPLES, turn)
-    raised = z + np.maximum((slope * aside).sum(axis=-1), 0.0)
-    wide = (shadow_depth(map, tile, middle + 0.5 * tile[2] * aside) <= raised).mean(axis=-1)
-    narrow = shadow_hard(map, tile, place, plane, np.clip(radius * tile[2], width, 3.0), bias)
-    seen = np.where(0.5 * tile[2] * radius < 1.5, narrow, wide)
-    return np.select([count == 0, count == SEARCH], [1.0, 0.0], seen)
+    return np.select([count == 0, count == SEARCH, radius < 1.0], [1.0, 0.0, narrow], wide)
 
 
-def _spiral(count: int, turn: ArrayLike) -> Float:
-    """Return points of the unit disc, (..., count, 2)."""
-    angle = _TURN * np.arange(count) + np.asarray(turn, dtype=np.float64)[..., None]
-    radius = np.sqrt((np.arange(count) + 0.5) / count)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+def _directions(count: int, start: ArrayLike) -> Float:
+    """Return the directions of samples, (..., count, 2)."""
+    x, y = np.moveaxis(np.asarray(start, dtype=np.float64), -1, 0)
+    angle = _TURN * np.arange(count) + np.arctan2(y, x)[..., None]
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)

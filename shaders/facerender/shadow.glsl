@@ -69,14 +69,17 @@ float fr_shadow_hard(
 ) {
     float texels = float(tile.z);
     vec2 centre = (p.xy * 0.5 + 0.5) * texels;
+    vec2 first = floor(centre - 0.5 * width), end = centre + 0.5 * width;
+    vec2 texel = first;
     float seen = 0.0;
-    for (int i = 0; i < 16; ++i) {
-        vec2 texel = floor(centre - 0.5 * width) + vec2(float(i & 3), float(i >> 2));
+    for (int i = 0; i < 16 && texel.y < end.y; ++i) {
         vec2 aside = (texel + 0.5 - centre) * (2.0 / texels);
         float z = p.z + bias + max(dot(plane, aside), 0.0);
         if (fr_shadow_depth(map, tile, texel) <= z) {
             seen += fr_shadow_weight(texel, centre, width);
         }
+        texel.x += 1.0;
+        if (texel.x >= end.x) texel = vec2(first.x, texel.y + 1.0);
     }
     return seen;
 }
@@ -85,7 +88,7 @@ float fr_shadow_hard(
 //
 //   formula:     mean of step(map, z) over a disc: the cross-section, at the mean z of the
 //                occluders, of the cone from p to the light. If the disc has a diameter of less
-//                than 3 texels, a square replaces it.
+//                than 2 texels, a square replaces it.
 //   plane:       Change of z per unit of x and per unit of y on the tangent plane at p, in [-8, 8].
 //   tan_radius:  Tangent of the angle between the centre and the rim of the light, seen from the
 //                centre of the mesh, in [0, tan(20 degrees)].
@@ -94,18 +97,18 @@ float fr_shadow_hard(
 //                gives a smaller top, from maxima of the map around p. If top is at most p.z, the
 //                function skips the search and returns 1.
 //   width:       Smallest side of the square in texels, in [1, 3]: the width of a pixel.
-//   turn:        Rotation of the spiral in radians; a different angle at each pixel turns banding
-//                into noise.
+//   start:       Direction of the first sample, a unit vector; a different direction at each pixel
+//                turns banding into noise.
 //   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds an occluder.
 //                The radius of the search is tan_radius times top - p.z, which is clamped to [0,
-//                1], and at least half of the width. Both loops use N samples at the angles
-//                2.39996 i + turn. The search uses radius (i + 1/2)/N, which is denser near p; the
+//                1], and at least half of the width. Both loops use N samples at angles of
+//                2.39996 i from the start. The search uses radius (i + 1/2)/N, which is denser near p; the
 //                mean uses radius sqrt((i + 1/2)/N) (Vogel 1979). An occluder outside the cone
 //                from p to the light hides no light: its weight in the search is 0.1, and the mean
 //                ignores it if it is more than 1.5 times as far from the axis as the cone's edge.
 float fr_shadow_disc(
     sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
-    float width, float turn
+    float width, vec2 start
 ) {
     const mat2 next = mat2(-0.73736888, 0.67549029, -0.67549029, -0.73736888);
     float texels = float(tile.z);
@@ -114,7 +117,6 @@ float fr_shadow_disc(
     float cone = 0.5 * texels * tan_radius;  // Radius of the cone in texels, per unit of z.
     float reach = max(cone * clamp(top - p.z, 0.0, 1.0), 0.5 * width);
     vec2 slope = plane * (2.0 / texels);
-    vec2 start = vec2(cos(turn), sin(turn));
     // Loops with 0 iterations replace branches, because some drivers execute both sides of a
     // branch.
     int turns = top > p.z ? FR_SHADOW_SEARCH : 0;
@@ -135,14 +137,15 @@ float fr_shadow_disc(
     }
     if (blocked == turns || blocked == 0) turns = 0;
     float radius = cone * (depth / max(weights, 0.1) - p.z);
-    bool narrow = radius < 1.5;
+    bool narrow = radius < 1.0;
     float side = clamp(2.0 * radius, width, 3.0);
     float total = narrow ? 1.0 : float(FR_SHADOW_SAMPLES);
     float seen = blocked > 0 ? 0.0 : total;
     towards = start;
-    turns = turns > 0 ? (narrow ? 16 : FR_SHADOW_SAMPLES) : 0;
+    vec2 first = floor(centre - 0.5 * side), end = centre + 0.5 * side;
+    vec2 texel = first, covered = ceil(end) - first;
+    if (turns > 0) turns = narrow ? min(int(covered.x * covered.y), 16) : FR_SHADOW_SAMPLES;
     for (int i = 0; i < turns; ++i) {
-        vec2 texel = floor(centre - 0.5 * side) + vec2(float(i & 3), float(i >> 2));
         float away = radius * sqrt((float(i) + 0.5) / float(FR_SHADOW_SAMPLES));
         vec2 aside = narrow ? texel + 0.5 - centre : away * towards;
         towards = next * towards;
@@ -150,6 +153,8 @@ float fr_shadow_disc(
         float weight = narrow ? fr_shadow_weight(texel, centre, side) : 1.0;
         bool outside = !narrow && away > max(1.5 * cone * (other - p.z), 1.0);
         if (outside || other <= z + max(dot(slope, aside), 0.0)) seen += weight;
+        texel.x += 1.0;
+        if (texel.x >= end.x) texel = vec2(first.x, texel.y + 1.0);
     }
     return seen / total;
 }

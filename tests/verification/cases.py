@@ -480,7 +480,8 @@ def cosine_disc() -> Case:
 
 
 HARD = 0.2  # bias; large enough to change results, since depths are multiples of 1/4
-DISC = (0.2, 1.0, 0.1, 1.5, 0.7)  # tangent of the radius, top, bias, width, turn
+DISC = (0.2, 1.0, 0.1, 1.5)  # tangent of the radius, top, bias, width
+START = (0.8, 0.6)
 
 
 @cache
@@ -498,7 +499,7 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
     plane = np.hstack([random.uniform(-2.0, 2.0, (PLACES, 2)), np.zeros((PLACES, 1))])
     image = map_.reshape(-1, WIDTH).astype(float)
     ends = [
-        shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC)
+        shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC, START)
         for aside in (-5e-5, [5e-5, -5e-5, 0.0], [-5e-5, 5e-5, 0.0], 5e-5)
     ]
     differs = np.ptp(ends, axis=0)
@@ -540,8 +541,9 @@ def shadow_weight() -> Case:
 def shadow_disc() -> Case:
     tile, inputs, map_, differs = shadows()
     places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
-    expected = repeated(shadow.shadow_disc(map_, tile, *places, *DISC), len(inputs["p"]))
-    call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {', '.join(map(str, DISC))})"
+    expected = repeated(shadow.shadow_disc(map_, tile, *places, *DISC, START), len(inputs["p"]))
+    numbers = ", ".join(map(str, DISC))
+    call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {numbers}, vec2{START})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
 
 

@@ -77,7 +77,8 @@ def by_rays(
 ) -> Float:
     """Return the fraction of a light that the surface in each pixel sees.
 
-    Each ray goes through another place of the pixel and to another point of the light's disc.
+    Each ray goes through another place of the pixel and to another point of the light's disc. It
+    starts on the curved surface of ``shaders/host/shadow.glsl``.
 
     Parameters
     ----------
@@ -105,6 +106,7 @@ def by_rays(
         across = np.einsum("ij,ij->i", normal, ray)
         plane = tracer.mesh.triangles[face, 0] - view.position
         hit = (np.einsum("ij,ij->i", normal, plane) / across)[:, None] * ray + view.position
+        hit += _curve(tracer.mesh, face, hit, -ray)
         hit -= offset * np.sign(across)[:, None] * normal
         radius = math.tan(math.radians(light.radius)) * math.sqrt((_MIXED * i % rays + 0.5) / rays)
         angle = 2.39996323 * (_MIXED * i % rays) + turn
@@ -118,6 +120,28 @@ def by_rays(
     return seen / rays
 
 
+def _curve(mesh: Any, faces: NDArray[np.int64], points: Float, towards: Float) -> Float:
+    """Return the offsets (N, 3) from triangles to the curved surface that the vertex normals describe.
+
+    Parameters
+    ----------
+    faces : index of each point's triangle
+    points : points (N, 3) on the triangles
+    towards : directions to the visible side of the surface
+    """
+    corners, normals = (each[mesh.faces[faces]] for each in (mesh.vertices, mesh.vertex_normals))
+    edges, aside = corners[:, 1:] - corners[:, :1], points - corners[:, 0]
+    inverse = np.linalg.pinv(edges.transpose(0, 2, 1))
+    rest = np.einsum("ijk,ik->ij", inverse, aside)
+    weights = np.concatenate([1.0 - rest.sum(axis=1, keepdims=True), rest], axis=1)
+    normal = np.einsum("ij,ijk->ik", weights, normals)
+    side = np.sign(np.einsum("ij,ij->i", normal, towards))
+    planes = np.einsum("ij,ijk,ijk->i", weights, corners, normals)
+    height = 0.5 * side * (planes - np.einsum("ij,ij->i", points, normal))
+    unit = side[:, None] * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(np.maximum(height, 0.0)[:, None] * unit)
+
+
 def tracer_of(mesh: Mesh) -> Any:
     """Return a ray tracer for a mesh in the renderer's space."""
     import trimesh
@@ -126,7 +150,10 @@ def tracer_of(mesh: Mesh) -> Any:
     positions = [mesh.normalised(part.positions) for part in mesh.parts]
     firsts = np.cumsum([0, *map(len, positions)])
     faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]
-    whole = trimesh.Trimesh(np.concatenate(positions), np.concatenate(faces), process=False)
+    normals = np.concatenate([part.normals for part in mesh.parts])
+    whole = trimesh.Trimesh(
+        np.concatenate(positions), np.concatenate(faces), vertex_normals=normals, process=False
+    )
     return RayMeshIntersector(whole)
 
 
