@@ -32,8 +32,8 @@ class TriangleSetup:
     ----------
     positions : (N, 3) float32, vertex positions in the renderer's space
     faces : (F, 3) uint32, indices of vertices
-    columns : (N, K) float32, vertex attributes; the first three columns are the normal, and the last
-        one is the dot product of position and normal
+    columns : (N, K) float32, vertex attributes; the first three columns are the normal, and the
+        last one is the dot product of position and normal
     """
 
     positions: NDArray[np.float32]

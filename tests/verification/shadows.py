@@ -121,7 +121,7 @@ def by_rays(
 
 
 def _curve(mesh: Any, faces: NDArray[np.int64], points: Float, towards: Float) -> Float:
-    """Return the offsets (N, 3) from triangles to the curved surface that the vertex normals describe.
+    """Return the offsets (N, 3) from triangles to the curved surface of the vertex normals.
 
     Parameters
     ----------
