@@ -1,4 +1,4 @@
-"""Build a head with eyes behind transparent shells from arrays, and save views in several formats.
+"""Add eyes behind transparent shells to a head, from arrays, and save views in several formats.
 
 Run: python head_of_parts.py [FOLDER]
 """
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 import facerender as fr
 
-EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # eye centres of the built-in head, m
-RADIUS = 0.0128
+EYES = ((0.0318, 0.0001, 0.0697), (-0.0326, 0.0009, 0.0697))  # eye centres of the built-in head, m
+RADIUS = 0.01175
 
 
 def ball(
@@ -43,13 +43,13 @@ def eyes() -> list[fr.Mesh]:
     return [
         fr.Mesh.from_arrays(*ball(centre, size * RADIUS), material=material, name=name)
         for centre in EYES
-        for name, size, material in (("eye", 1.0, white), ("shell", 1.06, clear))
+        for name, size, material in (("eye", 1.0, white), ("shell", 1.02, clear))
     ]
 
 
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    head = fr.load_mesh()
+    head = fr.load_mesh().select("head")  # the skin, without its own eyes
     whole = [head, *eyes()]
     mesh = fr.Mesh.of(
         "a head with eyes",

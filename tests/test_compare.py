@@ -70,11 +70,8 @@ CAUGHT = {
 }
 # At 512 x 512 from the front, the scan's highlights are too weak for the default block limit.
 NEEDS_STRICT = {("scan", "front", "m 0.300 to 0.306"), ("scan", "front", "no masking")}
-# Further causes that may be named: here the fireflies lie at an edge, or highlights are single
-# pixels.
+# Further causes that may be named, because highlights are single pixels.
 ALSO = {
-    ("head", "front", 1, "3 fireflies"): {"false highlights"},
-    ("head", "front", 4, "3 fireflies"): {"false highlights"},
     ("head", "three-quarter", 1, "green of the normals inverted"): {
         *("false highlights", "a lobe or weight change"),
     },

@@ -152,6 +152,7 @@ def scene_of(page, mesh, changes):
             each["irradiance"],
             each["distance"] and tuple(mesh.center + mesh.radius * each["distance"] * FRONT),
             each["radius"],
+            shadow=False,
         )
         for each in now["lights"]
     ]
@@ -475,6 +476,7 @@ def test_command_line_toml_and_python_give_the_same_scene(
             np.testing.assert_allclose(one.irradiance, other.irradiance)
             assert (one.position is None) == (other.position is None)
             assert one.radius == other.radius
+            assert (one.shadow, other.shadow) == (False, False)  # as in the page
         assert job.ambient == scene.ambient
         assert job.camera == scene.camera
     assert (scene.camera.azimuth, scene.camera.zoom) == (-35.0, 1.2)

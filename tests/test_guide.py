@@ -14,6 +14,7 @@ import pytest
 
 import facerender as fr
 from facerender.commands import parser_of
+from facerender.scenes.light import parse_light
 from tests.markdown import code, prose
 from tools.docs.blocks import by_hand
 
@@ -104,6 +105,17 @@ def test_commands_of_the_page_have_valid_options(page):
         arguments = shlex.split(line, comments=True)
         if "COMMAND" not in arguments:
             parser_of(arguments).parse_args(arguments)
+
+
+def test_lights_of_the_guide_are_valid():
+    lights = [
+        light
+        for page in GUIDE
+        for light in re.findall(r"--light ([a-z0-9][\w:,.=-]*)", page.read_text(encoding="utf-8"))
+    ]
+    assert len(lights) > 5
+    for light in lights:
+        parse_light(light)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

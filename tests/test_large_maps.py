@@ -178,7 +178,7 @@ SCRIPT = """
 import sys
 import facerender as fr
 names = ("albedo", "normal_map", "roughness_map")
-mesh = fr.load_mesh(**dict(zip(names, sys.argv[1:4])))
+mesh = fr.load_mesh(**dict(zip(names, sys.argv[1:4]))).select("head")
 frame = fr.Renderer((1024, 1024)).render(fr.Scene(mesh))
 status = {line.split()[0]: line.split()[-2] for line in open("/proc/self/status") if " kB" in line}
 print(int(status["VmHWM:"]) - int(status["RssFile:"]))

@@ -519,16 +519,17 @@ def test_frames_leave_no_objects_in_moderngl(backend):
             tracemalloc.stop()
 
 
-def test_renderer_returns_free_memory(backend):
-    """Decoding and compiling leave no free memory that malloc_trim could return."""
+def test_renderer_returns_free_memory(backend, coarse_head):
+    """Decoding and compiling leave no free memory that malloc_trim could return. The mesh has few
+    triangles, because llvmpipe frees about 200 bytes per triangle in every frame."""
     trim = ctypes.CDLL(None).malloc_trim
-    scene = fr.Scene(fr.load_mesh())
+    scene = fr.Scene(coarse_head)
     with fr.Renderer((256, 256), backend=backend) as renderer:
         for _ in range(3):
             renderer.render(scene)
         before = _resident()
         trim(0)
-        assert before - _resident() < 40
+        assert before - _resident() < 10  # without settle(), 26
 
 
 class Host:

@@ -68,7 +68,9 @@ def test_nostrils_receive_the_light_of_rays(egl, scan_mesh, radius):
     centre = np.array((-0.024, 0.170, 0.443))
     target = scan_mesh.center + scan_mesh.radius * centre
     lights = [replace(each, radius=radius, shadow=True) for each in fr.Scene(scan_mesh).lights]
-    scene = fr.Scene(scan_mesh, fr.Camera(0.0, -30.0, zoom=8.0, target=tuple(target)), lights)
+    scene = fr.Scene(
+        scan_mesh, fr.Camera(0.0, -30.0, zoom=8.0, target=tuple(target), frame="all"), lights
+    )
     with fr.Renderer((512, 512), samples=1, backend=egl, float_albedo=True) as renderer:
         drawn, traced, unshadowed = light_in_cavities(renderer, scene, centre, 0.12)
     assert abs(drawn - traced) <= 0.1 * traced

@@ -78,7 +78,7 @@
 
     const setters = new Map([
         [gl.FLOAT, "uniform1fv"], [gl.FLOAT_VEC2, "uniform2fv"], [gl.FLOAT_VEC3, "uniform3fv"],
-        [gl.FLOAT_VEC4, "uniform4fv"], [gl.INT, "uniform1iv"],
+        [gl.FLOAT_VEC4, "uniform4fv"], [gl.INT, "uniform1iv"], [gl.INT_VEC2, "uniform2iv"],
         [gl.FLOAT_MAT3, "uniformMatrix3fv"], [gl.FLOAT_MAT4, "uniformMatrix4fv"],
     ]);
 
@@ -94,6 +94,7 @@
                 continue;
             }
             const setter = setters.get(type), value = values[name.replace("[0]", "")];
+            if (value === undefined) continue;  // stays 0, the default
             if (setter.includes("Matrix")) gl[setter](place, false, value);
             else gl[setter](place, value);
         }

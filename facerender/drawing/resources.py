@@ -4,6 +4,7 @@ with these objects."""
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -245,7 +246,8 @@ class Resources:
         """Decode and upload the reduced maps of a mesh (``Texture.coarse``), one after another.
 
         To limit peak memory, the renderer calls this method before it allocates targets and
-        programs, and the maps whose decoding needs most memory come first.
+        programs, and the maps whose decoding needs most memory come first. Among equal kinds the
+        smallest maps come first, because an image is decoded again for each part that uses it.
         """
         maps = {
             each: None
@@ -254,7 +256,9 @@ class Resources:
             if each[1].coarse
         }
         costly: tuple[Kind, ...] = ("normal", "color", "data")
-        for name, source, kind in sorted(maps, key=lambda each: costly.index(each[2])):
+        for name, source, kind in sorted(
+            maps, key=lambda each: (costly.index(each[2]), math.prod(each[1].size))
+        ):
             self.texture(name, source, kind)
 
     def target(self, kind: Target) -> moderngl.Framebuffer:
@@ -347,6 +351,8 @@ class Resources:
             return known[kind]
         self._settled = False
         levels = source.levels(kind).result()
+        if source.coarse:
+            give_back()  # the images that the mip chain was made of
         gl = self.context.gl
         internal, components, layout, data_type, dtype = _FORMATS[kind]
         height, width = levels[0].shape[:2]

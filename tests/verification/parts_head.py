@@ -17,7 +17,7 @@ from facerender.scenes.texture import Texture
 
 Floats = NDArray[np.float64]
 
-EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # in front of the closed lids, metres
+EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # in front of the lids, metres
 EYE = 0.0128  # radius of an eyeball, in metres
 SHELL = 1.06  # ratio of the radii of shell and eyeball
 NAMES = ("face", "eyes", "shells", "lashes", "hair")

@@ -33,7 +33,8 @@ _LIT = 1.1  # radiance of a white diffuse surface that faces the light
 
 def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]:
     skin = replace(mesh, millimetres=millimetres).with_material(scattering="skin")
-    return Scene(skin, Camera(-20.0, zoom=zoom)), Light(-50.0, 42.0, shadow=False)
+    camera = Camera(-20.0, zoom=zoom, frame="all")
+    return Scene(skin, camera), Light(-50.0, 42.0, shadow=False)
 
 
 # Scenes by the name of the mesh's fixture: 512 x 512 pixels, 1.8 pixels per millimetre. A unit of

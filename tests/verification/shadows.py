@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.renderer import Renderer
 from facerender.scenes.light import Light, light_axes
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.mesh import Mesh, drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -142,15 +142,22 @@ def _curve(mesh: Any, faces: NDArray[np.int64], points: Float, towards: Float) -
     return np.asarray(np.maximum(height, 0.0)[:, None] * unit)
 
 
+def blocking(mesh: Mesh) -> list[int]:
+    """Return the indices of the parts that block light: opaque, without transmission."""
+    pairs = enumerate(zip(mesh.parts, mesh.materials, strict=True))
+    return [i for i, own in pairs if drawn_alpha(*own) == "opaque" and not own[1].transmission]
+
+
 def tracer_of(mesh: Mesh) -> Any:
-    """Return a ray tracer for a mesh in the renderer's space."""
+    """Return a ray tracer for the parts of a mesh that block light, in the renderer's space."""
     import trimesh
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-    positions = [mesh.normalised(part.positions) for part in mesh.parts]
+    parts = [mesh.parts[i] for i in blocking(mesh)]
+    positions = [mesh.normalised(part.positions) for part in parts]
     firsts = np.cumsum([0, *map(len, positions)])
-    faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]
-    normals = np.concatenate([part.normals for part in mesh.parts])
+    faces = [part.faces + first for part, first in zip(parts, firsts[:-1], strict=True)]
+    normals = np.concatenate([part.normals for part in parts])
     whole = trimesh.Trimesh(
         np.concatenate(positions), np.concatenate(faces), vertex_normals=normals, process=False
     )

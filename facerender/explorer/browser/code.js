@@ -35,7 +35,7 @@ function commandLine(state, which, size) {
       const place = light.distance === null
         ? `${short(light.azimuth)},${short(light.elevation)}` : `point:${pointOf(light).map(short)}`;
       const radius = light.radius ? `,radius=${short(light.radius)}` : "";
-      return `--light ${place},${light.irradiance.map(short)}${radius}`;
+      return `--light ${place},${light.irradiance.map(short)}${radius},no-shadow`;
     }),
     `--ambient ${state.ambient.map(short)}`, `--background ${facts.background.map(short)}`,
     `--camera ${short(azimuth)},${short(elevation)},${short(zoom)}`, `--fov ${short(fov)}`,
@@ -47,11 +47,13 @@ function commandLine(state, which, size) {
     + lines.join(" \\\n    ");
 }
 
-// TOML tables and Python calls of a scene differ only in the syntax of a field.
-const lightFields = light => ({
+// TOML tables and Python calls of a scene differ only in the syntax of a field and of false (`no`).
+// The page draws no shadows, so its code turns them off.
+const lightFields = (light, no) => ({
   ...light.distance === null ? {azimuth: short(light.azimuth), elevation: short(light.elevation)}
     : {position: pointOf(light).map(short)},
   irradiance: light.irradiance.map(short), ...light.radius && {radius: short(light.radius)},
+  shadow: no,
 });
 const fieldsOf = (table, form) => Object.entries(table).map(([name, value]) => form(name, value));
 
@@ -63,7 +65,7 @@ function toml(state, which) {
     : JSON.stringify(value);
   const section = (name, fields) => fields.length ? ["", `[${name}]`, ...fields] : [];
   const camera = Object.fromEntries(Object.keys(ranges.camera).map(name => [name, short(state.camera[name])]));
-  const lights = state.lights.map(light => `    { ${fieldsOf(lightFields(light), field).join(", ")} },\n`);
+  const lights = state.lights.map(light => `    { ${fieldsOf(lightFields(light, "false"), field).join(", ")} },\n`);
   return [
     `# ${["facerender render", ...meshWords(term), `--scene ${which}.toml -o ${which}.png`].join(" ")}`,
     `ambient = [${rounded(state.ambient)}]`, `background = [${rounded(facts.background)}]`,
@@ -80,7 +82,7 @@ function python(state, which, size) {
   const field = (name, value) => `${name}=${Array.isArray(value) ? `(${value.join(", ")})` : value}`;
   const lobe = value => value === "g-power"
     ? `GPower(${term.g}, ${literal(term.factor)}, ${literal(term.offset)})` : JSON.stringify(value);
-  const lights = state.lights.map(light => `    fr.Light(${fieldsOf(lightFields(light), field).join(", ")}),\n`);
+  const lights = state.lights.map(light => `    fr.Light(${fieldsOf(lightFields(light, "False"), field).join(", ")}),\n`);
   const material = fieldsOf(materialFields(term), field).join(", ");
   const shading = fieldsOf(shadingFields(term), (name, value) => field(name, lobe(value))).join(", ");
   const mesh = facts.mesh.python + (material && `.with_material(${material})`);
