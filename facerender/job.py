@@ -89,10 +89,10 @@ class MeshFile:
     def _files(self) -> dict[str, Any]:
         others = ("path", "triangles", "occlusion", "parts", "hide")
         files = {name: value for name, value in asdict(self).items() if name not in others}
-        return {"source": self.path, **files}
+        selected = {"parts": self.parts or (), "hide": self.hide or ()}
+        return {"source": self.path, **files, **selected}
 
     def _prepared(self, mesh: Mesh, cache: bool) -> Mesh:
-        mesh = mesh.select(self.parts or (), self.hide or ())
         if self.occlusion:
             from facerender.scenes.occlusion import with_occlusion
 
@@ -160,7 +160,8 @@ class Job:
     Parameters
     ----------
     mesh : files of the mesh
-    material : factors of :class:`facerender.Material` that replace the factors of all parts
+    material : factors of :class:`facerender.Material` that replace the factors of the skin, see
+        :attr:`facerender.Mesh.skin`
     parts : factors of some parts, applied after ``material`` in the order of the table: for each
         name of parts, with wildcards, a table of factors and ``preset``; see
         :meth:`facerender.Mesh.with_material`
@@ -228,7 +229,7 @@ class Job:
 
             environment = load_environment(self.environment)
         if self.material:
-            loaded = loaded.with_material(**self.material)
+            loaded = loaded.with_skin(**self.material)
         for name, table in self.parts.items():
             loaded = loaded.with_material((name,), **table)
         if self.mesh.lobe_map and not any(each.two_lobes for each in loaded.materials):

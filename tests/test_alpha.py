@@ -593,19 +593,27 @@ def test_blended_parts_are_drawn_over_deferred_shading(backend, monkeypatch, sca
         assert np.quantile(np.abs(one - other)[near], 0.98) < 0.01
 
 
-def test_features_that_ignore_blended_parts_warn():
+def test_the_explorer_warns_of_blended_parts():
     mesh = parts_head("blend")
     with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):
         shown = drawable(mesh)
     assert len(shown.parts) == 3
     assert {material.alpha for material in shown.materials} == {"opaque"}
-    glass = replace(WHITE, alpha="blend", opacity=0.5)
-    scene = scene_of([quad(), quad(0.5)], [WHITE, glass])
-    with (
-        fr.Renderer((32, 32), samples=1) as renderer,
-        pytest.warns(FacerenderWarning, match="are blended: the plan only counts errors"),
-    ):
-        fr.plan(scene, "1/255", renderer=renderer, cost="navi21")
+
+
+@pytest.mark.parametrize("front", [{"alpha": "blend", "opacity": 0.5}, {"transmission": 1.0}])
+def test_a_plan_counts_errors_of_blended_parts(front):
+    """Only the front part has a highlight, which the cheapest shading of the wall omits."""
+    wall, glass = replace(WHITE, ks=0.0), replace(WHITE, ks=1.0, f0=0.2, **front)
+    scene = scene_of([quad(), quad(0.5)], [wall, glass])
+    with fr.Renderer((32, 32), samples=1) as renderer:
+        plan = fr.plan(scene, "1/255", renderer=renderer, cost="navi21")
+        full, planned = (renderer.render(scene, each).linear for each in (plan.full, plan.shading))
+    assert plan.shading != plan.full
+    assert plan.error.drawn is not None
+    drawn = plan.budget.errors(planned[..., :3], full[..., :3]).max()
+    assert plan.error.drawn == pytest.approx(drawn, rel=1e-4)
+    assert 0.0 < plan.error.drawn <= plan.budget.limit
 
 
 def test_transparent_parts_bake_no_occlusion():

@@ -150,7 +150,7 @@ def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layou
 
 def test_batch_images_equal_those_of_a_renderer(table, draw, tmp_path):
     draw(table([{"id": "one", "image.size": 64, "camera.azimuth": -30, "material.m": 0.2}]), "out")
-    mesh = fr.load_mesh().with_material(m=0.2)
+    mesh = fr.load_mesh().with_skin(m=0.2)
     with fr.Renderer((64, 64)) as renderer:
         renderer.render(fr.Scene(mesh, fr.Camera(-30.0))).save(tmp_path / "alone.png")
     alone = (tmp_path / "alone.png").read_bytes()

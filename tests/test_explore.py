@@ -36,6 +36,7 @@ from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
 from facerender.terms.lobe import Lobe
 from tests.people import person
+from tests.test_parts import row
 
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
 VIEW = {"viewport": {"width": 1000, "height": 620}}
@@ -213,6 +214,24 @@ def test_page_frames_the_head_of_a_bust(browser, tmp_path):
     clip = found @ view_of(fr.Scene(mesh, fr.Camera()), size[0] / size[1]).matrix
     pixels = (clip[:, :2] / clip[:, 3:] + 1.0) * size / 2.0
     np.testing.assert_allclose(pixels, at + 0.5, atol=1.0)
+
+
+def test_m_of_a_term_applies_to_the_skin(browser, tmp_path):
+    mesh = row("a", "eye")
+    eye = replace(mesh.parts[1], skin=False)
+    mesh = replace(mesh.with_material("eye", m=0.125), parts=(mesh.parts[0], eye))
+    path = tmp_path / "explorer.html"
+    path.write_text(explorer_page(Job(), mesh), encoding="utf-8")
+    with opened(browser, path.as_uri(), fragment="#a=m:0.5;ks:0.25") as page:
+        page.evaluate("explorer.errors()")
+        width, height = page.evaluate("explorer.size")
+        at = [[int(x * width), height // 2] for x in np.linspace(0.0, 0.99, 50)]
+        probed = page.evaluate("places => explorer.probe(places)", at)
+        code = page.evaluate("explorer.code('a', 'python')")
+    found = {each["a"]["part"]: each["a"] for each in probed}
+    shown = {part: (own["m"], own["specular_weight"]) for part, own in found.items() if part >= 0}
+    assert shown == {0: (0.5, 0.25), 1: (0.125, 1.0)}
+    assert ".with_skin(m=0.5, ks=0.25)" in code
 
 
 def test_errors_agree_with_compare(page):

@@ -310,10 +310,10 @@ def test_info_prints_the_content_of_a_file(tmp_path, capsys):
     out = run(capsys, "info", path)[1]
     header, line = (each.split("  ") for each in out.splitlines()[4:6])
     assert [each.strip() for each in header if each] == [
-        *("part", "triangles", "preset", "maps", "material")
+        *("part", "triangles", "skin", "preset", "maps", "material")
     ]
     assert [each.strip() for each in line if each] == [
-        *("Head", str(facts["triangles"]), "-", f"albedo {size[0]}"),
+        *("Head", str(facts["triangles"]), "yes", "-", f"albedo {size[0]}"),
         "albedo 0.5 0.25 1, m 0.3, f0 0.028, ks 1, alpha mask",
     ]
 

@@ -246,7 +246,7 @@ def test_factors_of_the_caller_win(tmp_path):
     path = obj(tmp_path / "a.obj", "Std_Skin_Head", "Std_Eyelash")
     with pytest.warns(fr.FacerenderWarning, match="presets by name"):
         scene = fr.Job(fr.MeshFile(str(path)), {"ks": 0.25}, parts={"*lash": {"m": 0.4}}).scene()
-    assert [each.ks for each in scene.mesh.materials] == [0.25, 0.25]
+    assert [each.ks for each in scene.mesh.materials] == [0.25, PRESETS["lashes"]["ks"]]
     assert [each.m for each in scene.mesh.materials] == [0.3, 0.4]
 
 
@@ -418,7 +418,7 @@ def test_info_prints_a_row_for_each_part(tmp_path, capsys):
     start = next(i for i, line in enumerate(lines) if line.startswith("part  "))
     rows = lines[start + 1 : start + 141]
     assert [each.split()[0] for each in rows] == [*(f"part_{n}" for n in range(139)), "Std_Eyelash"]
-    assert rows[139].split() == ["Std_Eyelash", "4", "lashes", "no", "uv", "-"]
+    assert rows[139].split() == ["Std_Eyelash", "4", "-", "lashes", "no", "uv", "-"]
     assert lines[start + 141].startswith("warning: a.obj: presets by name")
     assert rows[0].endswith("no uv  albedo 0.48 0.28 0.21, m 0.3, f0 0.028, ks 1")
     facts = json.loads(run(capsys, "info", path, "--json", "--as-is")[1])

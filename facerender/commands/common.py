@@ -61,7 +61,7 @@ def add_mesh(command: argparse.ArgumentParser) -> None:
     command.add_argument("mesh", nargs="?", metavar="MESH", help=formats)
 
 
-MAPS_TITLE = "maps, which replace the maps of the mesh file"
+MAPS_TITLE = "maps, which replace the maps of the skin"
 _FILES_MAP = "the mesh file's"
 _MAPS = {
     "albedo": Help("albedo map, sRGB", _FILES_MAP),
@@ -225,7 +225,8 @@ def add_parts(command: argparse._ActionsContainer) -> None:
 
 
 def add_as_is(command: argparse._ActionsContainer) -> None:
-    note = "By default, a part with a known name and without maps or opacity gets a preset"
+    note = "By default, a part with a known name and without maps or opacity gets a preset. Names "
+    note += "define the skin in both cases"
     add_flag(command, "as-is", "draw every part with the material of the mesh file", note)
 
 

@@ -28,7 +28,7 @@ from facerender.system.data import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
-_HEAD_OF_TABLE = ("part", "triangles", "preset", "maps", "material")
+_HEAD_OF_TABLE = ("part", "triangles", "skin", "preset", "maps", "material")
 
 
 def add(info: argparse.ArgumentParser) -> None:
@@ -36,7 +36,8 @@ def add(info: argparse.ArgumentParser) -> None:
     info.description = (
         "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
         "of a unit, and for each part triangles, preset, maps and factors; repairs,\n"
-        "omissions, and hints on probable mistakes. The command draws nothing."
+        "omissions, and hints on probable mistakes. Factors and maps of other commands\n"
+        "apply to the parts that are skin. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
@@ -66,10 +67,10 @@ def run(options: argparse.Namespace) -> int:
 def facts_of(mesh: Mesh) -> dict[str, Any]:
     """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm."""
     size = mesh.bounds[1] - mesh.bounds[0]
-    known = mesh.millimetres
+    known, skin = mesh.millimetres, mesh.skin
     parts = [
-        _part(number, *pair)
-        for number, pair in enumerate(zip(mesh.parts, mesh.materials, strict=True), 1)
+        {**_part(number + 1, *pair), "skin": number in skin}
+        for number, pair in enumerate(zip(mesh.parts, mesh.materials, strict=True))
     ]
     return {
         "vertices": sum(each["vertices"] for each in parts),
@@ -128,11 +129,12 @@ def _lines(facts: dict[str, Any]) -> list[str]:
 
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:
-    """Return a part's row of the table: name, triangles, preset, maps, factors."""
+    """Return a part's row of the table: name, triangles, skin, preset, maps, factors."""
     maps = [f"{name.removesuffix('_map')} {_size_of(own)}" for name, own in part["maps"].items()]
     maps += ["vertex colours"] * ("colors" in part["has"]) + ["no uv"] * ("uv" not in part["has"])
     name, count = part["name"] or "(no name)", str(part["triangles"])
-    return name, count, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
+    skin = "yes" if part["skin"] else "-"
+    return name, count, skin, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
 
 
 def _size_of(texture: dict[str, Any]) -> str:

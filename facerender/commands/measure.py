@@ -41,7 +41,7 @@ def add(measure: argparse.ArgumentParser) -> None:
     measure.add_argument("-o", "--output", default=folder, metavar="DIR", help=output)
     add_allow_outside(measure)
     add_parts(measure)
-    slope = "RMS slope of the microfacets"
+    slope = "RMS slope of the microfacets of every part"
     add_field(measure, Material, "m", slope, default=Material.m, metavar="M")
     add_flag(measure, "quick", "use smaller images and fewer repeats")
     add_backend(measure, BACKENDS)

@@ -126,7 +126,12 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     ):
         term = Help(text, getattr(Term, name), note=note)
         terms.add_argument(f"--{name}", choices=tuple(registry), help=term)
-    slope, note = "RMS slope of the microfacets", "Replaces the roughness map of the mesh file"
+    slope = "RMS slope of the microfacets"
+    note = (
+        "Replaces the roughness map. Like other factors and maps, it applies only to skin: to no "
+        "part that transmits light or has a name of eyes, lashes, teeth or hair. If no part is "
+        "skin, it applies to all. facerender info lists the skin; --part changes any part"
+    )
     add_field(terms, Material, "m", slope, _OR_FILE, note, metavar="M")
     add_field(terms, Material, "f0", "Fresnel reflectance at normal incidence", _OR_FILE)
     add_field(terms, Material, "ks", "specular weight", _OR_FILE)

@@ -575,8 +575,8 @@ def render(
     ----------
     mesh : a mesh, a source that :func:`facerender.load_mesh` accepts, or None for the built-in head
     model, lobe, fresnel, masking, outside : see :class:`Shading`
-    m : RMS slope of the microfacets of the whole mesh, which replaces the roughness map; default:
-        the values of the mesh
+    m : RMS slope of the microfacets of the skin (:attr:`Mesh.skin`), which replaces the roughness
+        map; default: the values of the mesh
     size, samples, backend : see :class:`Renderer`
     camera, lights : see :class:`Scene`
     only : see :meth:`Renderer.render`
@@ -589,7 +589,7 @@ def render(
     shading = Shading(model, lobe, fresnel, outside, masking)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
-        loaded = loaded.with_material(m=m)
+        loaded = loaded.with_skin(m=m)
     start_maps(loaded)
     scene = Scene(loaded, camera) if lights is None else Scene(loaded, camera, lights)
     with Renderer(size, samples=samples, backend=backend) as renderer:

@@ -76,8 +76,11 @@ def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]
     """
     columns: list[NDArray[np.int64]] = []
     textures: list[tuple[Texture, Kind]] = []
-    pairs = zip(mesh.parts, mesh.materials, strict=True)
-    parts = [_part(mesh, part, material, columns, textures) for part, material in pairs]
+    pairs, skin = zip(mesh.parts, mesh.materials, strict=True), mesh.skin
+    parts = [
+        {**_part(mesh, part, material, columns, textures), "skin": number in skin}
+        for number, (part, material) in enumerate(pairs)
+    ]
     steps = {"position": POSITION_STEPS, "normal": NORMAL_STEPS, "uv": UV_STEPS}
     facts = {
         "steps": steps | {"vertex": VERTEX_STEPS},

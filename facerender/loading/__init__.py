@@ -4,7 +4,7 @@ with the transforms of the scene graph. This package does not use OpenGL."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_switch, check_type, noting, warn
-from facerender.loading.conventions import with_presets
+from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.mesh_cache import MeshFiles
 from facerender.loading.read import read
@@ -21,7 +21,7 @@ from facerender.loading.references import References
 from facerender.loading.source import GLTF, Orientation, source_of
 from facerender.scenes.framing import find_regions
 from facerender.scenes.hints import remember
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.mesh import Mesh, names_of
 from facerender.scenes.repair import Piece, clean
 from facerender.scenes.sources import MeshSource
 from facerender.scenes.texture import Texture
@@ -50,6 +50,8 @@ def load_mesh(
     kind: str | None = None,
     normal_map_y: str = "up",
     as_is: bool = False,
+    parts: str | Iterable[str] = (),
+    hide: str | Iterable[str] = (),
 ) -> Mesh:
     """Load a mesh from a file or a trimesh object, or load the built-in head.
 
@@ -62,8 +64,8 @@ def load_mesh(
         an open binary file; a ``trimesh.Trimesh`` or ``trimesh.Scene``, which is copied; None for
         the built-in head. For arrays, use :meth:`facerender.Mesh.from_arrays`
     albedo, normal_map, specular_map, roughness_map, lobe_map : image files, textures, arrays or
-        Pillow images that replace the file's own maps; see :class:`facerender.Material` and
-        :meth:`facerender.Texture.from_array`
+        Pillow images that replace the file's own maps of the skin (:attr:`facerender.Mesh.skin`);
+        see :class:`facerender.Material` and :meth:`facerender.Texture.from_array`
     flip_v : reverse the v axis of the texture coordinates
     millimetres : length of one unit of the file in mm, required for subsurface scattering. None:
         1000 for .glb and .gltf, the unit of a trimesh object, undefined for other formats
@@ -76,12 +78,15 @@ def load_mesh(
         identify the format
     normal_map_y : direction of green in normal maps: "up" (OpenGL, glTF) or "down" (DirectX)
     as_is : keep the materials of the file. By default, a part with a known name gets a preset if
-        it has no maps, vertex colours or transparency; see docs/formats.md
+        it has no maps, vertex colours or transparency; see docs/formats.md. Names define the skin
+        in both cases
+    parts, hide : see :meth:`facerender.Mesh.select`; the skin is defined among the selected parts
 
     Raises
     ------
     InputError : the file or a map is missing, empty, damaged or of an unknown format; the mesh has
-        no faces; millimetres is outside [1e-6, 1e6]; normal_map_y is invalid
+        no faces; no part has a name of ``parts`` or ``hide``; millimetres is outside [1e-6, 1e6];
+        normal_map_y is invalid
     """
     maps = _maps(
         albedo_map=albedo,
@@ -91,7 +96,8 @@ def load_mesh(
         lobe_map=lobe_map,
     )
     orientation = Orientation(flip_v, normal_map_y)
-    mesh = _loaded(source, kind, *maps, orientation, allow_outside, cache, as_is)
+    selected = names_of("parts", parts), names_of("hide", hide)
+    mesh = _loaded(source, kind, *maps, orientation, allow_outside, cache, as_is, selected)
     return _scaled(mesh, millimetres)
 
 
@@ -103,12 +109,15 @@ def cached_mesh(
     allow_outside: bool = False,
     normal_map_y: str = "up",
     as_is: bool = False,
+    parts: str | Iterable[str] = (),
+    hide: str | Iterable[str] = (),
     **maps: Path_ | None,
 ) -> Mesh | None:
     """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
     paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
     orientation = Orientation(flip_v, normal_map_y)
-    files = MeshFiles(source_of(source), paths, orientation, allow_outside, as_is)
+    selected = names_of("parts", parts), names_of("hide", hide)
+    files = MeshFiles(source_of(source), paths, orientation, allow_outside, as_is, *selected)
     mesh = files.find()
     return None if mesh is None else _scaled(mesh, millimetres)
 
@@ -122,8 +131,12 @@ def _loaded(
     allow_outside: bool,
     cache: bool,
     as_is: bool,
+    selected: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Mesh:
-    """Return the mesh of a source; ``paths`` and ``textures`` replace maps of the source."""
+    """Return the mesh of a source; ``paths`` and ``textures`` replace maps of the source.
+
+    selected : arguments of :meth:`Mesh.select`
+    """
     check_switch("cache", cache)
     check_switch("allow_outside", allow_outside)
     check_switch("as_is", as_is)
@@ -133,8 +146,10 @@ def _loaded(
         with np.errstate(all="ignore"):
             pieces = pieces_of(source, name)
             unit = millimetres_of(source)
-            return _assembled(pieces, name, overrides, orientation, unit, as_is)
-    files = MeshFiles(source_of(source, kind), paths, orientation, allow_outside, as_is)
+            mesh = _assembled(pieces, name, orientation.flip_v, unit, as_is)
+            return _mapped(mesh.select(*selected), overrides, orientation.normal_map_y)
+    file = source_of(source, kind)
+    files = MeshFiles(file, paths, orientation, allow_outside, as_is, *selected)
     if not cache or textures:
         return _read(files, textures)[0]
     if (found := files.find()) is not None:
@@ -179,61 +194,52 @@ def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, Refe
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
         found, references = read(source, "albedo_map" in overrides, files.allow_outside)
         millimetres = 1000.0 if source.suffix in GLTF else None
-        given = overrides, files.orientation, millimetres, files.as_is
-        return _assembled(found, source.name, *given), references
+        given = files.orientation.flip_v, millimetres, files.as_is
+        mesh = _assembled(found, source.name, *given).select(files.parts, files.hide)
+        return _mapped(mesh, overrides, files.orientation.normal_map_y), references
 
 
 def _assembled(
-    found: Sequence[Piece],
-    name: str,
-    overrides: Mapping[str, Texture],
-    orientation: Orientation,
-    millimetres: float | None,
-    as_is: bool,
+    found: Sequence[Piece], name: str, flip_v: bool, millimetres: float | None, as_is: bool
 ) -> Mesh:
     pieces = clean(found, name)
-    mapped = pieces if as_is else with_presets(pieces, name)
-    if orientation.flip_v:
+    mark_skin(pieces)
+    if not as_is:
+        give_presets(pieces, name)
+    if flip_v:
         for piece in pieces:
             for key in ("uv", "uv2"):
                 if (uv := getattr(piece, key)) is not None:
                     setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
-    if overrides:
-        _override(mapped, overrides, name)
-    if orientation.normal_map_y == "down":
-        _turn_normal_maps(pieces)
     return Mesh.assembled(pieces, name, millimetres)
 
 
-def _override(pieces: Sequence[Piece], maps: Mapping[str, Texture], name: str) -> None:
-    """Replace maps of every piece that has texture coordinates. A new map takes the wrapping
-    and filtering of the replaced map or, if there was no such map, of the albedo map."""
-    if all(piece.uv is None for piece in pieces):
+def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
+    """Return a mesh with new maps on the parts of the skin that have texture coordinates, and with
+    green up in all normal maps. A new map takes the wrapping and filtering of the replaced map or,
+    if there was no such map, of the albedo map."""
+    parts, materials = [*mesh.parts], [*mesh.materials]
+    if maps and all(parts[i].uv is None for i in mesh.skin):
         raise InputError(
-            f"{name} has no texture coordinates, which {next(iter(maps.values())).name} "
+            f"{mesh.name} has no texture coordinates, which {next(iter(maps.values())).name} "
             "needs; unwrap the mesh, or render it without maps"
         )
-    for piece in pieces:
-        if piece.uv is None:
-            warn(f"a part of {name} has no texture coordinates: it is drawn without maps")
+    for i in mesh.skin if maps else ():
+        if parts[i].uv is None:
+            warn(f"a part of {mesh.name} has no texture coordinates: it is drawn without maps")
             continue
         changes: dict[str, Any] = {}
         for field, texture in maps.items():
-            like = getattr(piece.material, field) or piece.material.albedo_map or texture
+            like = getattr(materials[i], field) or materials[i].albedo_map or texture
             same = like.sampling == texture.sampling
             changes[field] = texture if same else texture.sampled(*like.sampling)
         if "albedo_map" in maps:
             changes["albedo"] = (1.0, 1.0, 1.0)
-            piece.colors = None
+            parts[i] = replace(parts[i], colors=None)
         if "roughness_map" in maps:
             changes["roughness_factor"] = 1.0
-        piece.material = replace(piece.material, **changes)
-
-
-def _turn_normal_maps(pieces: Sequence[Piece]) -> None:
-    turned: dict[Texture, Texture] = {}
-    for piece in pieces:
-        if (own := piece.material.normal_map) is not None:
-            if own not in turned:
-                turned[own] = own.turned_green()
-            piece.material = replace(piece.material, normal_map=turned[own])
+        materials[i] = replace(materials[i], **changes)
+    if normal_map_y == "down":
+        turned = {own: own and own.turned_green() for own in {m.normal_map for m in materials}}
+        materials = [replace(each, normal_map=turned[each.normal_map]) for each in materials]
+    return replace(mesh, parts=tuple(parts), materials=tuple(materials))

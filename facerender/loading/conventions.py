@@ -1,4 +1,4 @@
-"""Presets of parts with known names.
+"""Presets of parts with known names, and names of parts that are not skin.
 
 A part gets a preset if the name of its material, or else its own name, is known, and if the file
 has no better material for it: neither maps nor vertex colours, opacity or transmission. The rule
@@ -51,6 +51,12 @@ _WHOLE = {
     "sclera": "EyeLeft EyeRight LeftEye RightEye Wolf3D_Eye Std_Eye_L Std_Eye_R CC_Base_Eye",
     "hair-card": "Wolf3D_Hair Wolf3D_Beard",
 }
+# Words of names of parts that are not skin. A word of the second set shows that the part is skin.
+_NOT_SKIN = {
+    *("eye", "eyes", "eyeball", "eyeballs", "cornea", "sclera", "lash", "lashes", "eyelash"),
+    *("eyelashes", "eyebrow", "eyebrows", "brows", "hair", "beard", "teeth"),
+}
+_SKIN = {"skin", "lid", "lids", "socket", "sockets"}
 KNOWN = {name: [*_WHOLE.get(name, "").split(), *_WORDS.get(name, "").split()] for name in PRESETS}
 
 
@@ -82,23 +88,23 @@ def preset_for(name: str) -> str | None:
     return next(filter(None, (*whole, *parts)), None)
 
 
-def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
-    """Give presets to pieces with known names, and warn of it.
+def mark_skin(pieces: Sequence[Piece]) -> None:
+    """Set ``skin`` of each piece to whether neither its name nor its material's name is a name of
+    eyes, lashes, teeth or hair."""
+    for piece, known in zip(pieces, _presets_of(pieces), strict=True):
+        names = {*_words(piece.name)}, {*_words(piece.material_name)}
+        other = any(words & _NOT_SKIN and not words & _SKIN for words in names)
+        piece.skin = known in (None, "skin", "lips") and not other
 
-    Returns
-    -------
-    the pieces without painted maps, which may get maps of the caller
-    """
+
+def give_presets(pieces: Sequence[Piece], name: str) -> None:
+    """Give presets to pieces with known names, and warn of it."""
     found: dict[str, list[str]] = {}
-    painted: list[Piece] = []
-    presets = [_preset_of(piece) for piece in pieces]
     eyes = [piece for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
     eye_map = _eye_map() if eyes else None
-    for piece, known in zip(pieces, presets, strict=True):
+    for piece, known in zip(pieces, _presets_of(pieces), strict=True):
         if eyes and _stem(piece) == "msclera":
             known = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
-        elif _stem(piece) in _EYES and {"lashes", "teeth"} & {*presets}:
-            known = "sclera"
         if known is None or not _is_bare(piece):
             continue
         piece.material = changed(piece.material, {"preset": known})
@@ -108,20 +114,23 @@ def with_presets(pieces: Sequence[Piece], name: str) -> list[Piece]:
             _close_pupil(piece)
             white = (1.0, 1.0, 1.0)
             piece.material = replace(piece.material, albedo=white, albedo_map=eye_map)
-            painted.append(piece)
         elif _stem(piece) == _LASHES and piece.uv is not None:
             piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
-            painted.append(piece)
         called = found.setdefault(known, [])
         called.append(piece.name or piece.material_name)
     if found:
         all_ = "; ".join(f"{preset} for {', '.join(names)}" for preset, names in found.items())
         warn(f"{name}: presets by name: {clipped(all_, _LONGEST)}; --as-is keeps the file's own")
-    return [piece for piece in pieces if not any(piece is each for each in painted)]
 
 
-def _preset_of(piece: Piece) -> str | None:
-    return preset_for(piece.material_name) or preset_for(piece.name)
+def _presets_of(pieces: Sequence[Piece]) -> list[str | None]:
+    presets = [preset_for(each.material_name) or preset_for(each.name) for each in pieces]
+    if {"lashes", "teeth"}.isdisjoint(presets):
+        return presets
+    return [
+        "sclera" if _stem(piece) in _EYES else known
+        for piece, known in zip(pieces, presets, strict=True)
+    ]
 
 
 def _is_bare(piece: Piece) -> bool:

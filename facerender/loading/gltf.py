@@ -237,11 +237,11 @@ def head_bounds(
 _TIMES, _MOST_REPEATED = 8, 1 << 20
 
 
-def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[Piece]:
+def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Piece]:
     """Return a piece for every primitive instance with triangles.
 
     referred : reader of the buffers and images that are separate files
-    without_albedo : whether to skip the albedo maps of the file
+    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
 
     Raises
     ------
@@ -256,7 +256,7 @@ def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[P
             f"{name} requires the extension {clipped(unknown[0], 60)}; export it without this"
         )
     try:
-        return _File(name, document, binary, referred, without_albedo).pieces()
+        return _File(name, document, binary, referred, albedo_given).pieces()
     except ValueError as error:
         if isinstance(error, InputError):
             raise
@@ -288,12 +288,12 @@ class _File:
         document: Doc,
         binary: memoryview | None,
         referred: References,
-        without_albedo: bool,
+        albedo_given: bool,
     ) -> None:
         self.name = name
         self.document = document
         self.buffers = Buffers(name, document, binary, referred)
-        self.materials = Materials(self.buffers, without_albedo)
+        self.materials = Materials(self.buffers, albedo_given)
         self.warn = self.materials.warn
         self.worlds: dict[int, NDArray[np.float64]] = {}  # matrices, keyed by the node's index
         self.skins: dict[int, NDArray[np.float64] | None] = {}

@@ -73,11 +73,11 @@ class TextureTransform:
 class Materials:
     """The materials of a checked glTF file. Methods raise ValueError if the data are damaged."""
 
-    def __init__(self, buffers: Buffers, without_albedo: bool) -> None:
+    def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
         self.name = buffers.name
         self.document = buffers.document
         self.buffers = buffers
-        self.without_albedo = without_albedo
+        self.albedo_given = albedo_given
         self.images: dict[int, tuple[Image, Texture, Texture | None] | None] = {}
         self.sampled: dict[tuple[int, Any, Any], Texture] = {}
         self.looks: dict[tuple[int | None, bool], Look[TextureTransform]] = {}
@@ -104,7 +104,7 @@ class Materials:
         alpha = _ALPHAS.get(source.get("alphaMode", "OPAQUE"), "opaque")
         emissive = self._emissive(source, extensions)
         uses = {
-            "albedo_map": None if self.without_albedo else base,
+            "albedo_map": base,
             "opacity_map": base if alpha != "opaque" else None,
             "normal_map": source.get("normalTexture"),
             "roughness_map": metallic.get("metallicRoughnessTexture"),
@@ -254,6 +254,10 @@ class Materials:
             found = others.get(key, {}).get("source") if found is None else found
         return found
 
+    def _replaces(self, kind: str) -> bool:
+        """Return whether the caller replaces the maps of a kind."""
+        return kind == "albedo" and self.albedo_given
+
     def _map(
         self, use: Doc | None, kind: str, channel: int | Literal["alpha"] | None
     ) -> Texture | None:
@@ -265,10 +269,11 @@ class Materials:
         source = self._source(texture)
         if source is None:
             basis = "KHR_texture_basisu" in texture.get("extensions", {})
-            self.warn(
-                f"the {kind} map of {self.name} has no image in a supported format"
-                f"{' (KHR_texture_basisu)' * basis}: ignored"
-            )
+            if not self._replaces(kind):
+                self.warn(
+                    f"the {kind} map of {self.name} has no image in a supported format"
+                    f"{' (KHR_texture_basisu)' * basis}: ignored"
+                )
             self.lost_images = True
             return None
         if source not in self.images:
@@ -292,7 +297,7 @@ class Materials:
 
     def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
         """Return an image, its texture, and the texture of its alpha channel or None. Return None
-        for a missing or unreadable image."""
+        for a missing or unreadable image, without a warning if the caller replaces it."""
         entry = self.document["images"][index]
         shown = f"the {kind} map of {self.name}"
         try:
@@ -306,13 +311,15 @@ class Materials:
                 shown = f"{clipped(entry['uri'], 80)} (named by {self.name})"
                 content = self.buffers.referred.read(entry["uri"], "an image file")
         except FileNotFoundError:
-            missing_image(self.buffers.referred, entry["uri"])
+            if not self._replaces(kind):
+                missing_image(self.buffers.referred, entry["uri"])
             self.lost_images = True
             return None
         try:
             image = image_of(content)
         except ValueError:
-            unreadable(shown, kind, fatal=not self.without_albedo)
+            if not self._replaces(kind):
+                unreadable(shown, kind, fatal=not self.albedo_given)
             self.lost_images = True
             return None
         name = f"the {kind} map of {self.name}"

@@ -44,7 +44,7 @@ _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
 
-_ARRAYS = tuple(each.name for each in fields(Part) if each.name != "name")
+_ARRAYS = tuple(each.name for each in fields(Part) if each.name not in ("name", "skin"))
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class MeshFiles:
     ----------
     source : the mesh file
     maps : image files that replace the mesh file's maps, keyed by the field of :class:`Material`
-    orientation, allow_outside, as_is : see :func:`facerender.load_mesh`
+    orientation, allow_outside, as_is, parts, hide : see :func:`facerender.load_mesh`
     """
 
     source: Source
@@ -63,11 +63,13 @@ class MeshFiles:
     orientation: Orientation
     allow_outside: bool
     as_is: bool = False
+    parts: tuple[str, ...] = ()
+    hide: tuple[str, ...] = ()
 
     def digest(self) -> str | None:
         """Return the name of the cache entry, or None if a file cannot be read."""
         names = [self.source.path.name, *((field, each.name) for field, each in self.maps.items())]
-        options = self.orientation, self.allow_outside, self.as_is
+        options = self.orientation, self.allow_outside, self.as_is, self.parts, self.hide
         facts = __version__, _code(), names, self.source.suffix, options
         try:
             maps = [read_file(each, "a file") for each in self.maps.values()]
@@ -188,7 +190,8 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
     facts |= {
         "name": mesh.name,
         "parts": [
-            {name: number(getattr(part, name)) for name in _ARRAYS} | {"name": part.name}
+            {name: number(getattr(part, name)) for name in _ARRAYS}
+            | {"name": part.name, "skin": part.skin}
             for part in mesh.parts
         ],
         "materials": [
@@ -251,7 +254,7 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
     return Mesh(
         facts["name"],
         tuple(
-            Part(**each, name=own["name"])
+            Part(**each, name=own["name"], skin=own["skin"])
             for each, own in zip(columns, facts["parts"], strict=True)
         ),
         tuple(materials),

@@ -166,7 +166,7 @@ class Library:
     text : generated MTL file for trimesh: all material names, no properties
     """
 
-    def __init__(self, data: bytes, referred: References, name: str, without_albedo: bool) -> None:
+    def __init__(self, data: bytes, referred: References, name: str, albedo_given: bool) -> None:
         """Read the MTL files that an OBJ file names.
 
         Raises
@@ -175,7 +175,7 @@ class Library:
         """
         self.referred = referred
         self.name = name
-        self.without_albedo = without_albedo
+        self.albedo_given = albedo_given
         self.materials: dict[str, dict[str, str]] = {}
         self.looks: dict[tuple[str, bool, int], Look[UvSpread]] = {}
         self.textures: dict[tuple[Any, ...], Texture | None] = {}
@@ -393,7 +393,7 @@ class Library:
             if key not in statements or name in found:
                 continue
             use = self._options(statements[key], _MAPS[key][1])
-            if use.name and not (name == "albedo_map" and self.without_albedo):
+            if use.name:
                 found[name] = use
                 use.channel = use.channel or ("normal" if key == "norm" else "")
         return found
@@ -451,7 +451,8 @@ class Library:
         try:
             image = image_of(content)
         except ValueError:
-            unreadable(shown, kind, fatal=not self.without_albedo)
+            if kind != "albedo" or not self.albedo_given:
+                unreadable(shown, kind, fatal=not self.albedo_given)
             return None
         texture = self._decoding(key, use, content, image, clipped(name, 80))
         return texture.sampled(("clamp", "clamp")) if use.clamp else texture

@@ -127,12 +127,10 @@ _OPTIONS = {".ply": {"skip_materials": True}, ".obj": {"split_objects": True}}  
 _TRIANGLE = 50  # bytes per triangle of a binary STL file, after a header of 84 bytes
 
 
-def read(
-    source: Source, without_albedo: bool, allow_outside: bool
-) -> tuple[list[Piece], References]:
+def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[Piece], References]:
     """Return a piece for every geometry with faces, and the files to which the source refers.
 
-    without_albedo : whether to skip the albedo maps of the file
+    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
 
     Raises
     ------
@@ -145,7 +143,7 @@ def read(
     check_format(data, suffix, name)
     references = References(name, source.folder, allow_outside)
     if suffix in GLTF:
-        pieces = read_gltf(data, references, without_albedo)
+        pieces = read_gltf(data, references, albedo_given)
         if not pieces:
             raise _no_faces(name, points=False)
         return pieces, references
@@ -154,9 +152,9 @@ def read(
 
         with _quiet():
             if suffix == ".obj":
-                pieces = _read_obj(data, name, references, without_albedo)
+                pieces = _read_obj(data, name, references, albedo_given)
             else:
-                pieces = _read_ply_or_stl(data, name, suffix, references, without_albedo)
+                pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
     except InputError:
         raise
     except Exception as error:  # trimesh's readers raise many exceptions for damaged files
@@ -170,7 +168,7 @@ def _no_faces(name: str, points: bool) -> InputError:
 
 
 def _read_ply_or_stl(
-    data: bytes, name: str, suffix: str, references: References, without_albedo: bool
+    data: bytes, name: str, suffix: str, references: References, albedo_given: bool
 ) -> list[Piece]:
     texture = None
     if suffix == ".ply":
@@ -180,20 +178,20 @@ def _read_ply_or_stl(
         data = _checked_stl(data, name)
     geometries = [*_geometries(data, suffix, name).values()]
     if texture is not None:
-        _give_texture(geometries, texture, references, not without_albedo)
+        _give_texture(geometries, texture, references, not albedo_given)
     textures: dict[int, Texture] = {}
     lost = bool(references.missing())
     pieces = [piece_of(each, name, textures, lost) for each in geometries]
     _clear(*geometries)
     check_count(len(pieces), name)
-    _warn_of_missing(references, without_albedo)
+    _warn_of_missing(references, albedo_given)
     return pieces
 
 
-def _read_obj(data: bytes, name: str, references: References, without_albedo: bool) -> list[Piece]:
+def _read_obj(data: bytes, name: str, references: References, albedo_given: bool) -> list[Piece]:
     from facerender.loading.mtl import Library
 
-    library = Library(data, references, name, without_albedo)
+    library = Library(data, references, name, albedo_given)
     data, names = with_parts(data, name)
     check_count(len(names), name)
     out_of_range = 0
@@ -224,12 +222,12 @@ def _read_obj(data: bytes, name: str, references: References, without_albedo: bo
         part for _, piece in pieces for part in _with_tiles(piece, piece.material_name, library)
     ]
     check_count(len(found), name)
-    _warn_of_missing(references, without_albedo)
+    _warn_of_missing(references, albedo_given)
     return found
 
 
-def _warn_of_missing(references: References, without_albedo: bool) -> None:
-    if not without_albedo:
+def _warn_of_missing(references: References, albedo_given: bool) -> None:
+    if not albedo_given:
         for missing in references.missing():
             missing_image(references, missing)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.renderer import Renderer
 from facerender.drawing.resolve import resolve
-from facerender.errors import InputError, check_switch, check_type, each_of, warn
+from facerender.errors import InputError, check_switch, check_type, each_of
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
 from facerender.images.write import save_png
@@ -59,7 +59,8 @@ class Error:
     size : width and height of the image with the largest error
     pixel : x and y of the pixel with the largest error
     drawn, drawn_within : ``maximum`` and ``within`` of the rendered images, with the plan's samples
-        and triangles; None if only fragments are priced and a pixel has one sample
+        and triangles, and with blended and refracting parts, which the other errors leave out. None
+        if only fragments are priced, a pixel has one sample and the mesh has no such parts
     """
 
     maximum: float
@@ -300,10 +301,6 @@ def plan(
     InputError : an invalid value, a scene without lights, cameras that see nothing, an inexact
         lobe, or a missing package for FLIP
     ContextError : no OpenGL context
-
-    Warns
-    -----
-    FacerenderWarning : a part is blended: the plan ignores changes of that part's shading
     """
     _check_types(scene, budget, full, cost, renderer)
     check_switch("verify_cost", verify_cost)
@@ -338,18 +335,13 @@ def _check_types(scene: Any, budget: Any, full: Any, cost: Any, renderer: Any) -
 
 
 def _checked(scene: Scene, full: Shading) -> Shading:
-    """Return the shading with automatic ``small_slope``; raise and warn like :func:`plan`."""
+    """Return the shading with automatic ``small_slope``; raise like :func:`plan`."""
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
         raise InputError("a plan chooses the lights' terms: omit lights from the shading")
     if not scene.lights and scene.environment is None:
         raise InputError("the scene has no lights, so there is no shading to plan: add a light")
-    if "blend" in map(drawn_alpha, scene.mesh.parts, scene.mesh.materials):
-        warn(
-            f"parts of {scene.mesh.name} are blended: the plan only counts errors of the parts "
-            "behind them"
-        )
     return replace(full, term=replace(full.term, small_slope=None))
 
 
@@ -396,7 +388,9 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     software = renderers[0].context.software
     choice = Choice(scene, task.full, task.budget, constants, task.cost, software, views)
     samples, drawn = renderers[0].samples, None
-    if samples > 1 or task.cost == FRAME or task.verify_cost:
+    pairs = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    layered = any(own.refracts or drawn_alpha(part, own) == "blend" for part, own in pairs)
+    if samples > 1 or layered or task.cost == FRAME or task.verify_cost:
         drawn = DrawnViews(viewpoints, choice.full, choice.budget)
     framed = drawn if task.cost == FRAME else None  # set if the level of detail is chosen too
     if framed and choice.limit >= 0.0:

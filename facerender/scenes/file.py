@@ -222,14 +222,15 @@ def part_text(pattern: str, table: Mapping[str, Any]) -> str:
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
     """Return a scene, without its mesh and maps, as TOML text that :func:`load_scene` parses.
 
-    The table ``material`` contains the factors that are equal for all parts, the table ``parts``
-    the factors of each part that differ. The table ``planned`` contains the fields of
+    The table ``material`` contains the factors that are equal for all parts of the skin, the table
+    ``parts`` the other factors of each part. The table ``planned`` contains the fields of
     :class:`Planned`.
     """
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
-    shared = _shared_factors(scene.mesh.materials)
-    differing = _differing_factors(scene.mesh, shared)
+    skin = scene.mesh.skin
+    shared = _shared_factors([scene.mesh.materials[i] for i in skin])
+    differing = _differing_factors(scene.mesh, shared, skin)
     tables: list[tuple[str, Mapping[str, Any]]] = [
         ("", {"ambient": scene.ambient, "background": background} | dark),
         ("[camera]", _changes(scene.camera)),
@@ -273,13 +274,16 @@ def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
     return {name: found.pop() for name, found in values.items() if len(found) == 1}
 
 
-def _differing_factors(mesh: Mesh, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return, for each named part, the factors that are not equal for all parts."""
+def _differing_factors(
+    mesh: Mesh, shared: Mapping[str, Any], skin: Collection[int]
+) -> dict[str, dict[str, Any]]:
+    """Return, for each named part, its factors, without the ``shared`` factors of the skin."""
     tables: dict[str, dict[str, Any]] = {}
-    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+    for number, (part, material) in enumerate(zip(mesh.parts, mesh.materials, strict=True)):
         unused = "m" if material.roughness_map is not None else "roughness_factor"
         names = (each.name for each in fields(Material) if each.name not in (*MAPS, unused))
-        values = {name: getattr(material, name) for name in names if name not in shared}
+        given = shared if number in skin else ()
+        values = {name: getattr(material, name) for name in names if name not in given}
         if values and part.name:
             tables[part.name] = {
                 name: "none" if value is None else value for name, value in values.items()

@@ -65,7 +65,7 @@ def emit_all(mesh: Mesh) -> None:
         _of_maps[mesh.parts[0]] = maps, found
     for hint, line in found:
         emit(mesh, hint, line)
-    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    pairs = ((mesh.parts[i], mesh.materials[i]) for i in mesh.skin)
     if all(_gloss(each) == _loaded.get(part) for part, each in pairs):
         emit(mesh, faint, faint(mesh))
 
@@ -292,19 +292,19 @@ def _preview(texture: Texture, side: int, decode: bool) -> NDArray[np.uint8] | N
 
 
 def faint(mesh: Mesh, decode: bool = False) -> str | None:
-    """Return a hint if at least half of the surface has a specular weight above 0, but no visible
+    """Return a hint if at least half of the skin has a specular weight above 0, but no visible
     highlight. The peak of a highlight is proportional to ks f0 / m^2.
 
     decode : as for :func:`upside_down`
     """
     skin = Material()
     least = _FAINT * skin.ks * skin.f0 / skin.m**2
-    pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
+    pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
     slopes = [_least_slope(part, own, decode) for part, own in pairs]
     dull = [0.0 < own.ks * own.f0 < least * m**2 for (_, own), m in zip(pairs, slopes, strict=True)]
     if not any(dull):
         return None
-    areas = [_area(part) for part in mesh.parts]
+    areas = [_area(part) for part, _ in pairs]
     weak = [
         (area, own.ks, m)
         for area, (_, own), m, is_dull in zip(areas, pairs, slopes, dull, strict=True)

@@ -106,7 +106,7 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
         }
         corners_of_part = own.reshape(chosen.shape).astype(np.uint32)
         ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
-        parts.append(Part(**arrays, faces=ordered, name=part.name))
+        parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
     return replace(mesh, parts=tuple(parts), regions=find_regions(mesh))
 
 

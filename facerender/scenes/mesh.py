@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import (
     InputError,
     check_range,
+    check_switch,
     check_type,
     clipped,
     each_of,
@@ -50,6 +51,7 @@ class Part:
     head : (2, 3) float64, bounds of the vertices that follow a head joint of the file's skin, or
         None; camera framing uses them
     name : name from the file, or ""; see docs/formats.md
+    skin : False for eyes, lashes, teeth and hair, by the names of the part and its material
     """
 
     positions: NDArray[np.float64]
@@ -61,9 +63,11 @@ class Part:
     uv2: NDArray[np.float64] | None = None
     head: NDArray[np.float64] | None = None
     name: str = ""
+    skin: bool = True
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
+        check_switch("skin of a part", self.skin)
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
         for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)):
@@ -194,6 +198,7 @@ class Mesh:
                 name=own,
                 uv2=piece.uv2,
                 head=piece.head,
+                skin=piece.skin,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
         ]
@@ -281,6 +286,14 @@ class Mesh:
         return f"its parts are {', '.join(part.name for part in self.parts)}"
 
     @property
+    def skin(self) -> tuple[int, ...]:
+        """Indices of the parts that are skin: their ``Part.skin`` is true, and their materials have
+        no transmission. If no part is skin, the indices of all parts."""
+        pairs = enumerate(zip(self.parts, self.materials, strict=True))
+        found = [i for i, (part, own) in pairs if part.skin and own.transmission == 0.0]
+        return tuple(found or range(len(self.parts)))
+
+    @property
     def center(self) -> NDArray[np.float64]:
         """Centre of the bounds, (3,) float64."""
         return np.asarray(self.bounds.mean(axis=0))
@@ -305,7 +318,8 @@ class Mesh:
 
         Parameters
         ----------
-        parts : names of the parts whose materials change, as in :meth:`select`; default: all parts
+        parts : names of the parts whose materials change, as in :meth:`select`; default: all parts,
+            also eyes and hair; see :meth:`with_skin`
         preset : name of a preset, whose fields apply before ``changes``; see docs/skin.md
 
         Raises
@@ -315,7 +329,15 @@ class Mesh:
         names = names_of("parts", parts)
         chosen = {i for name in names for i in self._called(name)} or {*range(len(self.parts))}
         table = changes if preset is None else {"preset": preset, **changes}
-        new = {i: changed(self.materials[i], table) for i in chosen}
+        return self._changed(chosen, table)
+
+    def with_skin(self, **changes: Any) -> Mesh:
+        """Return a copy of the mesh in which ``changes`` replace fields of the skin's materials;
+        see :attr:`skin` and :meth:`with_material`."""
+        return self._changed(self.skin, changes)
+
+    def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
+        new = {i: changed(self.materials[i], changes) for i in chosen}
         _warn_of_lobes(self.name, changes, new.values())
         materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
         return replace(self, materials=materials)

@@ -29,7 +29,7 @@ class Piece:
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head : see :class:`facerender.scenes.mesh.Part`
+    head, skin : see :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -43,6 +43,7 @@ class Piece:
     uv2: NDArray[np.float64] | None = None
     material_name: str = ""
     head: NDArray[np.float64] | None = None
+    skin: bool = True
 
 
 def check_count(count: int, name: str) -> None:

@@ -120,9 +120,7 @@ def lobes(size: int = 420) -> None:
     with fr.Renderer((size, size)) as renderer:
 
         def drawn(shading: fr.Shading = fr.Shading(), **material: Any) -> Pixels:
-            return renderer.render(
-                fr.Scene(mesh.with_material(**material), camera), shading
-            ).srgb8()
+            return renderer.render(fr.Scene(mesh.with_skin(**material), camera), shading).srgb8()
 
         plain, coupled = drawn(), drawn(fr.Shading(diffuse="coupled"))
         save("two-lobes", [[plain, drawn(**skin), drawn(**sweat)]], 84)
@@ -140,7 +138,7 @@ def _film() -> Texture:
 
 def scattering() -> None:
     """Draw the head without and with subsurface scattering, and eight times the difference."""
-    mesh = fr.load_mesh().with_material(scattering="skin")
+    mesh = fr.load_mesh().with_skin(scattering="skin")
     lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, 0.5))
     scene = fr.Scene(mesh, fr.Camera(-35.0, zoom=1.6), lights)
     with fr.Renderer((480, 480)) as renderer:

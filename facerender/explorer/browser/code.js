@@ -85,7 +85,7 @@ function python(state, which, size) {
   const lights = state.lights.map(light => `    fr.Light(${fieldsOf(lightFields(light, "False"), field).join(", ")}),\n`);
   const material = fieldsOf(materialFields(term), field).join(", ");
   const shading = fieldsOf(shadingFields(term), (name, value) => field(name, lobe(value))).join(", ");
-  const mesh = facts.mesh.python + (material && `.with_material(${material})`);
+  const mesh = facts.mesh.python + (material && `.with_skin(${material})`);
   const only = state.only === "all" ? "" : `, only="${state.only}"`;
   return [
     "import facerender as fr",

@@ -117,7 +117,8 @@ class Drawing {
         const lights = state.lights.filter(light => lightKind(light) === kind);
         if (lights.length) Object.assign(values, lightArrays(kind, lights));
       }
-      for (const [name, own] of [["slope", term.m], ["f0", term.f0], ["specular_weight", term.ks]]) {
+      const {m, f0, ks} = termOf(part, term);
+      for (const [name, own] of [["slope", m], ["f0", f0], ["specular_weight", ks]]) {
         if (own !== null) values[name] = own;
       }
       Object.entries(part.maps).forEach(([name, texture], unit) => {

@@ -3,7 +3,10 @@ let sources = null;  // GLSL texts, keyed by role; null until the texts are unpa
 
 const modelOf = term => registry.models[term.model];
 const lobeOf = term => term.lobe === "g-power" ? registry.g_power : registry.lobes[term.lobe];
-const smallestSlope = term => term.m ?? Math.min(...facts.parts.map(part => part.slopes[0]));
+// Returns a term with the factors for a part: m, f0 and ks of the term apply only to skin.
+const termOf = (part, term) => part.skin ? term : {...term, m: null, f0: null, ks: null};
+const smallestSlope = term =>
+  Math.min(...facts.parts.map(part => termOf(part, term).m ?? part.slopes[0]));
 
 // Returns a term's function call, and its GLSL without #include, valid for m >= smallest.
 function termSource(term, smallest) {
@@ -28,7 +31,8 @@ function lobeName({lobe, g, factor, offset}) {
 
 // Returns the first lines of the renderer's programs for a part: the part's features as macros.
 function surfaceHead(part, term) {
-  const own = part.features.filter(name => term.m === null || name !== "ROUGHNESS_MAP");
+  const own = part.features.filter(
+    name => termOf(part, term).m === null || name !== "ROUGHNESS_MAP");
   return "#version 300 es\n" + own.map(name => `#define ${name}\n`).join("");
 }
 
@@ -40,7 +44,7 @@ function shadeSource(part, term, {lights, ambient, only}, specular = true) {
   if (only === "all" && part.uniforms.diffuse_brdf > 0) head.push("#define DIFFUSE\n");
   if (only === "all" && ambient.some(Boolean)) head.push("#define AMBIENT\n");
   if (specular) {
-    const {text, call} = termSource(term, term.m ?? part.slopes[0]);
+    const {text, call} = termSource(term, termOf(part, term).m ?? part.slopes[0]);
     head.push(text, "#define SPECULAR\n",
       "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
       `    return ${call};\n}\n`);

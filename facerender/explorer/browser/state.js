@@ -129,7 +129,7 @@ function stateOf(fragment) {
 
 // Returns the reason why facerender render refuses m of a term; "" if m is in the domain of the lobe.
 function outsideDomain(term) {
-  const highest = term.m ?? Math.max(...facts.parts.map(part => part.slopes[1]));
+  const highest = Math.max(...facts.parts.map(part => termOf(part, term).m ?? part.slopes[1]));
   const {k} = modelOf(term);
   const lobe = lobeOf(term);
   const end = lobe.ends[k];
