@@ -115,8 +115,8 @@ def test_parts_of_the_eyes_have_materials(head: Head):
     assert thickness == pytest.approx(0.0036), "m, from the apex to the iris"
     assert "KHR_materials_volume" not in materials["tear-line"]["extensions"]
     assert max(found["lash-strands"].albedo) < 0.02
-    for name in ("head", "eyeballs", "lash-strands"):
-        assert (found[name].transmission, found[name].alpha) == (0.0, "opaque")
+    for name, alpha in (("head", "opaque"), ("eyeballs", "opaque"), ("lash-strands", "blend")):
+        assert (found[name].transmission, found[name].alpha) == (0.0, alpha)
     roughness = np.asarray(head.parts["eyeballs"].visual.material.metallicRoughnessTexture)
     assert ((roughness[..., 1] / 255) ** 2).min() > 0.1, "the cornea has the highlight"
 

@@ -152,7 +152,9 @@ def test_triangle_setup_interpolates_vertex_attributes(head):
         )
         np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on the plane
         np.testing.assert_allclose(values[:, 1:4], part.normals[corner], atol=2e-4)
-        np.testing.assert_allclose(values[:, 4:], part.uv[corner], atol=2e-5)
+        np.testing.assert_allclose(values[:, 4:6], part.uv[corner], atol=2e-5)
+        above = np.einsum("ij,ij->i", head.normalised(part.positions), part.normals)[corner]
+        np.testing.assert_allclose(values[:, 6], above, atol=2e-4)
 
 
 def test_zero_width_triangles(both, monkeypatch):

@@ -59,9 +59,11 @@ CORNEA = _clear("cornea", 0.173, 1.336, IRIS_DEPTH * METRES_PER_CM)
 TEAR_LINE = _clear("tear-line", 0.3, 1.337)
 EYEBALLS: Doc = {"name": "eyeballs"}  # with maps
 LASHES: Doc = {
+    # Blended parts cast no shadow: a shadow map would show the thin strands as dots.
     "name": "lash-strands",
+    "alphaMode": "BLEND",
     "pbrMetallicRoughness": {
-        "baseColorFactor": [0.012, 0.008, 0.006, 1.0],
+        "baseColorFactor": [0.012, 0.008, 0.006, 0.9],
         "metallicFactor": 0.0,
         "roughnessFactor": 0.7,
     },
