@@ -102,10 +102,11 @@ float fr_shadow_hard(
 //   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds an occluder.
 //                The radius of the search is tan_radius times top - p.z, which is clamped to [0,
 //                1], and at least half of the width. Both loops use N samples at angles of
-//                2.39996 i from the start. The search uses radius (i + 1/2)/N, which is denser near p; the
-//                mean uses radius sqrt((i + 1/2)/N) (Vogel 1979). An occluder outside the cone
-//                from p to the light hides no light: its weight in the search is 0.1, and the mean
-//                ignores it if it is more than 1.5 times as far from the axis as the cone's edge.
+//                2.39996 i from the start. The radius of a sample is (i + 1/2)/N in the search,
+//                which is denser near p, and sqrt((i + 1/2)/N) in the mean (Vogel 1979). An
+//                occluder outside the cone from p to the light hides no light: its weight in the
+//                search is 0.1, and the mean ignores it if it is more than 1.5 times as far from
+//                the axis as the cone's edge.
 float fr_shadow_disc(
     sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
     float width, vec2 start
