@@ -30,6 +30,7 @@ from tests.awkward_files import assert_equal
 from tests.conftest import wait_for_cache
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped
+from tests.verification.lights import PLAIN
 from tests.verification.parts_head import NAMES, hairs, parts_head
 
 FACTORS = {
@@ -559,11 +560,14 @@ def test_blended_parts_are_composited_after_scattering(single):
 
 
 @pytest.mark.parametrize("scattering", [None, "skin"])
-def test_blended_parts_are_drawn_over_deferred_shading(backend, monkeypatch, scattering):
+def test_blended_parts_are_drawn_over_deferred_shading(
+    backend, coarse_head, monkeypatch, scattering
+):
     """They change only their own pixels, and look as in forward shading."""
     whole = replace(parts_head(scattering=scattering), millimetres=1000.0)
-    shells = replace(whole, parts=whole.parts[:3], materials=whole.materials[:3])
-    bare = replace(whole, parts=whole.parts[:2], materials=whole.materials[:2])
+    parts = (coarse_head.parts[0], *whole.parts[1:3])
+    shells = replace(whole, parts=parts, materials=whole.materials[:3])
+    bare = replace(whole, parts=parts[:2], materials=whole.materials[:2])
     settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
     scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
     assert can_defer(scene, 16384)
@@ -605,7 +609,7 @@ def test_the_explorer_warns_of_blended_parts():
 def test_a_plan_counts_errors_of_blended_parts(front):
     """Only the front part has a highlight, which the cheapest shading of the wall omits."""
     wall, glass = replace(WHITE, ks=0.0), replace(WHITE, ks=1.0, f0=0.2, **front)
-    scene = scene_of([quad(), quad(0.5)], [wall, glass])
+    scene = scene_of([quad(), quad(0.5)], [wall, glass], lights=(PLAIN["key"],), ambient=0.0)
     with fr.Renderer((32, 32), samples=1) as renderer:
         plan = fr.plan(scene, "1/255", renderer=renderer, cost="navi21")
         full, planned = (renderer.render(scene, each).linear for each in (plan.full, plan.shading))

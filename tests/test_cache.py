@@ -26,7 +26,7 @@ from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
 from tests.conftest import wait_for_cache
 from tests.test_cli import assert_error
 
-SMALL = ("--size", "48", "--samples", "1")
+SMALL = ("--size", "48", "--samples", "1", "--light", "key,radius=0,no-shadow")
 
 
 @pytest.fixture(autouse=True)

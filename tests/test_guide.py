@@ -15,6 +15,7 @@ import pytest
 import facerender as fr
 from facerender.commands import parser_of
 from facerender.scenes.light import parse_light
+from tests.awkward_files import MINI_HEAD
 from tests.markdown import code, prose
 from tools.docs.blocks import by_hand
 
@@ -87,13 +88,25 @@ def test_the_readme_and_the_guide_are_short():
     assert sum(words(page) for page in GUIDE[1:]) <= 15_500
 
 
+@pytest.fixture
+def small_images(monkeypatch):
+    """Draw images of a tenth of the width and height; the test checks only that examples run."""
+    init = fr.Renderer.__init__
+
+    def tenth(self, size=(1024, 1024), *arguments, **options):
+        init(self, tuple(max(side // 10, 8) for side in size), *arguments, **options)
+
+    monkeypatch.setattr(fr.Renderer, "__init__", tenth)
+
+
 @pytest.mark.parametrize("page", pages_with_python(), ids=name)
 @pytest.mark.filterwarnings("ignore:.*presets by name")  # trimesh drops transmission
+@pytest.mark.usefixtures("small_images")
 def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monkeypatch):
-    shutil.copy(ROOT / "assets" / "head.glb", tmp_path)
+    shutil.copy(MINI_HEAD, tmp_path / "head.glb")
     monkeypatch.chdir(tmp_path)
     for m, file in ((0.3, "golden.exr"), (0.306, "new.exr")):  # images of compare.md
-        fr.render(m=m, size=(64, 64)).save(file)
+        fr.render(m=m, size=(640, 640)).save(file)
     names: dict[str, object] = {}
     for block in python(page):
         exec(compile(block, name(page), "exec"), names)

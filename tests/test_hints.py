@@ -238,7 +238,8 @@ def test_render_and_info_print_hints(tmp_path, capsys, monkeypatch):
 
 
 def test_shadows_without_lights(tmp_path, capsys):
-    command = ["render", "--size", "32", "-o", str(tmp_path / "a.png"), "--shadows"]
+    image = str(tmp_path / "a.png")
+    command = ["render", str(MINI_HEAD), "--size", "32", "-o", image, "--shadows"]
     for more, warned in (
         (["--environment", "studio"], True),
         (["--environment", "studio", "--light", "key"], False),

@@ -30,6 +30,7 @@ from tests.awkward_files import (
     write_textured_obj,
 )
 from tests.conftest import wait_for_cache
+from tests.verification.lights import PLAIN
 
 HEAD = mini_head()
 
@@ -498,7 +499,8 @@ def everything():
     scene = fr.Scene(mesh, environment=fr.Environment(fr.Panorama("even", np.ones((2, 4, 3)))))
     with fr.Renderer((16, 16), samples=1) as renderer:
         frame, gbuffer = renderer.render(scene), renderer.gbuffer(scene)
-        plan = fr.plan(fr.Scene(mesh), "16/255", renderer=renderer, cost="llvmpipe")
+        lit = fr.Scene(mesh, lights=(PLAIN["key"],))
+        plan = fr.plan(lit, "16/255", renderer=renderer, cost="llvmpipe")
     return {
         "Camera": fr.Camera(azimuth=3),
         "ContextError": fr.ContextError("no OpenGL"),

@@ -270,7 +270,7 @@ MESSAGES = [
         "sizes '512..256': give the smaller size first, such as 512..1024",
     ),
     (
-        "plan --parts head --budget 1/255 --cost gpu",
+        "plan --parts head --budget 1/255 --size 16 --cost gpu",
         "unknown cost 'gpu'; known: frame, auto, navi21, vega10, llvmpipe, here",
     ),
     (

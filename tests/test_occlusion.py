@@ -19,6 +19,7 @@ from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Cli
 from tests.test_lod import grid, mesh_of, torus
+from tests.verification.lights import PLAIN
 from tests.verification.occlusion import occlusion_error
 
 
@@ -189,7 +190,7 @@ def test_simplified_meshes_and_plans_keep_occlusion(baked, bare, egl):
     assert np.abs(part.occlusion - near).mean() < 0.02
     plain = fr.simplified(bare, 2000).parts[0]
     assert plain.occlusion is None
-    scene = fr.Scene(baked, lights=fr.Scene(bare).lights[:1], ambient=1.0)
+    scene = fr.Scene(baked, lights=(PLAIN["key"],), ambient=1.0)
     assert _digest(scene) != _digest(replace(scene, mesh=bare))
     with fr.Renderer((96, 96), backend=egl) as renderer:
         plan = fr.plan(scene, "8/255", within=0.8, renderer=renderer)

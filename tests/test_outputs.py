@@ -29,6 +29,7 @@ from facerender.system.progress import Bar
 from tests.awkward_files import MINI_HEAD, write_textured_obj
 from tests.awkward_files import mini_head as read_mini_head
 from tests.test_cli import assert_error
+from tests.verification.lights import PLAIN_THREE
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("--size", "32", "--samples", "1")
@@ -439,7 +440,7 @@ def test_progress_bar_appears_only_on_terminals(stream, quiet, monkeypatch):
 def test_plan_reports_its_progress(egl):
     reported = []
     with fr.Renderer((24, 24), samples=1, backend=egl) as renderer:
-        scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+        scene = fr.Scene(fr.load_mesh(MINI_HEAD), lights=PLAIN_THREE)
         fr.plan(scene, "1/255", renderer=renderer, progress=lambda *step: reported.append(step))
     whats = list(dict.fromkeys(what for what, _ in reported))
     assert whats == ["views", "prices", "samples and triangles", "shadings", "frames", "decisions"]
@@ -454,7 +455,7 @@ def test_commands_print_no_progress_without_a_terminal(inputs, capsys, egl):
         Image.new("RGB", (32, 32)).save(inputs / "a" / name)
     assert main(["compare", "a", "a", "--report", "a.html"]) == 0
     assert capsys.readouterr().err == ""
-    assert main([*PLAN, "--size", "16", "--samples", "1"]) == 0
+    assert main([*PLAN, "--size", "16", "--samples", "1", "--light", "key,no-shadow"]) == 0
     assert capsys.readouterr().err == ""
 
 

@@ -261,7 +261,7 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
 
 def test_lights_are_ordered_by_their_contribution(small, subject):
     scene = subject("frontal, three").scene
-    scene = replace(scene, lights=(*scene.lights, replace(PLAIN["front"], irradiance=9.0)))
+    scene = replace(scene, lights=(*PLAIN_THREE, replace(PLAIN["front"], irradiance=9.0)))
     constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
     gbuffer = small.gbuffer(scene)
     whole, near = (
@@ -294,7 +294,7 @@ def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
 
 
 def test_a_huge_budget_drops_every_highlight(small, subject):
-    scene = subject("frontal, three").scene
+    scene = replace(subject("frontal, three").scene, lights=PLAIN_THREE)
     cost = fr.plan(scene, "1e9%", cost="auto", renderer=small).cost
     assert cost.specular == 0.0
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)

@@ -19,13 +19,15 @@ from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan as make_plan
 from facerender.scenes.file import load_scene
-from facerender.scenes.light import LIGHTS
 from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli
+from tests.verification.lights import PLAIN
 
-SMALL = ("--size", "48", "--samples", "1", "--light", "key")
+# Without shadows, plans have fewer candidates.
+KEY = "key,radius=0,no-shadow"
+SMALL = ("--size", "48", "--samples", "1", "--light", KEY)
 FACE = (MINI_HEAD, *SMALL)
 
 
@@ -82,7 +84,7 @@ def plan(cli):
 
 
 def expected(budget, camera=fr.Camera(), mesh=None, cost="auto", **options):
-    scene = fr.Scene(mesh or fr.load_mesh(MINI_HEAD), camera, (LIGHTS["key"],))
+    scene = fr.Scene(mesh or fr.load_mesh(MINI_HEAD), camera, (PLAIN["key"],))
     with fr.Renderer((48, 48), samples=1) as renderer:
         return plan_once(scene, budget, cost=cost, renderer=renderer, **options)
 
@@ -145,7 +147,7 @@ def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
     with fr.Renderer((48, 48), samples=1) as renderer:
         camera = fr.Camera(20.0, 10.0, zoom=1.1)
         mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.25)
-        scene = fr.Scene(mesh, camera, (LIGHTS["key"],), ambient=0.2, background=None)
+        scene = fr.Scene(mesh, camera, (PLAIN["key"],), ambient=0.2, background=None)
         image = renderer.render(scene, shading).srgb8()
     np.testing.assert_array_equal(cli.render("--scene", pinned, "--samples", "1"), image)
     assert pinned.read_text().startswith("# Written by facerender plan.\n")
@@ -163,7 +165,7 @@ def test_a_pinned_scene_holds_a_g_power(plan, cli):
 
 def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
     pinned = cli.folder / "pinned.toml"
-    arguments = (MINI_HEAD, "--light", "key", "--size", "24..32", "--samples", "4")
+    arguments = (MINI_HEAD, "--light", KEY, "--size", "24..32", "--samples", "4")
     plan("--budget", "2/255", "--scene", pinned, mesh=arguments)
     assert load_scene(pinned)["planned"] == Planned(((24, 24), (32, 32)), 4)
     render = ("render", MINI_HEAD, "-o", cli.png, "--scene", pinned)
@@ -195,7 +197,7 @@ def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
 
 def test_from_a_scene_file(plan, cli, tmp_path):
     (tmp_path / "scene.toml").write_text(
-        "lights = ['key']\n[camera]\nazimuth = 35\n[material]\nm = 0.2\n"
+        f"lights = ['{KEY}']\n[camera]\nazimuth = 35\n[material]\nm = 0.2\n"
         "[shading]\nfresnel = 'dielectric'\n"
     )
     arguments = (MINI_HEAD, *SMALL[:4], "--from", tmp_path / "scene.toml")
@@ -394,7 +396,7 @@ def test_options_that_conflict_with_a_pinned_shading(line, options, cli, tmp_pat
 
 def test_pinned_scene_can_be_planned_again(plan, cli):
     path = cli.folder / "again.toml"
-    path.write_text("lights = ['key']\n[shading]\nfrontal_lights = [0]\n")
+    path.write_text(f"lights = ['{KEY}']\n[shading]\nfrontal_lights = [0]\n")
     again = plan("--budget", "4/255", "--from", path, mesh=(MINI_HEAD, *SMALL[:4]))
     assert "cost" in again
 
@@ -448,17 +450,17 @@ def test_render_within_a_budget(cli, framed):
 @pytest.mark.parametrize(("budget", "within"), [("2/255", ()), ("1/255", ("--within", "95%"))])
 def test_render_within_a_budget_as_json(budget, within, cli):
     """The budget applies to every pixel or to a fraction of the pixels."""
-    options = ("--light", "key", "--budget", budget, "--samples", "1", *within)
+    options = ("--light", KEY, "--budget", budget, "--samples", "1", *within)
     facts = cli.describe(*options)
     made = expected(budget, cost="frame", within=0.95 if within else 1.0)
     assert untimed(facts["plan"]) == untimed(made.as_dict())
     assert facts["lobe"] == str(Shading.from_dict(facts["plan"]["shading"]).term.lobe)
-    assert "plan" not in cli.describe("--light", "key")
+    assert "plan" not in cli.describe("--light", KEY)
 
 
 def shoot(cli, *options, mesh=MINI_HEAD):
     """Render within a budget; return the image and the standard error."""
-    arguments = ["--size", "48", "--light", "key", "--samples", 1, "--budget", "2/255", *options]
+    arguments = ["--size", "48", "--light", KEY, "--samples", 1, "--budget", "2/255", *options]
     status, _, err = cli.run("render", mesh, "-o", cli.png, *arguments)
     assert status == 0, err
     with Image.open(cli.png) as image:

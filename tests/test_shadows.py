@@ -32,10 +32,10 @@ def renderer(egl):
     ("radius", "bound", "distance"),
     [
         (0.0, 0.005, None),
-        (0.25, 0.005, 2.5),
         (2.0, 0.005, None),
         (6.0, 0.01, 2.5),
         (10.0, 0.015, None),
+        pytest.param(0.25, 0.005, 2.5, marks=pytest.mark.slow),
         pytest.param(0.0, 0.005, 2.5, marks=pytest.mark.slow),
         pytest.param(0.25, 0.005, None, marks=pytest.mark.slow),
         pytest.param(2.0, 0.005, 2.5, marks=pytest.mark.slow),
