@@ -73,6 +73,12 @@ def agrees(facerender_snapshot) -> Compare:
     return check
 
 
+def test_eyes(small, agrees):
+    """Default settings: soft shadows, refracting corneas, blended lashes and tear lines."""
+    scene = fr.Scene(fr.load_mesh(), fr.Camera(frame="face", zoom=2.0))
+    agrees(small.render(scene), "eyes", maps=True)
+
+
 @pytest.mark.parametrize("shading", SHADINGS, ids=shading_name)
 def test_shadings(small, meshes, agrees, shading):
     frame = small.render(fr.Scene(meshes["bare"], CLOSE), shading, "specular")
