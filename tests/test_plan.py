@@ -31,6 +31,7 @@ from facerender.planning.candidates import (
     values,
     with_decisions,
 )
+from facerender.planning.decisions import _words
 from facerender.pricing.table import load_prices
 from facerender.scenes.camera import turntable
 from facerender.scenes.file import load_scene, scene_toml
@@ -480,6 +481,13 @@ def plans(small, head, bare, subject):
     assert any(plan.shading.frontal_lights for plan in found)
     assert any(plan.shading == plan.full for plan in found)
     return found
+
+
+def test_default_lights_have_names(head):
+    scene = fr.Scene(head)
+    assert _words(scene, fr.Shading(), ["shadows"]) == "of key, rim, fill"
+    lights = (fr.Light(1.0), replace(scene.lights[1], radius=0.0))
+    assert _words(replace(scene, lights=lights), fr.Shading(), ["shadows"]) == "of light 0, rim"
 
 
 def test_every_decision_has_a_line(plans):

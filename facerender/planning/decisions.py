@@ -19,7 +19,7 @@ from facerender.planning.candidates import (
 )
 from facerender.planning.search import Choice
 from facerender.planning.views import DrawnViews
-from facerender.scenes.light import LIGHTS
+from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -174,11 +174,14 @@ def _fraction(choice: Choice, name: str, saved: float) -> str:
     return f"{100.0 * saved / part if part else 0.0:.0f} % of the specular cost"
 
 
+def _plain(light: Light) -> Light:
+    return replace(light, radius=0.0, shadow=False)
+
+
 def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     term = shading.term
-    names_of_lights = {light: name for name, light in LIGHTS.items()}
-    plain = [replace(light, radius=0.0, shadow=False) for light in scene.lights]
-    lights = [names_of_lights.get(each, f"light {i}") for i, each in enumerate(plain)]
+    known = {_plain(light): name for name, light in LIGHTS.items()}
+    lights = [known.get(_plain(light), f"light {i}") for i, light in enumerate(scene.lights)]
     lit = [name for i, name in enumerate(lights) if shading.of(i)]
     dark = [lights[i] for i in shadowed(scene, shading)]
     near = [lights[i] for i in shading.frontal_lights]
