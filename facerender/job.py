@@ -87,10 +87,9 @@ class MeshFile:
 
     @property
     def _files(self) -> dict[str, Any]:
-        others = ("path", "triangles", "occlusion", "parts", "hide")
-        files = {name: value for name, value in asdict(self).items() if name not in others}
-        selected = {"parts": self.parts or (), "hide": self.hide or ()}
-        return {"source": self.path, **files, **selected}
+        others = ("path", "triangles", "occlusion")
+        values = {name: value for name, value in asdict(self).items() if value is not None}
+        return {"source": self.path} | {n: each for n, each in values.items() if n not in others}
 
     def _prepared(self, mesh: Mesh, cache: bool) -> Mesh:
         if self.occlusion:

@@ -89,8 +89,8 @@ def preset_for(name: str) -> str | None:
 
 
 def mark_skin(pieces: Sequence[Piece]) -> None:
-    """Set ``skin`` of each piece to whether neither its name nor its material's name is a name of
-    eyes, lashes, teeth or hair."""
+    """Set ``skin`` of each piece: false if its name or its material's name is a name of eyes,
+    lashes, teeth or hair."""
     for piece, known in zip(pieces, _presets_of(pieces), strict=True):
         names = {*_words(piece.name)}, {*_words(piece.material_name)}
         other = any(words & _NOT_SKIN and not words & _SKIN for words in names)

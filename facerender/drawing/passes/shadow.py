@@ -142,7 +142,8 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
         )
         for number, step in enumerate(steps)
     ]
-    passes.insert(1, _tops(len(spaces), (map_key, texels)))
+    if any(space.tan_radius for space in spaces):  # hard shadows do not search for occluders
+        passes.insert(1, _tops(len(spaces), (map_key, texels)))
     return passes
 
 
