@@ -1,13 +1,14 @@
 """Compare the speed of facerender with a minimal script and with other installed renderers.
 
-    python benchmarks/run.py [--repeats 11] [--frames 40] [--peers]
+    python benchmarks/run.py [--repeats 11] [--frames 40] [--peers] [--python NAME=PATH ...]
 
 Cold start: whole processes from file to PNG at 1024 x 1024 without multisampling, in turns.
 "Cached" uses the decoded mesh that an earlier process cached. Steady state: one process renders
-frames of a moving camera and reads each back; the renderers take turns.
+frames of a moving camera and reads each back; the renderers take turns. Other renderers, and
+facerender a second time, render in processes of their own.
 
-Prints medians, ranges, and the medians of the ratios within a turn. Other load on the machine
-widens the ranges.
+Prints medians, ranges, the medians of the ratios within a turn, and the resident memory of each
+process after the last frame. Other load on the machine widens the ranges.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -33,6 +35,8 @@ from tests.verification.lights import PLAIN_THREE
 
 HERE = Path(__file__).parent
 HEAD = data_dir("assets") / "head.glb"
+# The numbers of samples with which a script of peers/ renders frames of a moving camera.
+STEADY = {"facerender": (1, 4), "filly": (1, 4), "pyrender": (4,), "pyvista": (1, 4)}
 
 
 def report(title: str, unit: str, times: dict[str, list[float]]) -> None:
@@ -41,7 +45,7 @@ def report(title: str, unit: str, times: dict[str, list[float]]) -> None:
     for name, values in times.items():
         ratio = statistics.median(a / b for a, b in zip(values, times[base], strict=True))
         print(
-            f"  {name:22} {statistics.median(values):7.3f} {unit}"
+            f"  {name:24} {statistics.median(values):7.3f} {unit}"
             f"  ({min(values):.3f} to {max(values):.3f})   {ratio:.2f} of {base}"
         )
 
@@ -58,19 +62,19 @@ def in_turns(repeats: int, actions: dict[str, Callable[[int], object]]) -> dict[
     return times
 
 
-def process(folder: str, *arguments: str) -> Callable[[int], object]:
+def process(folder: str, *arguments: str, python: str = sys.executable) -> Callable[[int], object]:
     """Return a function that runs a Python process with its caches in ``folder``.
 
     The process may write bytecode, because installed packages have it.
     """
-    command = [sys.executable, *arguments]
+    command = [python, *arguments]
     environment = {**os.environ, "XDG_CACHE_HOME": folder, "PYTHONDONTWRITEBYTECODE": ""}
     return lambda turn: subprocess.run(
         command, check=True, stdout=subprocess.DEVNULL, env=environment
     )
 
 
-def cold(repeats: int, peers: Sequence[str]) -> None:
+def cold(repeats: int, peers: Mapping[str, str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         render = ("-m", "facerender", "render", str(HEAD), "--samples", "1", "--no-shadows", "-o")
         actions = {
@@ -80,31 +84,43 @@ def cold(repeats: int, peers: Sequence[str]) -> None:
             "facerender --no-cache": process(folder, *render, f"{folder}/head.png", "--no-cache"),
             "facerender, cached": process(folder, *render, f"{folder}/head.png"),
         }
-        for peer in peers:
-            script = str(HERE / "peers" / f"{peer}_head.py")
-            actions[peer] = process(folder, script, str(HEAD), f"{folder}/{peer}.png")
+        for peer, python in peers.items():
+            arguments = (str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), f"{folder}/{peer}.png")
+            actions[peer] = process(folder, *arguments, python=python)
         report("Cold start, file to PNG, whole process", "s", in_turns(repeats, actions))
 
 
-def frames_of(stack: ExitStack, peer: str, samples: int) -> Callable[[int], object]:
-    """Start a peer's process, and return a function that makes it render the next frame.
+def resident(pid: int) -> float:
+    """Return the resident memory of a process in MiB."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def start(stack: ExitStack, python: str, peer: str, samples: int) -> subprocess.Popen[str]:
+    """Start the process of a peer, which renders a frame per line of its standard input.
 
     VTK and a context of facerender cannot share a process.
     """
-    command = [sys.executable, str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), str(samples)]
+    command = [python, str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), str(samples)]
     own = stack.enter_context(
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     )
     stack.callback(own.kill)
+    return own
 
-    def frame(turn: int) -> str:
+
+def frames_of(own: subprocess.Popen[str]) -> Callable[[int], object]:
+    """Return a function that makes a peer's process render the next frame."""
+
+    def frame(turn: int) -> None:
         print(turn, file=own.stdin, flush=True)
-        return own.stdout.readline()
+        if not own.stdout.readline():
+            sys.exit(f"{own.args} ended")
 
     return frame
 
 
-def steady(frames: int, samples: int, peers: Sequence[str]) -> None:
+def steady(frames: int, samples: int, peers: Mapping[str, str]) -> None:
     from minimal_moderngl import Script
 
     script = Script(str(HEAD), samples=samples if samples > 1 else 0)
@@ -122,11 +138,19 @@ def steady(frames: int, samples: int, peers: Sequence[str]) -> None:
             return renderer.render(scenes[turn]).linear
 
         actions = {"minimal script": by_script, "facerender": by_facerender}
-        if "pyvista" in peers:
-            actions["pyvista"] = frames_of(stack, "pyvista", samples)
+        processes = {
+            f"{peer}, own process": start(stack, python, peer, samples)
+            for peer, python in {"facerender": sys.executable, **peers}.items()
+            if samples in STEADY.get(peer, ())
+        }
+        actions |= {name: frames_of(own) for name, own in processes.items()}
         times = in_turns(frames, actions)
         scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
         report(f"Steady state, {samples} sample(s), moving camera, readback", "ms", scaled)
+        print("  resident MiB after the last frame:")
+        pids = {name: own.pid for name, own in processes.items()}
+        for name, pid in {"script and facerender": os.getpid(), **pids}.items():
+            print(f"  {name:24} {resident(pid):7.0f}")
         one, other = by_script(frames // 2), by_facerender(frames // 2)
         covered = other[..., 3] > 0.0
         steps = 255.0 * np.abs(
@@ -146,9 +170,24 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=11)
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--peers", action="store_true", help="also run other installed renderers")
+    parser.add_argument(
+        "--python",
+        action="append",
+        default=[],
+        metavar="NAME=PATH",
+        help="also run this renderer, with another interpreter that has it",
+    )
     options = parser.parse_args()
-    available = sorted(path.stem.removesuffix("_head") for path in (HERE / "peers").glob("*.py"))
-    peers = [name for name in available if options.peers and importlib.util.find_spec(name)]
+    pythons = dict(each.split("=", 1) for each in options.python)
+    scripts = (HERE / "peers").glob("*_head.py")
+    names = sorted({path.stem.removesuffix("_head") for path in scripts} - {"facerender"})
+    if pythons.keys() - set(names):
+        parser.error(f"argument --python: NAME must be one of {', '.join(names)}")
+    peers = {
+        name: pythons.get(name, sys.executable)
+        for name in names
+        if name in pythons or (options.peers and importlib.util.find_spec(name))
+    }
     cold(options.repeats, peers)
     for samples in (1, 4):
         steady(options.frames, samples, peers)
