@@ -64,6 +64,7 @@ class MeshFile:
     hide: tuple[str, ...] | None = None
     normal_map_y: str = "up"
     as_is: bool = False
+    double_sided: bool = False
 
     def __post_init__(self) -> None:
         for name in ("parts", "hide"):

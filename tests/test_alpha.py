@@ -577,7 +577,8 @@ def test_blended_parts_are_drawn_over_deferred_shading(
         monkeypatch.setattr(name, lambda *_, on=deferred: on)
         with fr.Renderer((160, 160), samples=4, backend=backend) as renderer:
             images.append([renderer.render(scene, samples=n).linear for n in (1, 4, 16)])
-            backs = renderer.render(scene, cull_back_faces=True).linear
+            fronts = replace(scene, mesh=scene.mesh.with_material(double_sided=False))
+            backs = renderer.render(fronts).linear
             assert np.abs(backs - images[-1][1]).max() > 0.01
             shine = [renderer.render(each, only="specular").linear for each in (scene, without)]
             assert (shine[0] - shine[1]).max() > 0.05

@@ -87,7 +87,8 @@ def test_images_equal_those_that_frames_save(small, drawing, background, tmp_pat
 def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path):
     camera = fr.Camera(-35.0, -70.0)  # looks into the open neck
     planned = Planned((SIZE,), 4, **how)
-    job = job_of(camera=camera, material={"m": 0.25, "albedo": (0.5, 0.3, 0.2)})
+    material = {"m": 0.25, "albedo": (0.5, 0.3, 0.2), "double_sided": True}
+    job = job_of(camera=camera, material=material)
     outputs = "image", "specular", "normal"
     drawn = draw(replace(job, planned=planned), small, drawing, outputs, 0.0)
     assert drawn.facts["planned"] is True
@@ -136,7 +137,7 @@ def test_outputs_share_draws(head, drawing, monkeypatch):
 
 @pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(zoom=8.0), fr.Camera(fov=120.0)])
 def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
-    mesh = moved(head)
+    mesh = moved(head).with_material(double_sided=True)  # one camera is inside the head
     drawn = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0)
     (content,), scale = drawn.files.values(), drawn.facts["depth_scale"]
     steps = unchanged(content)

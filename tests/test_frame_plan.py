@@ -34,7 +34,8 @@ from tests.verification.lights import PLAIN
 
 SIZES = [(48, 48), (64, 40)]
 CAMERAS = (fr.Camera(20.0), fr.Camera(-40.0, 10.0))
-FACE = (MINI_HEAD, "--size", "48", "--light", "key,radius=0,no-shadow", "--m", "0.3")
+KEY = "key,radius=0,no-shadow"
+FACE = (MINI_HEAD, "--double-sided", "--size", "48", "--light", KEY, "--m", "0.3")
 WIDE = "200/255"
 
 
@@ -56,7 +57,7 @@ def drawing(egl):
 
 @pytest.fixture(scope="module")
 def scene():
-    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)
+    mesh = fr.load_mesh(MINI_HEAD, double_sided=True).with_material(m=0.3)
     return fr.Scene(mesh, lights=(PLAIN["key"],))
 
 
@@ -82,8 +83,9 @@ def frame(renderer, scene, detail, shading=fr.Shading()):
     """Draw a frame with a level of detail by the public functions; return the linear image."""
     if detail.triangles is not None:
         scene = replace(scene, mesh=fr.simplified(scene.mesh, detail.triangles))
-    fine = detail.values
-    return renderer.render(scene, shading, **fine).linear
+    if detail.cull_back_faces:
+        scene = replace(scene, mesh=scene.mesh.with_material(double_sided=False))
+    return renderer.render(scene, shading, **detail.values).linear
 
 
 def error(renderer, scene, detail, shading=fr.Shading(), within=1.0):
@@ -224,9 +226,8 @@ def test_per_pixel_shading_is_chosen_where_one_sample_fails(cli, drawing, scene)
     assert load_scene(pinned)["planned"].detail == plan.detail
     image = cli.render("--scene", pinned)
     drawn = plan.detail.of(scene)
-    arguments = {"shading": plan.shading, "cull_back_faces": plan.detail.cull_back_faces}
     for each in ("pixel", "sample"):
-        own = drawing.render(drawn, shading_rate=each, **arguments).srgb8()
+        own = drawing.render(drawn, plan.shading, shading_rate=each).srgb8()
         assert (own == image).all() == (each == "pixel")
 
 
@@ -257,7 +258,8 @@ def test_one_sample_stays_one(egl, scene):
 
 
 def test_without_meshoptimizer_triangles_stay(drawing, no_meshoptimizer, tmp_path):
-    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)  # has no simplified mesh yet
+    # This mesh has no simplified mesh yet.
+    mesh = fr.load_mesh(MINI_HEAD, double_sided=True).with_material(m=0.3)
     scene = fr.Scene(mesh, lights=(PLAIN["key"],))
     plan = fr.plan(scene, WIDE, renderer=drawing)
     assert plan.detail == LevelOfDetail(1, None, cull_back_faces=True)
@@ -292,16 +294,14 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     )
     assert found["shading"] == wide.shading.as_dict()
     image = cli.render("--scene", pinned)
-    drawn = drawing.render(
-        wide.detail.of(scene), wide.shading, samples=1, cull_back_faces=True
-    ).srgb8()
+    drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
     np.testing.assert_array_equal(image, drawn)
     for detail in (replace(wide.detail, samples=4), replace(wide.detail, triangles=None)):
         other = drawing.render(detail.of(scene), wide.shading, samples=detail.samples).srgb8()
         assert (other != drawn).any()
     for samples in (1, 2, 8):
         options = ("--scene", pinned, "--size", "48", "--samples", samples)
-        status, _, err = cli.run("render", MINI_HEAD, "-o", cli.png, *options)
+        status, _, err = cli.run("render", *FACE[:2], "-o", cli.png, *options)
         assert status == 0
         assert re.search(rf"planned for 48 x 48 pixels with 4 samples: .* {samples} sample", err)
         drawn = drawing.render(scene, wide.shading, samples=samples).srgb8()

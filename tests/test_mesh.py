@@ -304,7 +304,7 @@ def test_normals_of_zero_length(tmp_path, control, draw):
 
 def test_normals_of_an_obj_are_read(tmp_path, plain, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head(), normals=mini_head().normals)
-    assert_same_image(draw(fr.load_mesh(path)), draw(plain))
+    assert_same_image(draw(fr.load_mesh(path)), draw(plain.with_material(double_sided=True)))
 
 
 def test_computed_normals_have_no_seam(control):
@@ -831,4 +831,4 @@ def test_awkward_files(awkward, draw):
         assert outcome == ("warn" if caught else "ok"), name
         assert all(re.search(message, str(warning.message)) for warning in caught), name
         assert np.isfinite(picture).all()
-        assert (picture[..., :3].max(axis=-1) > 0.1).mean() > 0.03, "nothing is there, or lit"
+        assert (picture[..., :3].max(axis=-1) > 0.1).mean() > 0.02, "nothing is there, or lit"

@@ -100,7 +100,7 @@ def draw(
     # Simplify before job.scene() replaces the mesh by a copy with the job's material: the cache of
     # simplified meshes is keyed by the original mesh, which all jobs share.
     drawn = mesh if detail.triangles is None else simplified(mesh, detail.triangles)
-    scene = job.scene(drawn)
+    scene = replace(detail, triangles=None).of(job.scene(drawn))
     view = view_of(scene, renderer.size[0] / renderer.size[1])
     facts["camera"] = camera_facts(view, mesh, renderer.size)
     frames = _frames(job, scene, detail, renderer, OUTPUTS if "layers" in outputs else outputs)

@@ -149,7 +149,8 @@ def _table(options: argparse.Namespace) -> JobTable:
 
     common = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
     common |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
-    common |= {"mesh.as_is": options.as_is or None, "parts": part_materials(options) or None}
+    common |= {f"mesh.{n}": getattr(options, n) or None for n in ("as_is", "double_sided")}
+    common |= {"parts": part_materials(options) or None}
     common |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
     return JobTable(options.jobs, common)
 

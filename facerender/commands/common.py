@@ -208,7 +208,7 @@ def add_allow_outside(command: argparse._ActionsContainer) -> None:
 
 
 def add_parts(command: argparse._ActionsContainer) -> None:
-    """Add --parts, --hide, --part and --as-is."""
+    """Add --parts, --hide, --part, --as-is and --double-sided."""
     names = "Names may contain the wildcards *, ? and [...]; facerender info lists the names"
     parts = Help("render only these parts of the mesh", "all", note=names)
     command.add_argument("--parts", metavar="NAME,...", help=parts)
@@ -222,6 +222,8 @@ def add_parts(command: argparse._ActionsContainer) -> None:
     own = Help("material of some parts; repeat for other parts", "the mesh file's", note=note)
     command.add_argument("--part", action="append", metavar="NAME=PRESET", help=own)
     add_as_is(command)
+    note = "By default, glTF materials decide; in other formats, only open surfaces have two sides"
+    add_flag(command, "double-sided", "draw the back faces of all parts", note)
 
 
 def add_as_is(command: argparse._ActionsContainer) -> None:

@@ -61,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
         parts=options.parts,
         hide=options.hide,
         as_is=options.as_is,
+        double_sided=options.double_sided,
     )
     job = Job(file, parts=part_materials(options))
     check_outputs([options.output], mesh_files(file))

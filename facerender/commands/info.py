@@ -170,7 +170,7 @@ def _size(facts: dict[str, Any]) -> str:
 def _factors(part: dict[str, Any]) -> str:
     """Return the factors of a part that its preset or, without one, the defaults do not set."""
     known = {each.name: each.default for each in fields(Material) if each.name not in _ALWAYS}
-    known |= PRESETS.get(part["preset"], {})
+    known |= {"double_sided": False, **PRESETS.get(part["preset"], {})}
     own = dict(part["material"])
     own.pop("m" if "roughness_map" in part["maps"] else "roughness_factor")
     return ", ".join(

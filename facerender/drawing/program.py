@@ -28,6 +28,7 @@ SHADOW_MAP = "shadow_map"  # name of the texture with the shadow maps of all lig
 SHADOW_CONES = "shadow_cones"
 SHADOW_TOPS = "shadow_tops"
 ENVIRONMENT_MAP = "environment_map"
+SELECTED_TRIANGLES = "selected_triangles"
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
 

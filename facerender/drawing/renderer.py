@@ -75,7 +75,6 @@ class _Image:
 
     samples: int
     only: Only | None = None
-    cull_back_faces: bool = False
     shading_rate: ShadingRate = "sample"
 
 
@@ -200,7 +199,6 @@ class Renderer:
         shading: Shading = Shading(),
         only: Only | None = None,
         samples: int | None = None,
-        cull_back_faces: bool = False,
         shading_rate: ShadingRate = "sample",
     ) -> Frame:
         """Draw a scene.
@@ -210,8 +208,6 @@ class Renderer:
         only : term to draw instead of the whole image. All terms except specular and diffuse are
             drawn with one sample per pixel and without blended parts
         samples : samples per pixel; default: the renderer's samples
-        cull_back_faces : whether to omit back faces, which are visible where a mesh is open or
-            folded; default false
         shading_rate : "sample" (default) shades each triangle that covers a sample of the pixel.
             "pixel" shades each part once per pixel, at the triangle that covers most of the part's
             samples. If :meth:`can_shade_per_pixel` is false, "sample" is used. Both rates have
@@ -229,7 +225,6 @@ class Renderer:
             :mod:`facerender.scenes.hints`, once for each mesh
         """
         _check_scene(scene, shading)
-        check_switch("cull_back_faces", cull_back_faces)
         check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
@@ -242,7 +237,7 @@ class Renderer:
         resolved = self._resolved(scene, shading, view, samples)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(resolved.scene, samples):
             shading_rate = "sample"
-        image = _Image(samples, only, cull_back_faces, shading_rate)
+        image = _Image(samples, only, shading_rate)
         if samples <= self.context.most_samples:
             linear = self._shaded(resolved, view, image)
         else:
@@ -370,8 +365,7 @@ class Renderer:
             scene = reduced(scene, view, self.size, self.anisotropy)
         at_once = min(samples, self.context.most_samples)
         check_memory(scene, self.size, at_once, self.albedo_kind, self.memory)
-        with self.context.drawing():
-            self._resources.take_coarse(scene.mesh, shading.slope_filter)
+        self._resources.take_coarse(scene.mesh, shading.slope_filter)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         return ResolvedScene(scene, shading, Lighting.of(scene, shading))
 
@@ -389,7 +383,7 @@ class Renderer:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
             shaded = replace(shaded, name="image", target=target, draws=draws)
-        passes = _from_visibility(shaded, visibility, image.cull_back_faces)
+        passes = [visibility.drawn(), shaded] if visibility else [shaded]
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
@@ -400,13 +394,12 @@ class Renderer:
             else:  # samples of a pixel may show different points: scatter at pixel centres
                 one = self._visibility(scene, view, 1)
                 light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
-                passes += _from_visibility(light, one, image.cull_back_faces)
+                passes += [one.drawn(), light] if one else [light]
             how = resolved.shading.scatter_samples, background, not beside, area
             passes.append(scatter_pass(view, scattering, *how))
         over = blended_area(scene, view, self.size)
         if (scattering or visibility) and all(over[2:]):
             whole = shade_pass(resolved, view, samples, only, refraction=refraction)
-            whole = replace(whole, cull_back_faces=image.cull_back_faces)
             visible = visibility.target if visibility else None
             passes += with_blended(whole, passes.pop(), over, visible)
         if refraction:
@@ -518,14 +511,6 @@ def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction |
     from facerender.drawing.passes.refraction import Refraction
 
     return Refraction.of(scene, view, size)
-
-
-def _from_visibility(
-    shaded: Pass, visibility: Visibility | None, cull_back_faces: bool
-) -> list[Pass]:
-    """Return the visibility pass, if any, followed by the shading pass that reads it."""
-    first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
-    return [replace(first, cull_back_faces=cull_back_faces), *others]
 
 
 def _check(linear: NDArray[np.float32], scene: Scene) -> None:

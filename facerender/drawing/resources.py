@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from facerender.drawing.context import Context
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
-from facerender.drawing.program import Program, part_columns
-from facerender.drawing.triangle_setup import TriangleSetup
+from facerender.drawing.program import SELECTED_TRIANGLES, Program, part_columns
+from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup
 from facerender.errors import ContextError, InputError
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
@@ -189,7 +189,7 @@ class Resources:
         """Set blending and face culling for a draw."""
         gl, over = self.context.gl, draw.depth == "blend"
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or over)
-        gl.enable_only(enabled | moderngl.CULL_FACE * step.cull_back_faces)
+        gl.enable_only(enabled | moderngl.CULL_FACE * (draw.double_sided is False))
         gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
         gl.cull_face = "front"  # the image is drawn upside down, so front and back swap
 
@@ -210,17 +210,19 @@ class Resources:
     ) -> None:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
-        self.bind(program, draw, drawn)
         gl, source, order = self.context.gl, draw.setup or draw.part, None
         if source is None or draw.depth in ("mark", "marked"):
+            self.bind(program, draw, drawn)
             if program not in self.screens:
                 self.screens[program] = gl.vertex_array(program, [])
             self.screens[program].render(vertices=3)
             return
+        geometry = self.geometry(source, mesh)
         if draw.order is not None:
-            gl.gc()  # frees the index buffer of the previous draw
-            order = gl.buffer(source.faces[draw.order])
-        self.geometry(source, mesh).array(gl, program, order).render()
+            gl.gc()  # frees the index buffer and the texture of the previous ordered draw
+            order = gl.buffer(np.take(source.faces, draw.order, axis=0))
+        self.bind(program, draw, drawn)
+        geometry.array(gl, program, order).render()
 
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
@@ -232,12 +234,14 @@ class Resources:
             filtered = "SLOPE_FILTER" in draw.program.features
             maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
             for name, source, kind in maps:
-                if name in program:
+                if program.get(name, None):
                     own = self.texture(name, source, kind)  # before use(): uploads bind unit 0
                     textures[name] = own
         if draw.setup is not None and draw.depth == "marked":
             textures["triangle_setup"] = self.table(draw.setup)
-        used = [(name, texture) for name, texture in textures.items() if name in program]
+        if draw.order is not None and program.get(SELECTED_TRIANGLES, None):
+            textures[SELECTED_TRIANGLES] = self._numbers(draw.order)
+        used = [each for each in textures.items() if program.get(each[0], None)]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
             set_uniforms(program, {name: unit})
@@ -255,11 +259,14 @@ class Resources:
             for each in part_maps(part, material, self.albedo_kind, slope_filter)
             if each[1].coarse
         }
+        if not maps:
+            return
         costly: tuple[Kind, ...] = ("normal", "color", "data")
-        for name, source, kind in sorted(
-            maps, key=lambda each: (costly.index(each[2]), math.prod(each[1].size))
-        ):
-            self.texture(name, source, kind)
+        with self.context.drawing():
+            for name, source, kind in sorted(
+                maps, key=lambda each: (costly.index(each[2]), math.prod(each[1].size))
+            ):
+                self.texture(name, source, kind)
 
     def target(self, kind: Target) -> moderngl.Framebuffer:
         """Return the framebuffer of a target, created on first use."""
@@ -327,6 +334,14 @@ class Resources:
             made = Geometry(space, buffers[0], widths, buffers[1], {})
             self.geometries[source] = made
         return made
+
+    def _numbers(self, order: NDArray[np.int64]) -> moderngl.Texture:
+        """Return a texture of triangle indices, IN_ROW in a row."""
+        texels = np.zeros((-(-len(order) // IN_ROW), IN_ROW), dtype=np.float32)
+        texels.ravel()[: len(order)] = order
+        texture = self.context.gl.texture(texels.shape[::-1], 1, texels, dtype="f4")
+        texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        return texture
 
     def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
         """Return the texture of a triangle setup or a panorama, which is uploaded on first use."""
@@ -417,9 +432,9 @@ def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float3
 def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
     """Set the uniforms that the compiler has not removed from a program."""
     for name, value in values.items():
-        if name not in program:
+        uniform: Any = program.get(name, None)  # `name in program` compares name by name
+        if uniform is None:
             continue
-        uniform: Any = program[name]
         if isinstance(value, np.ndarray):
             # The compiler shortens an array if the program does not read the last elements.
             size = uniform.array_length * uniform.element_size

@@ -18,6 +18,7 @@ from facerender.scenes.view import View
 
 IN_ROW = 256  # triangles in a row of the texture
 _AT_ONCE = 1 << 12  # triangles per block, to limit temporary memory
+_EDGE_ON = 0.01  # sine of the angle between view ray and triangle
 _ROUNDING = 2.0**-22  # rounding error of a triangle's width, for float32 positions of magnitude 1
 
 Floats = NDArray[np.floating[Any]]
@@ -52,10 +53,29 @@ class TriangleSetup:
         return cls(positions, np.asarray(part.faces, dtype=np.uint32), attributes)
 
     @cached_property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """The lowest and the highest corner of the triangles' bounding box."""
+    def bounds(self) -> Floats:
+        """Corners of the triangles' bounding box, homogeneous, (8, 4)."""
         used = self.positions[self.faces.ravel()]
-        return used.min(axis=0), used.max(axis=0)
+        sides = zip(used.min(axis=0), used.max(axis=0), strict=True)
+        return np.stack(np.meshgrid(*sides, [1.0]), axis=-1).reshape(-1, 4)
+
+    @cached_property
+    def planes(self) -> NDArray[np.float32]:
+        """Unit normal of each triangle, and the distance of the origin from its plane, (F, 4)."""
+        corners = self.positions[self.faces].astype(np.float64)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+        heights = -np.einsum("ij,ij->i", normals, corners[:, 0])
+        return np.column_stack([normals, heights]).astype(np.float32)
+
+    def facing(self, camera: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the indices of the triangles that can face a camera at the given position (3,).
+
+        Triangles that are seen edge-on are included, because a driver rounds positions to fractions
+        of a pixel before it decides which triangles are back faces.
+        """
+        edge_on = _EDGE_ON * (1.0 + np.linalg.norm(camera))
+        return np.flatnonzero(self.planes @ np.append(camera, 1.0).astype(np.float32) > -edge_on)
 
     @property
     def texels(self) -> int:
@@ -68,8 +88,7 @@ class TriangleSetup:
 
         size : width and height of the image
         """
-        corners = np.meshgrid(*zip(*self.bounds, strict=True), [1.0])
-        clip = np.stack(corners, axis=-1).reshape(-1, 4) @ view.matrix
+        clip = self.bounds @ view.matrix
         if clip[:, 3].min() <= 0.0:
             return (0, 0, *size)
         at = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size

@@ -126,6 +126,7 @@ def _part(
         "arrays": arrays,
         "uv": [corner.tolist(), extent.tolist()],
         "maps": maps,
+        "doubleSided": material.double_sided is not False,
         "slopes": slope_range(part, material),
     }
 

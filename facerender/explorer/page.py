@@ -195,9 +195,10 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
 def _words(job: Job) -> dict[str, Any]:
     """Return the mesh's files as command-line and Python arguments."""
     file = job.mesh
-    names = ("albedo", "normal_map", "specular_map", "roughness_map")
-    maps = {name: value for name in names if (value := getattr(file, name)) is not None}
-    switches = [name for name in ("flip_v", "allow_outside", "as_is") if getattr(file, name)]
+    files = ("albedo", "normal_map", "specular_map", "roughness_map")
+    maps = {name: value for name in files if (value := getattr(file, name)) is not None}
+    names = ("flip_v", "allow_outside", "as_is", "double_sided")
+    switches = [name for name in names if getattr(file, name)]
     parts = {"parts": file.parts, "hide": file.hide}
     selected = {name: ",".join(values) for name, values in parts.items() if values}
     path = [file.path] if file.path else []

@@ -22,7 +22,7 @@ from facerender.loading.source import GLTF, Orientation, source_of
 from facerender.scenes.framing import find_regions
 from facerender.scenes.hints import remember
 from facerender.scenes.mesh import Mesh, names_of
-from facerender.scenes.repair import Piece, clean
+from facerender.scenes.repair import Piece, clean, in_space_order
 from facerender.scenes.sources import MeshSource
 from facerender.scenes.texture import Texture
 
@@ -52,6 +52,7 @@ def load_mesh(
     as_is: bool = False,
     parts: str | Iterable[str] = (),
     hide: str | Iterable[str] = (),
+    double_sided: bool = False,
 ) -> Mesh:
     """Load a mesh from a file or a trimesh object, or load the built-in head.
 
@@ -81,6 +82,8 @@ def load_mesh(
         it has no maps, vertex colours or transparency; see docs/formats.md. Names define the skin
         in both cases
     parts, hide : see :meth:`facerender.Mesh.select`; the skin is defined among the selected parts
+    double_sided : draw the back faces of all parts. By default, the material of a glTF file decides
+        (doubleSided); in other formats, the back faces of closed surfaces are not drawn
 
     Raises
     ------
@@ -98,7 +101,7 @@ def load_mesh(
     orientation = Orientation(flip_v, normal_map_y)
     selected = names_of("parts", parts), names_of("hide", hide)
     mesh = _loaded(source, kind, *maps, orientation, allow_outside, cache, as_is, selected)
-    return _scaled(mesh, millimetres)
+    return _finished(mesh, millimetres, double_sided)
 
 
 def cached_mesh(
@@ -111,6 +114,7 @@ def cached_mesh(
     as_is: bool = False,
     parts: str | Iterable[str] = (),
     hide: str | Iterable[str] = (),
+    double_sided: bool = False,
     **maps: Path_ | None,
 ) -> Mesh | None:
     """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
@@ -119,7 +123,7 @@ def cached_mesh(
     selected = names_of("parts", parts), names_of("hide", hide)
     files = MeshFiles(source_of(source), paths, orientation, allow_outside, as_is, *selected)
     mesh = files.find()
-    return None if mesh is None else _scaled(mesh, millimetres)
+    return None if mesh is None else _finished(mesh, millimetres, double_sided)
 
 
 def _loaded(
@@ -163,7 +167,10 @@ def _loaded(
     return mesh
 
 
-def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
+def _finished(mesh: Mesh, millimetres: float | None, double_sided: bool) -> Mesh:
+    check_switch("double_sided", double_sided)
+    if double_sided:
+        mesh = mesh.with_material(double_sided=True)
     return remember(mesh if millimetres is None else replace(mesh, millimetres=millimetres))
 
 
@@ -206,11 +213,11 @@ def _assembled(
     mark_skin(pieces)
     if not as_is:
         give_presets(pieces, name)
-    if flip_v:
-        for piece in pieces:
-            for key in ("uv", "uv2"):
-                if (uv := getattr(piece, key)) is not None:
-                    setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
+    for piece in pieces:
+        piece.faces = in_space_order(piece.faces, piece.positions)
+        for key in ("uv", "uv2"):
+            if flip_v and (uv := getattr(piece, key)) is not None:
+                setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
     return Mesh.assembled(pieces, name, millimetres)
 
 

@@ -210,4 +210,5 @@ def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
         opacity_map=opacity_map,
         emissive=tuple(emissive.tolist()),
         emissive_map=texture("emissiveTexture", "emission"),
+        double_sided=source.doubleSided,
     )

@@ -101,6 +101,7 @@ _OBJECTS: dict[str, dict[str, Any]] = {
         "emissiveFactor": "3 number",
         "alphaMode": "text",
         "alphaCutoff": "number",
+        "doubleSided": "switch",
         "extensions": {
             "KHR_materials_pbrSpecularGlossiness": {
                 "diffuseFactor": "4 number",

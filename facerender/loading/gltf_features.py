@@ -66,7 +66,7 @@ FEATURES = (
     Feature("normalTexture.scale", "drawn", "in [0, 100]"),
     Feature("occlusionTexture.strength", "drawn", "red channel; dims ambient light"),
     Feature("emissive", "drawn", "factor and texture"),
-    Feature("doubleSided", "ignored", "back faces are drawn by default"),
+    Feature("doubleSided", "drawn", "back faces are drawn if it is true, or with `--double-sided`"),
     Feature(
         "sampler",
         "drawn",

@@ -92,7 +92,8 @@ class Materials:
 
     def _look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
         if index is None:
-            material = Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
+            albedo = (1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO
+            material = Material(albedo=albedo, double_sided=False)
             return Look(material, TextureTransform())
         source = self.document["materials"][index]
         extensions = source.get("extensions", {})
@@ -136,6 +137,7 @@ class Materials:
             opacity=opacity if alpha != "opaque" else 1.0,
             alpha_cutoff=self._factor("alphaCutoff", source.get("alphaCutoff", 0.5), HIGHEST),
             emissive=emissive,
+            double_sided=source.get("doubleSided", False),
             normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
             occlusion_strength=self._strength(source, "occlusionTexture", "strength", 1.0),
             second_uv=tuple(key for key in maps if maps[key] and places[key] != first),

@@ -102,10 +102,11 @@ class DrawnViews:
     def coarsen(self) -> None:
         """Choose the coarsest level of detail at which the full shading stays within the budget.
 
-        Try in this order: cull back faces, take fewer samples, shade per pixel, and halve the
-        triangles repeatedly.
+        Try in this order: cull the back faces of double-sided parts, take fewer samples, shade per
+        pixel, and halve the triangles repeatedly.
         """
-        self._first([replace(self.detail, cull_back_faces=True)])
+        if any(each.double_sided for each in self.viewpoints[0].scene.mesh.materials):
+            self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
         if all(_saves_shading(viewpoint, self.detail.samples) for viewpoint in self.viewpoints):

@@ -199,6 +199,8 @@ def parse_part(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def _value(words: list[str]) -> Any:
+    if words in (["true"], ["false"]):
+        return words == ["true"]
     try:
         numbers = tuple(map(float, words))
     except ValueError:
@@ -213,7 +215,7 @@ def part_text(pattern: str, table: Mapping[str, Any]) -> str:
     words = [
         f"{name}={','.join(f'{each:g}' for each in value)}"
         if isinstance(value, tuple | list)
-        else f"{name}={value}"
+        else f"{name}={str(value).lower() if isinstance(value, bool) else value}"
         for name, value in values.items()
     ]
     return ",".join([f"{pattern}{preset}", *words])

@@ -31,6 +31,7 @@ _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 _SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, because sizes are rounded
 
 _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
+_single_sided: WeakKeyDictionary[Mesh, Mesh] = WeakKeyDictionary()
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
@@ -157,9 +158,9 @@ class LevelOfDetail:
 
     Attributes
     ----------
-    samples : samples per pixel
+    samples, shading_rate : see :meth:`facerender.Renderer.render`
     triangles : triangle limit of the simplified mesh; None for all triangles
-    cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
+    cull_back_faces : whether all parts are drawn without back faces
     """
 
     samples: int
@@ -169,14 +170,20 @@ class LevelOfDetail:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Keyword arguments for :meth:`facerender.Renderer.render`: all fields but triangles."""
-        return {name: value for name, value in vars(self).items() if name != "triangles"}
+        """Keyword arguments for :meth:`facerender.Renderer.render`."""
+        return {"samples": self.samples, "shading_rate": self.shading_rate}
 
     def of(self, scene: Scene) -> Scene:
-        """Return the scene with its mesh simplified; raises the errors of :func:`simplified`."""
-        if self.triangles is None:
-            return scene
-        return replace(scene, mesh=simplified(scene.mesh, self.triangles))
+        """Return the scene with its mesh simplified, and without back faces if they are culled.
+        Raises the errors of :func:`simplified`."""
+        mesh = scene.mesh
+        if self.triangles is not None:
+            mesh = simplified(mesh, self.triangles)
+        if self.cull_back_faces:
+            if mesh not in _single_sided:
+                _single_sided[mesh] = mesh.with_material(double_sided=False)
+            mesh = _single_sided[mesh]
+        return scene if mesh is scene.mesh else replace(scene, mesh=mesh)
 
 
 @dataclass(frozen=True)
@@ -188,8 +195,7 @@ class Planned:
     sizes : width and height of each image in pixels
     samples : samples per pixel of these images if drawn without the plan
     drawn_samples : samples per pixel that the plan draws; None for the value of ``samples``
-    triangles : largest number of triangles that the plan draws; None for all
-    cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
+    triangles, cull_back_faces, shading_rate : see :class:`LevelOfDetail`
 
     Raises
     ------

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, check_switch, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import COLORS, HIGHEST, Vector
 from facerender.shading import WEIGHTS
@@ -71,6 +71,8 @@ class Material:
         ``refraction`` 1 it is drawn as a transparent part, whatever ``alpha`` is
     refraction : index of refraction behind a surface with transmission, in [1, 3]; 1 is a thin
         surface, which does not bend light
+    double_sided : whether back faces are drawn, as doubleSided of glTF. None: a new mesh sets it to
+        false if the part belongs to closed surfaces, otherwise to true. Both sides cast shadows
     """
 
     albedo: Vector = ranged(COLORS, SKIN_ALBEDO)
@@ -99,6 +101,7 @@ class Material:
     second_uv: tuple[str, ...] = ()
     transmission: float = ranged(FRACTION, 0.0)
     refraction: float = ranged(Range(1.0, 3.0), 1.0)
+    double_sided: bool | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -118,6 +121,8 @@ class Material:
                 raise InputError(
                     f"{name} = {shown(value)}: give facerender.Texture.open(FILE) or None"
                 )
+        if self.double_sided is not None:
+            check_switch("double_sided", self.double_sided)
         if self.scattering is not None:
             from facerender.terms.scattering import profile_of
 

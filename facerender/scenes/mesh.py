@@ -26,7 +26,7 @@ from facerender.errors import (
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
 from facerender.scenes.presets import changed
-from facerender.scenes.repair import Piece, clean, used
+from facerender.scenes.repair import Piece, are_closed, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
@@ -172,15 +172,16 @@ class Mesh:
         materials: Sequence[Material],
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of the given parts; compute its bounds, radius and profile. The face
-        indices must be valid."""
+        """Return a mesh of the given parts; compute its bounds, radius and profile, and set
+        ``double_sided`` of the materials. The face indices must be valid."""
         drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
         radius = float(np.linalg.norm(offsets, axis=1).max())
         within = tuple(_within(part, bounds) for part in parts)
         profile = _profile(offsets / radius)
-        return cls(name, within, tuple(materials), bounds, radius, profile, millimetres)
+        sided = tuple(_sided(parts, materials))
+        return cls(name, within, sided, bounds, radius, profile, millimetres)
 
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
@@ -296,7 +297,7 @@ class Mesh:
     @property
     def center(self) -> NDArray[np.float64]:
         """Centre of the bounds, (3,) float64."""
-        return np.asarray(self.bounds.mean(axis=0))
+        return np.asarray(0.5 * (self.bounds[0] + self.bounds[1]))
 
     def normalised(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map points (..., 3) from mesh space to the renderer's space: centre at 0, radius 1.
@@ -413,6 +414,21 @@ def _unique(names: Iterable[str]) -> Iterator[str]:
             name = f"{plain}.{number}"
         used.add(name)
         yield name
+
+
+def _sided(parts: Sequence[Part], materials: Sequence[Material]) -> Iterator[Material]:
+    """Yield the materials with ``double_sided`` true or false. Parts that share a material share
+    the result, unless only one of them is closed."""
+    if all(each.double_sided is not None for each in materials):
+        yield from materials
+        return
+    closed = are_closed([each.positions for each in parts], [each.faces for each in parts])
+    known: dict[tuple[int, bool], Material] = {}
+    for material, own in zip(materials, closed, strict=True):
+        if material.double_sided is None:
+            key = id(material), own
+            material = known.setdefault(key, replace(material, double_sided=not own))
+        yield material
 
 
 def _within(part: Part, bounds: NDArray[np.float64]) -> Part:

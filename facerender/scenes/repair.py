@@ -17,6 +17,7 @@ from facerender.scenes.material import Material
 # products of areas with positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
 _MOST_UV = 1e6  # largest texture coordinate; float32 fails to resolve texels at far smaller values
+_CURVE_BITS = 10  # for each axis of the curve that orders faces
 _MOST_PIECES = 1024  # limit, because every part needs a draw call in each pass
 # Distance from the median position: minimum for an outlier / 90 % quantile over all vertices.
 _FAR = 32.0
@@ -44,6 +45,26 @@ class Piece:
     material_name: str = ""
     head: NDArray[np.float64] | None = None
     skin: bool = True
+
+
+def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return faces in an order in which most faces are near the previous face. Faces in random
+    order take up to 20 % more time to draw, because drivers transform shared vertices again.
+
+    Faces of which half share a vertex with the previous face are not reordered. Otherwise, the
+    faces follow the Z-order curve of their first vertices (Morton 1966).
+    """
+    adjacent = np.count_nonzero((faces[1:, :, None] == faces[:-1, None]).any(axis=(1, 2)))
+    if 2 * adjacent >= len(faces) - 1:
+        return faces
+    places = positions[faces[:, 0]]
+    low = places.min(axis=0)
+    extent = float((places.max(axis=0) - low).max()) or 1.0
+    cells = ((places - low) * ((2**_CURVE_BITS - 1) / extent)).astype(np.int64)
+    codes = np.zeros(len(faces), dtype=np.int64)
+    for bit in range(_CURVE_BITS):
+        codes |= ((cells >> bit & 1) @ (1, 2, 4)) << 3 * bit
+    return faces[np.argsort(codes, kind="stable")]
 
 
 def check_count(count: int, name: str) -> None:
@@ -89,6 +110,55 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
 def _corners(piece: Piece) -> NDArray[np.float64]:
     """Return the positions of the faces' corners, (F, 3, 3)."""
     return np.take(piece.positions, piece.faces, axis=0)  # twice as fast as positions[faces]
+
+
+def joined(groups: NDArray[np.integer], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return labels in which all indices of each row of `groups` have the same label."""
+    while True:
+        lowest = labels.copy()
+        np.minimum.at(lowest, groups, labels[groups].min(axis=1, keepdims=True))
+        lowest = lowest[lowest]
+        if (lowest == labels).all():
+            return labels
+        labels = lowest
+
+
+def are_closed(
+    positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
+) -> list[bool]:
+    """Return, for each part, whether no back face of it is visible from outside.
+
+    These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
+    surface may have several parts.
+
+    Parameters
+    ----------
+    positions : (N, 3) for each part
+    faces : (F, 3) for each part
+    """
+    starts = np.cumsum([0, *map(len, positions)])
+    stacked = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
+    own = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
+    everywhere = np.concatenate(positions)
+    drawn = used(everywhere, stacked)
+    welded = np.zeros(len(everywhere), dtype=np.int64)
+    welded[drawn] = _weld(everywhere[drawn])
+    corners, places = welded[stacked], everywhere[stacked]
+    count = int(corners.max()) + 1
+    ends = corners, corners[:, [1, 2, 0]]
+    edges, backwards = ((a * count + b).ravel() for a, b in (ends, ends[::-1]))
+    known, kind, counts = np.unique(edges, return_inverse=True, return_counts=True)
+    index = np.searchsorted(known, backwards).clip(max=len(known) - 1)
+    turned = np.where(known[index] == backwards, counts[index], 0)
+    at_hole = (turned != counts[kind]).reshape(-1, 3).any(axis=1)
+    users = np.unique(corners.ravel() * len(faces) + np.repeat(own, 3))
+    vertices, parts = np.divmod(users, len(faces))
+    pairs = np.stack([parts[:-1], parts[1:]], axis=1)[vertices[:-1] == vertices[1:]]
+    label = joined(pairs, np.arange(len(faces)))
+    volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
+    inwards = np.bincount(label[own], volumes, len(faces)) < 0.0
+    has_hole = np.bincount(label[own], at_hole, len(faces)) > 0.0
+    return list((~inwards & ~has_hole)[label])
 
 
 def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:

@@ -63,6 +63,7 @@ class Draw:
         - "marked": one triangle over the area writes colour where the previous "mark" draw wrote
           the same depth. The draw's program reads the triangle data from `setup`
     order : (F,) indices of the part's triangles in drawing order; None for the part's own order
+    double_sided : false to draw only front faces
     """
 
     program: Program
@@ -73,6 +74,7 @@ class Draw:
     area: Area | None = None
     depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
     order: NDArray[np.int64] | None = None
+    double_sided: bool | None = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,6 @@ class Pass:
     clear : initial value of all pixels: linear RGB and coverage
     uniforms : uniforms that all draws share
     added : whether draws add their colours to the image
-    cull_back_faces : whether only front faces are drawn
     key : hashable value of everything that the image depends on. The pass is skipped if the target
         already holds an image with an equal key. None: the pass is always drawn
     """
@@ -98,7 +99,6 @@ class Pass:
     clear: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     uniforms: Uniforms = field(default_factory=dict)
     added: bool = False
-    cull_back_faces: bool = False
     key: Hashable = None
     others: tuple[str, ...] = ()
     area: Area | None = None

@@ -22,6 +22,7 @@ from facerender.drawing.program import (
 from facerender.drawing.resolve import ResolvedPart, ResolvedScene
 from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.scenes.mesh import Mesh, drawn_alpha
+from facerender.scenes.repair import joined
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
@@ -121,6 +122,7 @@ def _axis(normals: Floats) -> Floats:
     return axis / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
 
 
+_passes: WeakKeyDictionary[Mesh, tuple[tuple[Hashable, ...], list[Pass]]] = WeakKeyDictionary()
 _regions: WeakKeyDictionary[TriangleSetup, tuple[Region, ...]] = WeakKeyDictionary()
 
 
@@ -139,7 +141,7 @@ def _labels(setup: TriangleSetup) -> Numbers:
     """Return a label for each triangle, (F,). Connected triangles have the same label, and so have
     regions whose bounding boxes overlap, such as the front and the back of a shell."""
     corners = np.unique(setup.positions, axis=0, return_inverse=True)[1].reshape(-1)[setup.faces]
-    labels = _joined(np.asarray(corners), np.arange(corners.max() + 1))[corners[:, 0]]
+    labels = joined(np.asarray(corners), np.arange(corners.max() + 1))[corners[:, 0]]
     names, labels = np.unique(labels, return_inverse=True)
     low, high = np.full((2, len(names), 3), np.inf)
     for i in range(3):
@@ -149,18 +151,7 @@ def _labels(setup: TriangleSetup) -> Numbers:
         return np.asarray(labels)
     overlap = (low[:, None] <= -high[None]).all(axis=-1)
     pairs = np.argwhere(overlap & overlap.T)
-    return np.asarray(_joined(pairs, np.arange(len(names)))[labels])
-
-
-def _joined(groups: NDArray[np.integer], labels: Numbers) -> Numbers:
-    """Return labels in which all indices of each row of `groups` have the same label."""
-    while True:
-        lowest = labels.copy()
-        np.minimum.at(lowest, groups, labels[groups].min(axis=1, keepdims=True))
-        lowest = lowest[lowest]
-        if (lowest == labels).all():
-            return labels
-        labels = lowest
+    return np.asarray(joined(pairs, np.arange(len(names)))[labels])
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,13 +211,18 @@ class Refraction:
         A texel of a map has the radiance of the diffuse term, without subsurface scattering, and
         the emission of the foremost surface behind the refracting part.
         """
+        key, mesh = _key(resolved, self.side), resolved.scene.mesh
+        if mesh not in _passes or _passes[mesh][0] != key:
+            _passes[mesh] = key, self._passes(resolved, key)
+        return _passes[mesh][1]
+
+    def _passes(self, resolved: ResolvedScene, key: tuple[Hashable, ...]) -> list[Pass]:
         regions = [each for own in self.parts for each in own]
         size = (len(regions) * self.side, self.side)
         areas = [(number * self.side, 0, self.side, self.side) for number in range(len(regions))]
         surface = Target(size=size, sampled=True, values="number", number=2)
         seen = Target(size=size, sampled=True, number=2)
         uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
-        key = _key(resolved, self.side)
         front = tuple(self._fronts(resolved.scene.mesh, areas))
         behind = tuple(
             draw
@@ -270,7 +266,8 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
             "to_map": region.matrix,
             "camera_position": region.camera,
         }
-        yield Draw(program, uniforms, part, material, area=area, order=order)
+        sides = material.double_sided
+        yield Draw(program, uniforms, part, material, area=area, order=order, double_sided=sides)
 
 
 def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:

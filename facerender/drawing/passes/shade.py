@@ -59,7 +59,8 @@ def shade_pass(
         if samples > 1 and "ALPHA_MASK" in program.features:
             program = replace(program, features=(*program.features, f"TO_COVERAGE {samples}"))
         uniforms = part_uniforms(own.part, own.material)
-        draws.append(Draw(program, uniforms, own.part, own.material))
+        sides = own.material.double_sided
+        draws.append(Draw(program, uniforms, own.part, own.material, double_sided=sides))
     if refraction:
         draws = refraction.refracted(draws)
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)

@@ -212,6 +212,7 @@ def light_visibility_pass(
             part_uniforms(part, material),
             part,
             material,
+            double_sided=material.double_sided,
         )
         for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     ]

@@ -70,6 +70,7 @@ def surface_pass(
             {**part_uniforms(part, material), "part": number},
             part,
             material,
+            double_sided=material.double_sided,
         )
         for number, (part, material) in enumerate(parts, 1)
     ]

@@ -22,6 +22,7 @@ DRIVERS = ("llvmpipe",)
 # With one sample per pixel, and more pixels per triangle than this, forward shading is faster.
 _MOST_PIXELS = 30
 _MOST_TRIANGLES = 1 << 24  # float32 represents all whole numbers up to this one exactly
+_SELECTED = ("SELECTED", f"TRIANGLES_IN_ROW {IN_ROW}")
 _BRIGHTEST = 1e3  # largest background channel: float32 adds and subtracts 1e3 with an error of 6e-5
 
 
@@ -66,11 +67,13 @@ class Visible:
     setup : triangle data of the part
     first : value of the part's first triangle in the image, at least 1; the background has 0
     area : bounds of the part in the image; if width or height is 0, the part is outside the image
+    front : indices of the triangles that can face the camera; None if back faces are drawn too
     """
 
     setup: TriangleSetup
     first: int
     area: Area
+    front: NDArray[np.int64] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +107,14 @@ class Visibility:
     ) -> Visibility:
         """Assign an index to each triangle, and compute the bounds of each part in the image."""
         parts, first = [], 1
-        for part in unblended(scene, scene.mesh.parts):
+        pairs = [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)]
+        for part, material in unblended(scene, pairs):
             setup = triangle_setup_of(part, scene.mesh)
-            parts.append(Visible(setup, first, setup.area(view, size)))
+            area, front = setup.area(view, size), None
+            if material.double_sided is False:
+                front = setup.facing(view.position)
+                area = area if len(front) else (0, 0, 0, 0)
+            parts.append(Visible(setup, first, area, front))
             first += len(setup.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
 
@@ -122,9 +130,14 @@ class Visibility:
 
     def drawn(self) -> Pass:
         """Return the visibility pass."""
-        program = Program("visibility.frag", "visibility.vert")
         draws = tuple(
-            Draw(program, {"first": each.first}, setup=each.setup)
+            Draw(
+                Program("visibility.frag", "visibility.vert", _SELECTED * (each.front is not None)),
+                {"first": each.first},
+                setup=each.setup,
+                order=each.front,
+                double_sided=each.front is None,
+            )
             for each in self.parts
             if all(each.area[2:])
         )
@@ -175,6 +188,7 @@ class Visibility:
             setup=part.setup,
             area=part.area,
             depth="marked",
+            double_sided=True,
         )
         return Draw(visible, uniforms, area=part.area, depth="mark"), shaded
 

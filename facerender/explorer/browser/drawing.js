@@ -107,6 +107,7 @@ class Drawing {
     const view = viewOf(state.camera, width / height);
     gl.viewport(0, 0, width, height);
     gl.enable(gl.DEPTH_TEST);
+    gl.cullFace(gl.FRONT);  // The image is drawn upside down, so front and back swap.
     this.parts.forEach((part, i) => {
       const program = this.program(vertexSource(part, term), fragmentOf(part));
       const values = {
@@ -128,9 +129,11 @@ class Drawing {
       });
       setUniforms(gl, program, values);
       gl.bindVertexArray(this.arrays[i]);
+      gl[part.doubleSided ? "disable" : "enable"](gl.CULL_FACE);
       gl.drawElements(gl.TRIANGLES, part.triangles.length, gl.UNSIGNED_INT, 0);
     });
     gl.bindVertexArray(null);
+    gl.disable(gl.CULL_FACE);
     gl.activeTexture(gl.TEXTURE0);
   }
 
