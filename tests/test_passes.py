@@ -65,7 +65,8 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
         uniforms=scene_uniforms(scene, above),
     )
     visibility = Visibility.of(scene, view, SIZE, samples) if deferred else None
-    shaded = shade_pass(resolve(scene, fr.Shading()), view, samples, visibility=visibility)
+    whole = shade_pass(resolve(scene, fr.Shading()), view, samples)
+    shaded = visibility.shaded(whole) if visibility else whole
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
     before = [visibility.drawn()] if visibility else []
     join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))

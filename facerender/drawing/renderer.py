@@ -130,6 +130,8 @@ class Renderer:
             MEMORY.check("memory", memory)
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
+        # Samples that the driver draws at once, for each mesh that the memory suffices for.
+        self._fitting: weakref.WeakKeyDictionary[Mesh, int] = weakref.WeakKeyDictionary()
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
         self._free = weakref.finalize(self, _free_dropped, self.context, self._resources)
@@ -364,7 +366,9 @@ class Renderer:
         if not (self.full_maps or self.albedo_kind == "linear-color"):
             scene = reduced(scene, view, self.size, self.anisotropy)
         at_once = min(samples, self.context.most_samples)
-        check_memory(scene, self.size, at_once, self.albedo_kind, self.memory)
+        if self._fitting.get(scene.mesh) != at_once:
+            check_memory(scene, self.size, at_once, self.albedo_kind, self.memory)
+            self._fitting[scene.mesh] = at_once
         self._resources.take_coarse(scene.mesh, shading.slope_filter)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         return ResolvedScene(scene, shading, Lighting.of(scene, shading))
@@ -376,9 +380,8 @@ class Renderer:
         scattering = None if only == "specular" else _scattering(scene, self.size)
         refraction = None if only else _refraction(scene, view, self.size)
         beside = scattering if samples == 1 else None
-        shaded = shade_pass(
-            resolved, view, samples, only, visibility, beside, refraction=refraction
-        )
+        whole = shade_pass(resolved, view, samples, only, beside, refraction=refraction)
+        shaded = visibility.shaded(whole) if visibility else whole
         if scattering and not beside:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
@@ -393,13 +396,14 @@ class Renderer:
                 area = visibility.area if visibility else None
             else:  # samples of a pixel may show different points: scatter at pixel centres
                 one = self._visibility(scene, view, 1)
-                light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
-                passes += [one.drawn(), light] if one else [light]
+                light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
+                passes += [one.drawn(), one.shaded(light)] if one else [light]
             how = resolved.shading.scatter_samples, background, not beside, area
             passes.append(scatter_pass(view, scattering, *how))
         over = blended_area(scene, view, self.size)
         if (scattering or visibility) and all(over[2:]):
-            whole = shade_pass(resolved, view, samples, only, refraction=refraction)
+            if beside:
+                whole = shade_pass(resolved, view, samples, only, refraction=refraction)
             visible = visibility.target if visibility else None
             passes += with_blended(whole, passes.pop(), over, visible)
         if refraction:

@@ -6,11 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.transparency import blended_draws, unblended
-from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import part_uniforms, scene_uniforms, shade_program
 from facerender.drawing.resolve import ResolvedScene
 from facerender.scenes.scene import Only
@@ -26,19 +23,16 @@ def shade_pass(
     view: View,
     samples: int,
     only: Only | None = None,
-    visibility: Visibility | None = None,
     scattering: Scattering | None = None,
     apart: bool = False,
     refraction: Refraction | None = None,
 ) -> Pass:
-    """Return the pass that shades a scene.
+    """Return the pass that shades a scene. Blended parts are drawn last.
 
     Parameters
     ----------
     samples : samples per pixel
     only : term to draw, "specular" or "diffuse"; None for the whole image
-    visibility : visibility pass that deferred shading reads, with as many samples as this pass;
-        None: forward shading. Deferred shading omits blended parts
     scattering : scattering of the scene. If given, the pass also draws the input images of the
         scatter pass, and omits background and blended parts
     apart : whether to draw only the input images of the scatter pass
@@ -71,10 +65,9 @@ def shade_pass(
     if scattering:
         drawn = _with_scatter_images(drawn, scattering, apart)
     shown = unblended(scene, drawn.draws)
-    if not (scattering or visibility):
+    if not scattering:
         shown += blended_draws(scene, view, drawn.draws)
-    drawn = replace(drawn, draws=shown)
-    return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
+    return replace(drawn, draws=shown)
 
 
 def _with_scatter_images(drawn: Pass, scattering: Scattering, apart: bool) -> Pass:

@@ -143,23 +143,24 @@ class Visibility:
         )
         return Pass("visible", self.target, draws, uniforms={"view_projection": self.view.matrix})
 
-    def shaded(self, drawn: Pass, uniforms: Uniforms | None = None) -> Pass:
-        """Convert a forward pass to a deferred pass, which shades the visible triangles.
-
-        Parameters
-        ----------
-        drawn : pass with one draw for each part that is not blended
-        uniforms : further uniforms of the deferred pass
+    def shaded(self, drawn: Pass) -> Pass:
+        """Convert a forward pass to a deferred pass, which shades the visible triangles. Blended
+        parts are left out.
         """
         draws: list[Draw] = []
-        for number, (draw, part) in enumerate(zip(drawn.draws, self.parts, strict=True)):
+        opaque = (draw for draw in drawn.draws if draw.depth != "blend")
+        for number, (draw, part) in enumerate(zip(opaque, self.parts, strict=True)):
             if all(part.area[2:]):
                 draws += self._shaded(draw, part, number / len(self.parts))
         return replace(
             drawn,
             target=replace(drawn.target, samples=1),
             draws=tuple(draws),
-            uniforms={**drawn.uniforms, **_rays(self.view, self.size), **(uniforms or {})},
+            uniforms={
+                **drawn.uniforms,
+                **_rays(self.view, self.size),
+                "background": np.asarray(drawn.clear[:3]),
+            },
             added=True,
         )
 
