@@ -54,7 +54,7 @@ def jobs_of(size: int, samples: int, count: int) -> dict[str, Any]:
     scene = fr.Scene(mesh)
     cameras = []
     for turn in turns:
-        eye = mesh.radius * fr.view_of(fr.Scene(mesh, fr.Camera(*turn)), 1.0).eye
+        eye = mesh.radius * fr.view_of(fr.Scene(mesh, fr.Camera(*turn)), 1.0).position
         distance = float(np.linalg.norm(eye))
         ends = (distance - mesh.radius, distance + mesh.radius)
         cameras.append(((mesh.center + eye).tolist(), mesh.center.tolist(), ends))

@@ -19,6 +19,7 @@ from PIL import Image
 import facerender as fr
 from facerender import loading
 from facerender.commands import main
+from facerender.loading import read as reading
 from facerender.scenes.framing import find_regions
 from facerender.system import cache
 from tests import awkward_files as files
@@ -43,8 +44,8 @@ def reads(monkeypatch):
         seen.append(path)
         return read(path, *options)
 
-    read = loading.read
-    monkeypatch.setattr(loading, "read", spy)
+    read = reading.read
+    monkeypatch.setattr(reading, "read", spy)
     return seen
 
 
@@ -238,14 +239,14 @@ def test_equal_files_with_different_textures_are_distinct(tmp_path):
 
 def test_file_that_changes_while_it_is_read_is_not_cached(tmp_path, monkeypatch, place):
     path = textured(tmp_path / "in")
-    read = loading.read
+    read = reading.read
 
     def read_and_change(*args, **options):
         found = read(*args, **options)
         path.write_text(path.read_text() + "# changed\n")
         return found
 
-    monkeypatch.setattr(loading, "read", read_and_change)
+    monkeypatch.setattr(reading, "read", read_and_change)
     load(path)
     assert entries(place) == []
 

@@ -17,7 +17,7 @@ from facerender.system import cache
 
 # Python packages, keyed by the extra that needs them; "" is facerender without extras.
 PACKAGES = {
-    "": ("moderngl", "glcontext", "numpy", "trimesh", "pyrr", "Pillow", "scipy"),
+    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "scipy"),
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),

@@ -54,19 +54,18 @@ class TriangleSetup:
 
     @cached_property
     def bounds(self) -> Floats:
-        """Corners of the triangles' bounding box, homogeneous, (8, 4)."""
-        used = self.positions[self.faces.ravel()]
-        sides = zip(used.min(axis=0), used.max(axis=0), strict=True)
+        """Corners of the vertices' bounding box, homogeneous, (8, 4)."""
+        columns = np.ascontiguousarray(self.positions.T)
+        sides = zip(columns.min(axis=1), columns.max(axis=1), strict=True)
         return np.stack(np.meshgrid(*sides, [1.0]), axis=-1).reshape(-1, 4)
 
     @cached_property
     def planes(self) -> NDArray[np.float32]:
         """Unit normal of each triangle, and the distance of the origin from its plane, (F, 4)."""
-        corners = self.positions[self.faces].astype(np.float64)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-        heights = -np.einsum("ij,ij->i", normals, corners[:, 0])
-        return np.column_stack([normals, heights]).astype(np.float32)
+        a, b, c = (np.take(self.positions, corner, axis=0) for corner in self.faces.T)
+        normals = np.cross(b - a, c - a)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
+        return np.column_stack([normals, -np.einsum("ij,ij->i", normals, a)])
 
     def facing(self, camera: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the indices of the triangles that can face a camera at the given position (3,).
@@ -109,27 +108,30 @@ class TriangleSetup:
         rows = -(-len(self.faces) // IN_ROW)
         packed = np.zeros((rows * IN_ROW, self.texels, 4), dtype=np.float32)
         for start in range(0, len(self.faces), _AT_ONCE):
-            faces = self.faces[start : start + _AT_ONCE]
-            corners = self.positions[faces].astype(np.float64)
-            corner = corners[:, 0]
-            u, v = (corners[:, i] - corner for i in (1, 2))
+            faces = self.faces[start : start + _AT_ONCE].T
+            a, b, c = (np.take(self.positions, each, axis=0).astype(np.float64) for each in faces)
+            u, v = b - a, c - a
             normal = np.cross(u, v)
-            hidden = (_ROUNDING * np.maximum(np.abs(corners).max(axis=(1, 2)), 1e-30))[:, None] ** 2
+            largest = np.maximum(np.maximum(np.abs(a), np.abs(b)), np.abs(c)).max(axis=1)
+            hidden = (_ROUNDING * np.maximum(largest, 1e-30))[:, None] ** 2
             lengths = _dot(u, u) + _dot(v, v) + hidden
             normal *= _dot(normal, normal) > hidden * lengths
             area = _dot(normal, normal) + hidden * lengths
-            value = self.columns[faces[:, 0]]
-            change_u, change_v = (self.columns[faces[:, i]] - value for i in (1, 2))
-            out = packed[start : start + len(faces)]
+            value, *others = (np.take(self.columns, each, axis=0) for each in faces)
+            change_u, change_v = (each - value for each in others)
             across_u = (np.cross(v, normal) + hidden * u) / area
             across_v = (np.cross(normal, u) + hidden * v) / area
             along = (u * _dot(u, value[:, :3]) + v * _dot(v, value[:, :3])) / lengths
             normal += np.sqrt(hidden * lengths) * (value[:, :3] - along)
-            out[:, 0, :3] = normal / np.sqrt(_dot(normal, normal))
-            out[:, 1:, :3] = change_u[..., None] * across_u[:, None]
-            out[:, 1:, :3] += change_v[..., None] * across_v[:, None]
-            out[:, 0, 3] = np.einsum("ij,ij->i", out[:, 0, :3], corner)
-            out[:, 1:, 3] = value - np.einsum("ijk,ik->ij", out[:, 1:, :3], corner)
+            normal /= np.sqrt(_dot(normal, normal))
+            out = packed[start : start + faces.shape[1]]
+            out[:, 0, :3] = normal
+            out[:, 0, 3] = np.einsum("ij,ij->i", out[:, 0, :3], a)
+            for i in range(3):
+                gradients = change_u * across_u[:, i : i + 1] + change_v * across_v[:, i : i + 1]
+                out[:, 1:, i] = gradients
+                value = value - out[:, 1:, i] * a[:, i : i + 1]
+            out[:, 1:, 3] = value
         return packed.reshape(rows, IN_ROW * self.texels, 4)
 
 

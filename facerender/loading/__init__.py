@@ -16,7 +16,6 @@ from facerender.errors import InputError, check_switch, check_type, noting, warn
 from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.mesh_cache import MeshFiles
-from facerender.loading.read import read
 from facerender.loading.references import References
 from facerender.loading.source import GLTF, Orientation, source_of
 from facerender.scenes.framing import find_regions
@@ -197,6 +196,8 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
 def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
     """Return the mesh of a mesh file, and the files to which the mesh file refers."""
     source = files.source
+    from facerender.loading.read import read  # a mesh from the cache does not need it
+
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
         found, references = read(source, "albedo_map" in overrides, files.allow_outside)

@@ -181,9 +181,13 @@ def _look(
     position: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the matrix from the renderer's space to camera space, for row vectors."""
-    from pyrr import matrix44
-
-    look: NDArray[np.float64] = matrix44.create_look_at(position, target, up)
+    forward = target - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    look = np.eye(4)
+    look[:3, :3] = np.stack([right, np.cross(right, forward), -forward], axis=1)
+    look[3, :3] = -position @ look[:3, :3]
     return look
 
 
@@ -191,14 +195,16 @@ def _projection(
     fov: float, aspect: float, position: NDArray[np.float64], forward: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the matrix from camera space to clip space, with y down, for row vectors. The unit
-    sphere lies between the near plane and the far plane."""
-    from pyrr import matrix44
-
+    sphere lies between the near plane and the far plane. Source: OpenGL 2.1, gluPerspective."""
     depth = float(position @ -forward)  # depth of the mesh's centre
     far = max(depth + 1.0, 0.02)
     near = max(depth - 1.0, far * 1e-3)
-    lens: NDArray[np.float64] = matrix44.create_perspective_projection(fov, aspect, near, far)
-    return lens * (1.0, -1.0, 1.0, 1.0)
+    tangent = math.tan(math.radians(fov) / 2.0)
+    lens = np.zeros((4, 4))
+    lens[0, 0], lens[1, 1] = 1.0 / (tangent * aspect), -1.0 / tangent
+    lens[2, 2:] = (far + near) / (near - far), -1.0
+    lens[3, 2] = 2.0 * far * near / (near - far)
+    return lens
 
 
 def hidden(scene: Scene, size: tuple[int, ...]) -> str:

@@ -5,6 +5,7 @@ exceeds $FACERENDER_CACHE_MIB."""
 
 from __future__ import annotations
 
+import mmap
 import os
 import struct
 import time
@@ -12,8 +13,6 @@ import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-
-import numpy as np
 
 from facerender.errors import InputError
 from facerender.system.atomic import ABANDONED, write_whole
@@ -52,8 +51,8 @@ def size() -> int:
 
 
 def read(kind: str, name: str) -> memoryview | None:
-    """Return the content of a cache entry. Return None if the entry is missing or damaged, or the
-    cache is disabled.
+    """Return the content of a cache entry, mapped copy-on-write from its file. Return None if the
+    entry is missing or damaged, or the cache is disabled.
 
     Raises
     ------
@@ -64,8 +63,8 @@ def read(kind: str, name: str) -> memoryview | None:
     path = folder() / kind / name
     try:
         with open_file(path, "an entry") as file:
-            data = np.fromfile(file, dtype=np.uint8).data  # a bytearray would first be filled
-    except InputError:
+            data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY))
+    except (InputError, OSError, ValueError):  # an empty file cannot be mapped
         return None
     with suppress(OSError):  # the file belongs to another user
         os.utime(path)  # mark the entry as recently used

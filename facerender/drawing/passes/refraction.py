@@ -95,10 +95,11 @@ class Region:
         """Return the indices of a part's triangles that may be within the map."""
         if setup not in self.behind:
             places = setup.positions @ self.matrix[:3, :3] + self.matrix[3, :3]
-            corners = places[setup.faces]
-            low, high = corners.min(axis=1), corners.max(axis=1)
-            inside = (low <= (1.0, 1.0, self.top)) & (high >= (-1.0, -1.0, self.bottom))
-            self.behind[setup] = np.flatnonzero(inside.all(axis=1))
+            high = places > (1.0, 1.0, self.top)
+            low = places < (-1.0, -1.0, self.bottom)
+            sides = np.packbits(np.hstack([low, high]), axis=1)[:, 0]  # six bits for each vertex
+            a, b, c = (np.take(sides, corner) for corner in setup.faces.T)
+            self.behind[setup] = np.flatnonzero(a & b & c == 0)
         return self.behind[setup]
 
     def pixels(self, view: View, size: tuple[int, int]) -> float:
