@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.compare import FULL, compare, pairs_of
-from facerender.comparison.neighbourhoods import filtered
+from facerender.comparison.compare import compare, pairs_of
+from facerender.comparison.neighbourhoods import FULL, filtered
 from facerender.comparison.result import HIGHEST, LIMITS, Limits
 from facerender.errors import InputError, check_range, reason, shown
 from facerender.images.image import Encoding, ImageData

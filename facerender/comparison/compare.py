@@ -26,7 +26,16 @@ from numpy.typing import NDArray
 
 from facerender.comparison import neighbourhoods as nearby
 from facerender.comparison.blocks import BLOCK, LINEAR, STEPS, BlockStatistics, BlockSums
-from facerender.comparison.neighbourhoods import Float, Mask, excess, explained, filtered, holes
+from facerender.comparison.neighbourhoods import (
+    FULL,
+    Float,
+    Mask,
+    excess,
+    explained,
+    filtered,
+    gaps,
+    holes,
+)
 from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
@@ -36,7 +45,6 @@ from facerender.images.read import SUFFIXES, read_image
 
 MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
-FULL = 0.99  # least coverage of a pixel inside the mesh: half floats and filters do not reach 1
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
 _HALO = 8  # rows above and below a strip, with which the strip's pixels are also compared
@@ -280,6 +288,8 @@ class _Strip:
         covered = None if whole else full
         found = excess(color_a, color_b, covered, limits.point, relative)
         black = holes(color_a, color_b, covered, relative)
+        if not whole:
+            black |= gaps(alpha_a, alpha_b)
         unexplained = uncovered = counted
         if a.shift_range is not None:
             moved = PixelRange(*(end[around] for end in a.shift_range))

@@ -26,6 +26,7 @@ _HALO = 4  # pixels around a window that the neighbourhoods of the window's pixe
 _CONTRAST = 0.5  # a range is widened by this fraction of the range of 5 x 5 pixels
 _RELATIVE = 0.01  # a range is widened by this fraction of the level
 COVERED = 0.5  # smallest coverage of a covered pixel
+FULL = 0.99  # least coverage of a pixel inside the mesh: half floats and filters do not reach 1
 _ALPHA = 0.01  # amount by which coverage may leave the range that a golden stores
 _STEP = 0.2  # smallest range of 5 x 5 pixels at an edge, as a fraction of their maximum
 
@@ -102,6 +103,19 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
         )
         rows, columns = places[y[below] < fraction * low - floor].T
         result[rows, columns] = True
+    return result
+
+
+def gaps(a: Float, b: Float) -> Mask:
+    """Return a mask of the pixels that only one of two coverages (H, W) leaves uncovered, although
+    the other one covers their 7 x 7 neighbourhood completely."""
+    result = np.zeros(a.shape, dtype=bool)
+    for x, y in ((a, b), (b, a)):
+        inside = x >= FULL
+        if (inside & (y < COVERED)).any():
+            for _ in range(3):
+                inside = filtered(inside, np.minimum)
+            result |= inside & (y < COVERED)
     return result
 
 

@@ -78,7 +78,7 @@ class Comparison:
     points : number of pixels that exceed the point limit by more than a sliver may cause
     slight : number of all pixels that exceed the point limit, including slivers
     holes : number of pixels with less than a quarter of the light of their neighbours in the other
-        image
+        image, or without coverage although the other image covers all of these neighbours
     block, block_at : change of the worst block's mean, and the top left pixel of this block
     blocks : number of blocks over the block limit
     blocks_judged : number of all blocks with enough pixels

@@ -38,8 +38,8 @@ def reasons_of(
         reasons.append(f"{_pixels(result, over[wrong])}: looks like {like}")
     elif result.holes > _HOLES:
         reasons.append(
-            f"{result.holes} pixels have less than a quarter of their neighbours' light, limit "
-            f"{_HOLES}: looks like missing pixels"
+            f"{result.holes} pixels have less than a quarter of their neighbours' light or no "
+            f"coverage, limit {_HOLES}: looks like missing pixels"
         )
     if result.blocks:
         guess = _guess(statistics)

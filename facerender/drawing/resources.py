@@ -7,7 +7,7 @@ import ctypes
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -51,7 +51,7 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Geometry:
     """The geometry of a part on the GPU.
 
@@ -62,29 +62,56 @@ class Geometry:
     widths : number of components of each attribute, keyed by attribute name
     indices : vertex indices of the triangles
     arrays : cache of vertex arrays, keyed by program
+    chosen : vertex indices of the triangles that a draw chooses, and its vertex arrays
     """
 
     space: tuple[float, ...]
     vertices: moderngl.Buffer
     widths: Mapping[str, int]
     indices: moderngl.Buffer
-    arrays: dict[moderngl.Program, moderngl.VertexArray]
+    arrays: dict[moderngl.Program, moderngl.VertexArray] = field(default_factory=dict)
+    chosen: tuple[moderngl.Buffer, dict[moderngl.Program, moderngl.VertexArray]] | None = None
 
-    def array(
-        self, gl: moderngl.Context, program: moderngl.Program, order: moderngl.Buffer | None = None
+    def draw(
+        self,
+        gl: moderngl.Context,
+        program: moderngl.Program,
+        faces: NDArray[np.uint32] | None,
+    ) -> None:
+        """Draw the triangles with a program.
+
+        faces : (F, 3), vertex indices of the chosen triangles in drawing order; None for all
+        """
+        if faces is None:
+            self._array(gl, program, self.indices, self.arrays).render()
+            return
+        if self.chosen is None:
+            self.chosen = gl.buffer(reserve=self.indices.size, dynamic=True), {}
+        indices, arrays = self.chosen
+        indices.write(faces)
+        self._array(gl, program, indices, arrays).render(vertices=faces.size)
+
+    def _array(
+        self,
+        gl: moderngl.Context,
+        program: moderngl.Program,
+        indices: moderngl.Buffer,
+        arrays: dict[moderngl.Program, moderngl.VertexArray],
     ) -> moderngl.VertexArray:
-        """Return the vertex array that a program reads. It is cached, unless `order` replaces the
-        vertex indices of the part."""
-        if order is None and program in self.arrays:
-            return self.arrays[program]
+        if program in arrays:
+            return arrays[program]
         layout = " ".join(
             f"{width}f" if name in program else f"{width}x4" for name, width in self.widths.items()
         )
         used = [name for name in self.widths if name in program]
-        made = gl.vertex_array(program, [(self.vertices, layout, *used)], order or self.indices)
-        if order is None:
-            self.arrays[program] = made
-        return made
+        arrays[program] = gl.vertex_array(program, [(self.vertices, layout, *used)], indices)
+        return arrays[program]
+
+    def forget(self, program: moderngl.Program) -> None:
+        """Drop the vertex arrays of a program."""
+        self.arrays.pop(program, None)
+        if self.chosen is not None:
+            self.chosen[1].pop(program, None)
 
 
 class Resources:
@@ -108,6 +135,7 @@ class Resources:
         self.geometries: WeakKeyDictionary[Part | TriangleSetup, Geometry] = WeakKeyDictionary()
         self.tables: WeakKeyDictionary[TriangleSetup | Panorama, moderngl.Texture]
         self.tables = WeakKeyDictionary()
+        self.selected: WeakKeyDictionary[TriangleSetup, moderngl.Texture] = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
@@ -121,8 +149,9 @@ class Resources:
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
-        caches = (self.geometries, self.tables, self.textures, self.programs, self.targets)
-        for made in (*caches, self.scopes, self.screens, self.held):
+        textures = (self.tables, self.selected, self.textures)
+        others = (self.geometries, self.programs, self.targets, self.scopes, self.screens)
+        for made in (*textures, *others, self.held):
             made.clear()
         self.context.gl.gc()
 
@@ -136,8 +165,9 @@ class Resources:
         unused = [source for source in self.programs if source not in self._drawn]
         for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
             program = self.programs.pop(source)
-            for arrays in (self.screens, *(each.arrays for each in self.geometries.values())):
-                arrays.pop(program, None)
+            self.screens.pop(program, None)
+            for geometry in self.geometries.values():
+                geometry.forget(program)
         self._drawn.clear()
         if not self._settled:
             give_back()
@@ -210,7 +240,7 @@ class Resources:
     ) -> None:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
-        gl, source, order = self.context.gl, draw.setup or draw.part, None
+        gl, source, faces = self.context.gl, draw.setup or draw.part, None
         if source is None or draw.depth in ("mark", "marked"):
             self.bind(program, draw, drawn)
             if program not in self.screens:
@@ -219,10 +249,9 @@ class Resources:
             return
         geometry = self.geometry(source, mesh)
         if draw.order is not None:
-            gl.gc()  # frees the index buffer and the texture of the previous ordered draw
-            order = gl.buffer(np.take(source.faces, draw.order, axis=0))
+            faces = np.take(source.faces, draw.order, axis=0)
         self.bind(program, draw, drawn)
-        geometry.array(gl, program, order).render()
+        geometry.draw(gl, program, faces)
 
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
@@ -240,7 +269,8 @@ class Resources:
         if draw.setup is not None and draw.depth == "marked":
             textures["triangle_setup"] = self.table(draw.setup)
         if draw.order is not None and program.get(SELECTED_TRIANGLES, None):
-            textures[SELECTED_TRIANGLES] = self._numbers(draw.order)
+            assert draw.setup is not None
+            textures[SELECTED_TRIANGLES] = self._selected(draw.setup, draw.order)
         used = [each for each in textures.items() if program.get(each[0], None)]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
@@ -331,17 +361,21 @@ class Resources:
             vertices = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
             widths = {name: values.shape[1] for name, values in columns.items()}
             buffers = gl.buffer(vertices), gl.buffer(source.faces)
-            made = Geometry(space, buffers[0], widths, buffers[1], {})
+            made = Geometry(space, buffers[0], widths, buffers[1])
             self.geometries[source] = made
         return made
 
-    def _numbers(self, order: NDArray[np.int64]) -> moderngl.Texture:
+    def _selected(self, setup: TriangleSetup, order: NDArray[np.int64]) -> moderngl.Texture:
         """Return a texture of triangle indices, IN_ROW in a row."""
+        if setup not in self.selected:
+            self.context.gl.gc()
+            rows = -(-len(setup.faces) // IN_ROW)
+            self.selected[setup] = self.context.gl.texture((IN_ROW, rows), 1, dtype="f4")
+            self.selected[setup].filter = moderngl.NEAREST, moderngl.NEAREST
         texels = np.zeros((-(-len(order) // IN_ROW), IN_ROW), dtype=np.float32)
         texels.ravel()[: len(order)] = order
-        texture = self.context.gl.texture(texels.shape[::-1], 1, texels, dtype="f4")
-        texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        return texture
+        self.selected[setup].write(texels, (0, 0, *texels.shape[::-1]))
+        return self.selected[setup]
 
     def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
         """Return the texture of a triangle setup or a panorama, which is uploaded on first use."""

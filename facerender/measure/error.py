@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender import lobes
 from facerender.comparison import flip
 from facerender.comparison.blocks import BLOCK, FLOOR, block_sums, cell_sums
-from facerender.comparison.compare import FULL
-from facerender.comparison.neighbourhoods import filtered
+from facerender.comparison.neighbourhoods import FULL, filtered
 from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer

@@ -383,8 +383,14 @@ def other_means(room: Room) -> Against | None:
     return Against("golden-mean", room.mean(FOUR), room.mean(OTHER_FOUR), 4)
 
 
-def mirrored(room: Room) -> Linear | None:
-    return None if room.setting.samples == 1 else room.mirrored()
+def mirrored(room: Room) -> Against | None:
+    """Mirror the sample positions. Both images show back faces too, because the mirrored scene is
+    wound the other way."""
+    if room.setting.samples == 1:
+        return None
+    both = room.scene.mesh.with_material(double_sided=True)
+    image = room.mirrored(mesh=both)
+    return Against("double-sided", room.draw(mesh=both), image, room.setting.samples)
 
 
 def shifted(x: float, y: float) -> Callable[[Room], Linear | None]:
