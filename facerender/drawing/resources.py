@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import SELECTED_TRIANGLES, Program, part_columns
 from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup
@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 
 # Largest number of cached programs, unless one frame needs more. llvmpipe uses 2 MB per program.
 MOST_PROGRAMS = 64
+_STEP = 64  # pixels by which a target grows
 
 _TEXTURE_2D = 0x0DE1
+_FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER = 0x8D40, 0x8D00, 0x8D41
 _SRGB8_ALPHA8 = 0x8C43
 _RGB8 = 0x8051
 _RGBA8 = 0x8058
@@ -187,17 +189,17 @@ class Resources:
         InputError : a map is damaged or too large
         ContextError : the driver refuses a target or a program
         """
-        target = self.target(step.target)
+        target = self.target(step.target, step.area)
         held = self.held.pop(step.target, None)
         if step.key is not None and held == step.key:
             self.held[step.target] = held
             return target
         with self.scopes[step.target]:
-            self._prepare(target)  # an error in an earlier draw may have left another state
+            self._prepare(target, step)  # an error in an earlier draw may have left another state
             target.depth_mask = step.target.depth_of is None
             target.clear(*step.clear, viewport=step.area)
             for draw in step.draws:
-                self._prepare(target, draw)
+                self._prepare(target, step, draw)
                 self._switch(step, draw)
                 features = draw.program.features
                 with self._to_coverage(any(name.startswith("TO_COVERAGE") for name in features)):
@@ -205,13 +207,13 @@ class Resources:
         self.held[step.target] = step.key
         return target
 
-    def _prepare(self, target: moderngl.Framebuffer, draw: Draw | None = None) -> None:
+    def _prepare(self, target: moderngl.Framebuffer, step: Pass, draw: Draw | None = None) -> None:
         """Set write masks, viewport and depth test for a draw, or for a clear if `draw` is None."""
         depth = draw.depth if draw else "test"
         colors, count = (depth not in ("mark", "hide"),) * 4, len(target.color_attachments)
         target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
         target.depth_mask = depth not in ("marked", "blend")
-        target.viewport = (draw and draw.area) or (0, 0, *target.size)
+        target.viewport = (draw and draw.area) or (0, 0, *(step.target.size or self.size))
         target.use()  # applies the masks and the viewport
         self.context.gl.depth_func = {"mark": "1", "marked": "=="}.get(depth, "<=")
 
@@ -298,11 +300,22 @@ class Resources:
             ):
                 self.texture(name, source, kind)
 
-    def target(self, kind: Target) -> moderngl.Framebuffer:
-        """Return the framebuffer of a target, created on first use."""
+    def target(self, kind: Target, area: Area | None = None) -> moderngl.Framebuffer:
+        """Return the framebuffer of a target, created on first use.
+
+        area : pixels that a pass draws. A target that shares a depth buffer is only as large as its
+            passes need, because the images of several samples are large
+        """
+        gl, size = self.context.gl, kind.size or self.size
+        if kind.depth_of is not None and area is not None:
+            least = self.targets[kind].size if kind in self.targets else (0, 0)
+            right, top = (-(-(area[i] + area[i + 2]) // _STEP) * _STEP for i in (0, 1))
+            size = min(size[0], max(right, least[0])), min(size[1], max(top, least[1]))
+            if size != least:
+                self.targets.pop(kind, None)
+                gl.gc()
         if kind not in self.targets:
             self._settled = False
-            gl, size = self.context.gl, kind.size or self.size
             samples = kind.samples if kind.samples > 1 else 0
             try:
                 components = 1 if kind.values == "number" else 4
@@ -314,11 +327,12 @@ class Resources:
                 if kind.sampled and not samples:
                     for color in colors:
                         color.filter = moderngl.NEAREST, moderngl.NEAREST
-                depth: Any = None
-                if kind.depth_of is not None:
-                    depth = self.target(kind.depth_of).depth_attachment
-                depth = depth or gl.depth_renderbuffer(size, samples=samples)
-                self.targets[kind] = gl.framebuffer(colors, depth)
+                if kind.depth_of is None:
+                    made = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
+                else:
+                    made = gl.framebuffer(colors)
+                    self._share_depth(self.target(kind.depth_of), made)
+                self.targets[kind] = made
                 self.scopes[kind] = gl.scope(self.targets[kind])
             except moderngl.Error as error:
                 raise ContextError(
@@ -326,6 +340,13 @@ class Resources:
                     f"{kind.samples} samples ({error}); lower the size or the samples"
                 ) from None
         return self.targets[kind]
+
+    def _share_depth(self, source: moderngl.Framebuffer, target: moderngl.Framebuffer) -> None:
+        """Attach a framebuffer's depth buffer to a smaller framebuffer, which moderngl refuses."""
+        depth: Any = source.depth_attachment
+        attach = self.context.function("glFramebufferRenderbuffer", *[ctypes.c_uint] * 4)
+        target.use()
+        attach(_FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER, depth.glo)
 
     def program(self, source: Program) -> moderngl.Program:
         """Return the compiled program from the cache, or compile it. The cache is limited by
