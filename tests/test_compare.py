@@ -280,12 +280,25 @@ def test_another_driver_is_named_and_has_wider_limits():
 def test_black_pixels_within_the_point_limit_are_counted():
     reference = plain(0.004)
     image = edited(reference, (BLACK, "=", 0.0))
-    reason = (
-        "3 pixels have less than a quarter of their neighbours' light or no coverage, limit 2: "
-    )
+    reason = "3 pixels have less than a quarter of their neighbours' light or no coverage, limit 2"
     assert str(compare(reference, image)).startswith(reason)
     image[20, 30] = reference[20, 30]
     assert compare(reference, image).same
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_uncovered_pixels_inside_the_mesh_are_counted(order):
+    """At the silhouette, coverage may change at a few pixels."""
+    reference = np.zeros((64, 64, 4), dtype=np.float32)
+    reference[8:56, 8:56] = 0.3, 0.2, 0.1, 1.0
+    at_edge, inside = reference.copy(), reference.copy()
+    at_edge[8, 20:24] = 0.0
+    inside[30, 20:24] = 0.0
+    assert compare(reference, at_edge).same
+    reason = "4 pixels have less than a quarter of their neighbours' light or no coverage, limit 2"
+    assert str(compare(*(reference, inside)[::order])).startswith(reason)
+    inside[30, 20:22] = reference[30, 20:22]
+    assert compare(reference, inside).same
 
 
 @pytest.mark.parametrize("radiance", [0.01, 0.3])

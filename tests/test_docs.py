@@ -108,7 +108,7 @@ def test_failed_checks_are_named():
     a = np.ones((64, 64, 4), dtype=np.float32)
     less = a.copy()
     less[:32, :, 3] = 0.2
-    assert failed_checks(compare(a, less)) == ["coverage"]
+    assert failed_checks(compare(a, less)) == ["point", "coverage"]
     assert failed_checks(compare(a, 1.003 * a)) == ["trend"]
     assert failed_checks(compare(a, 1.01 * a)) == ["block"]
     assert failed_checks(compare(a, a)) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import mmap
 import time
 import weakref
 
@@ -13,6 +14,7 @@ from PIL import Image
 from facerender import InputError
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.texture import Texture, pack
+from facerender.system.memory import unload
 
 
 def texture(pixels, name="map.png"):
@@ -133,3 +135,16 @@ def test_texture_is_freed_with_its_last_reference():
         assert gone() is None
     finally:
         gc.enable()
+
+
+def test_unloaded_pages_are_read_from_the_file_again(tmp_path):
+    values = np.random.default_rng(1).integers(0, 256, 3 * mmap.PAGESIZE + 100, dtype=np.uint8)
+    path = tmp_path / "values"
+    path.write_bytes(values.tobytes())
+    with path.open("rb") as file:
+        data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY))
+    mapped = np.frombuffer(data, dtype=np.uint8, offset=64)
+    mapped[[0, mmap.PAGESIZE]] = values[[64, mmap.PAGESIZE + 64]] + 1
+    unload([mapped, values])
+    assert mapped[0] == values[64] + np.uint8(1)  # another array may use the rest of the page
+    np.testing.assert_array_equal(mapped[1:], values[65:])

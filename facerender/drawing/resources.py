@@ -24,7 +24,7 @@ from facerender.errors import ContextError, InputError
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
 from facerender.scenes.texture import Texture, Wrap
-from facerender.system.memory import give_back
+from facerender.system.memory import give_back, unload
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
@@ -85,13 +85,17 @@ class Geometry:
         faces : (F, 3), vertex indices of the chosen triangles in drawing order; None for all
         """
         if faces is None:
-            self._array(gl, program, self.indices, self.arrays).render()
+            self.array(gl, program).render()
             return
         if self.chosen is None:
             self.chosen = gl.buffer(reserve=self.indices.size, dynamic=True), {}
         indices, arrays = self.chosen
         indices.write(faces)
         self._array(gl, program, indices, arrays).render(vertices=faces.size)
+
+    def array(self, gl: moderngl.Context, program: moderngl.Program) -> moderngl.VertexArray:
+        """Return the vertex array that a program reads, from the cache."""
+        return self._array(gl, program, self.indices, self.arrays)
 
     def _array(
         self,
@@ -161,8 +165,8 @@ class Resources:
         """Free unused programs beyond MOST_PROGRAMS, and return freed memory to the system.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
-        head). After a frame that created GPU objects, this memory is released. The context must
-        be current.
+        head). After a frame that created GPU objects, this memory is released, and so are the
+        pages of mip chains in mapped files. The context must be current.
         """
         unused = [source for source in self.programs if source not in self._drawn]
         for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
@@ -172,6 +176,9 @@ class Resources:
                 geometry.forget(program)
         self._drawn.clear()
         if not self._settled:
+            for texture, uploaded in self.textures.items():
+                for kind in uploaded if not texture.coarse else ():
+                    unload(texture.levels(kind).result())
             give_back()
         self._settled = True
 

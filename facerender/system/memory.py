@@ -4,18 +4,39 @@ from __future__ import annotations
 
 import ctypes
 import math
+import mmap
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 def give_back() -> None:
     """Return freed memory to the system; glibc would keep it."""
     if trim := _malloc_trim():
         trim(0)
+
+
+def unload(arrays: Iterable[NDArray[Any]]) -> None:
+    """Release the memory of arrays that lie in mapped files. The system reads a file again on
+    demand. Other arrays do not change."""
+    for values in arrays:
+        owner: Any = values
+        while isinstance(owner, np.ndarray):
+            owner = owner.base
+        file = getattr(owner, "obj", None)
+        if isinstance(file, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            first = values.ctypes.data - np.frombuffer(file, dtype=np.uint8).ctypes.data
+            start = -(-first // mmap.PAGESIZE) * mmap.PAGESIZE
+            size = (first + values.nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - start
+            if size > 0:
+                file.madvise(mmap.MADV_DONTNEED, start, size)
 
 
 @cache

@@ -389,7 +389,7 @@ def mirrored(room: Room) -> Against | None:
     if room.setting.samples == 1:
         return None
     both = room.scene.mesh.with_material(double_sided=True)
-    image = room.mirrored(mesh=both)
+    image = room.mirrored(both)
     return Against("double-sided", room.draw(mesh=both), image, room.setting.samples)
 
 

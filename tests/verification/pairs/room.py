@@ -137,10 +137,10 @@ class Room:
         images = [self.draw(view=self.view.shifted(at, self.size), samples=1) for at in pattern]
         return cast(Linear, np.mean(images, axis=0, dtype=np.float32))
 
-    def mirrored(self, **scene: object) -> Linear:
+    def mirrored(self, mesh: fr.Mesh) -> Linear:
         """Draw the mirrored scene, and mirror the image: only the sample positions are mirrored."""
         view = replace(self.view, matrix=self.view.matrix @ np.diag([-1.0, 1.0, 1.0, 1.0]))
-        return np.ascontiguousarray(self.draw(view=view, **scene)[:, ::-1])
+        return np.ascontiguousarray(self.draw(view=view, mesh=mesh)[:, ::-1])
 
     def frame(self, linear: Linear, renderer: str = "") -> fr.Frame:
         """Return an image as a frame; ``renderer`` replaces the renderer's name in its metadata."""
