@@ -16,6 +16,7 @@ from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 from tests.test_visibility import CORNERS, SIDES
 from tests.verification.lights import PLAIN_THREE
 
+FACES = [half for side in SIDES for half in (side[:3], (side[0], *side[2:]))]
 BELOW = fr.Camera(-35.0, -70.0)  # looks into the open neck of a head
 
 
@@ -75,22 +76,20 @@ def test_closed_surfaces_of_other_formats_have_one_side():
 
 
 def test_arrays_follow_the_shape_or_the_material():
-    faces = [half for side in SIDES for half in (side[:3], (side[0], *side[2:]))]
-    assert two_sides(fr.Mesh.from_arrays(CORNERS, faces)) == [False]
-    assert two_sides(fr.Mesh.from_arrays(CORNERS, faces[2:])) == [True]
+    assert two_sides(fr.Mesh.from_arrays(CORNERS, FACES)) == [False]
+    assert two_sides(fr.Mesh.from_arrays(CORNERS, FACES[2:])) == [True]
     for value in (True, False):
         own = fr.Material(double_sided=value)
-        assert two_sides(fr.Mesh.from_arrays(CORNERS, faces, material=own)) == [value]
+        assert two_sides(fr.Mesh.from_arrays(CORNERS, FACES, material=own)) == [value]
 
 
 def test_a_cavity_that_faces_outwards_keeps_both_sides():
     """The normals point into the cube, so its faces are wound inwards."""
-    faces = [half for side in SIDES for half in (side[:3], (side[0], *side[2:]))]
-    shell = [tuple(reversed(face)) for face in faces]
+    shell = [tuple(reversed(face)) for face in FACES]
     flat = np.concatenate([CORNERS, 3.0 * CORNERS])
     parts = [
         Part(flat, np.tile(sign * CORNERS / np.sqrt(3.0), (2, 1)), np.array(own, dtype=np.uint32))
-        for sign, own in ((-1.0, shell), (1.0, np.array(faces) + 8))
+        for sign, own in ((-1.0, shell), (1.0, np.array(FACES) + 8))
     ]
     assert two_sides(fr.Mesh.of("nested", parts, [fr.Material()] * 2)) == [True, False]
 

@@ -8,12 +8,12 @@ so far away that the image stays the same within 2/255.
 """
 
 import os
-import sys
 
 os.environ.setdefault("FILLY_OFFSCREEN_GL", "egl")
 
 import filly
 import numpy as np
+from frames import run
 from PIL import Image
 
 IRRADIANCE = 2.1  # about as bright as PyVista's image
@@ -56,12 +56,9 @@ class Head:
         self.renderer.render(self.scene, self.target)
         return self.target.read()
 
+    def save(self, path) -> None:
+        Image.fromarray(self.frame(0.0)).save(path, compress_level=1)
+
 
 if __name__ == "__main__":
-    mesh, last = sys.argv[1:]
-    if last.isdecimal():
-        head = Head(mesh, int(last))
-        for _ in sys.stdin:
-            print(head.frame(2.0).shape, flush=True)
-    else:
-        Image.fromarray(Head(mesh).frame(0.0)).save(last, compress_level=1)
+    run(Head)

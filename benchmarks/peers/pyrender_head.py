@@ -7,13 +7,13 @@ The package pyrender-maintained is a fork of pyrender that runs with NumPy 2 and
 """
 
 import os
-import sys
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import numpy as np
 import pyrender
 import trimesh
+from frames import run
 from PIL import Image
 from trimesh.transformations import rotation_matrix
 
@@ -21,7 +21,8 @@ np.infty = np.inf  # noqa: NPY201 - pyrender 0.1.45 is older than NumPy 2
 
 
 class Head:
-    def __init__(self, path, size=1024):
+    def __init__(self, path, samples=4, size=1024):
+        assert samples == 4, "pyrender always draws 4 samples per pixel"
         mesh = trimesh.load_scene(path, process=False).to_geometry()
         self.scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
         self.scene.add(pyrender.Mesh.from_trimesh(mesh))
@@ -41,12 +42,9 @@ class Head:
         self.scene.set_pose(self.camera, turn @ eye)
         return self.renderer.render(self.scene)[0]
 
+    def save(self, path) -> None:
+        Image.fromarray(self.frame(0.0)).save(path, compress_level=1)
+
 
 if __name__ == "__main__":
-    mesh, last = sys.argv[1:]
-    if last.isdecimal():
-        head = Head(mesh)
-        for _ in sys.stdin:
-            print(head.frame(2.0).shape, flush=True)
-    else:
-        Image.fromarray(Head(mesh).frame(0.0)).save(last, compress_level=1)
+    run(Head)

@@ -4,10 +4,9 @@ pyvista_head.py MESH.glb OUT.png    one image
 pyvista_head.py MESH.glb SAMPLES    a frame of a moving camera per line of standard input
 """
 
-import sys
-
 import numpy as np
 import pyvista
+from frames import run
 
 
 class Head:
@@ -30,12 +29,9 @@ class Head:
         self.plotter.render()
         return self.plotter.screenshot(return_img=True)
 
+    def save(self, path) -> None:
+        self.plotter.screenshot(path)
+
 
 if __name__ == "__main__":
-    mesh, last = sys.argv[1:]
-    if last.isdecimal():
-        head = Head(mesh, int(last))
-        for _ in sys.stdin:
-            print(head.frame(2.0).shape, flush=True)
-    else:
-        Head(mesh).plotter.screenshot(last)
+    run(Head)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.compare import compare, pairs_of
-from facerender.comparison.neighbourhoods import FULL, filtered
+from facerender.comparison.neighbourhoods import FULL, filtered, shrunk
 from facerender.comparison.result import HIGHEST, LIMITS, Limits
 from facerender.errors import InputError, check_range, reason, shown
 from facerender.images.image import Encoding, ImageData
@@ -334,9 +334,8 @@ def _flattest(
     if mask is not None:
         lit &= mask != 0
     low, high = np.percentile(level[lit], (40.0, 80.0)) if lit.any() else (0.0, 0.0)
-    inside, brightest, darkest = lit, level, level
+    inside, brightest, darkest = shrunk(lit, _AROUND), level, level
     for _ in range(_AROUND):
-        inside = filtered(inside, np.minimum)
         brightest, darkest = filtered(brightest, np.maximum), filtered(darkest, np.minimum)
     contrast = (brightest - darkest) / np.maximum(brightest, 1e-6)
     contrast += np.where(inside & (level > low) & (level <= high), 0.0, 1.0 + contrast.max())

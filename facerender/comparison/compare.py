@@ -35,6 +35,7 @@ from facerender.comparison.neighbourhoods import (
     filtered,
     gaps,
     holes,
+    shrunk,
 )
 from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
 from facerender.comparison.verdict import reasons_of
@@ -305,9 +306,7 @@ class _Strip:
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
         worst = max(beyond[row, column], 0.0)
         worst = abs(value[row, column]) if worst > limits.point else worst
-        inside = full & counted
-        for _ in range(0 if whole and counts is None else MARGIN):
-            inside = filtered(inside, np.minimum)
+        inside = shrunk(full & counted, 0 if whole and counts is None else MARGIN)
         faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
         apart = nearby.difference(color_a[own], color_b[own])[counted[own]]
         return cls(

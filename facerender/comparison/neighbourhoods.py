@@ -111,11 +111,9 @@ def gaps(a: Float, b: Float) -> Mask:
     the other one covers their 7 x 7 neighbourhood completely."""
     result = np.zeros(a.shape, dtype=bool)
     for x, y in ((a, b), (b, a)):
-        inside = x >= FULL
-        if (inside & (y < COVERED)).any():
-            for _ in range(3):
-                inside = filtered(inside, np.minimum)
-            result |= inside & (y < COVERED)
+        inside, bare = x >= FULL, y < COVERED
+        if (inside & bare).any():
+            result |= shrunk(inside, 3) & bare
     return result
 
 
@@ -164,6 +162,13 @@ def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
         choose(z[1:], y[:-1], out=z[1:])
         choose(z[:-1], y[1:], out=z[:-1])
     return x
+
+
+def shrunk(mask: Mask, pixels: int) -> Mask:
+    """Return a mask without the pixels that are at most `pixels` rows and columns from its edge."""
+    for _ in range(pixels):
+        mask = filtered(mask, np.minimum)
+    return mask
 
 
 def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:

@@ -249,18 +249,16 @@ class Resources:
     ) -> None:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
+        self.bind(program, draw, drawn)
         gl, source, faces = self.context.gl, draw.setup or draw.part, None
         if source is None or draw.depth in ("mark", "marked"):
-            self.bind(program, draw, drawn)
             if program not in self.screens:
                 self.screens[program] = gl.vertex_array(program, [])
             self.screens[program].render(vertices=3)
             return
-        geometry = self.geometry(source, mesh)
         if draw.order is not None:
             faces = np.take(source.faces, draw.order, axis=0)
-        self.bind(program, draw, drawn)
-        geometry.draw(gl, program, faces)
+        self.geometry(source, mesh).draw(gl, program, faces)
 
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]

@@ -195,9 +195,9 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
 
 def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
     """Return the mesh of a mesh file, and the files to which the mesh file refers."""
-    source = files.source
     from facerender.loading.read import read  # a mesh from the cache does not need it
 
+    source = files.source
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
         found, references = read(source, "albedo_map" in overrides, files.allow_outside)

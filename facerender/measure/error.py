@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender import lobes
 from facerender.comparison import flip
 from facerender.comparison.blocks import BLOCK, FLOOR, block_sums, cell_sums
-from facerender.comparison.neighbourhoods import FULL, filtered
+from facerender.comparison.neighbourhoods import FULL, filtered, shrunk
 from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
@@ -162,9 +162,7 @@ def block_error(
     coverage : (H, W) in [0, 1]. Pixels count if all pixels within a distance of 3 are fully
         covered; blocks count if they contain at least 64 such pixels
     """
-    inside = coverage >= FULL
-    for _ in range(3):
-        inside = filtered(inside, np.minimum)
+    inside = shrunk(coverage >= FULL, 3)
     count = block_sums(cell_sums(inside))
     worst = 0.0
     for channel in range(3):

@@ -136,13 +136,8 @@ def are_closed(
     positions : (N, 3) for each part
     faces : (F, 3) for each part
     """
-    starts = np.cumsum([0, *map(len, positions)])
-    stacked = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
+    everywhere, stacked, welded, _ = _stacked(positions, faces)
     own = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
-    everywhere = np.concatenate(positions)
-    drawn = used(everywhere, stacked)
-    welded = np.zeros(len(everywhere), dtype=np.int64)
-    welded[drawn] = _weld(everywhere[drawn])
     corners, places = welded[stacked], everywhere[stacked]
     count = int(corners.max()) + 1
     ends = corners, corners[:, [1, 2, 0]]
@@ -299,14 +294,9 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
     the result does not depend on the triangulation of flat polygons.
     """
-    starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
-    positions = np.concatenate([piece.positions for piece in pieces])
-    faces = np.concatenate(
-        [piece.faces + start for piece, start in zip(pieces, starts, strict=False)]
+    positions, faces, welded, starts = _stacked(
+        [piece.positions for piece in pieces], [piece.faces for piece in pieces]
     )
-    drawn = used(positions, faces)
-    welded = np.zeros(len(positions), dtype=np.int64)
-    welded[drawn] = _weld(positions[drawn])
     faces = _wind_consistently(faces, welded[faces], positions, name)
 
     corners = positions[faces]
@@ -330,6 +320,20 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     for piece, start, each in zip(pieces, starts, np.split(faces, ends[:-1]), strict=False):
         piece.faces = each - start
         piece.normals = normals[welded[start : start + len(piece.positions)]]
+
+
+def _stacked(
+    positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the vertices and the faces of all parts, an index for each position that faces use,
+    see :func:`_weld`, and the first vertex of each part."""
+    starts = np.cumsum([0, *map(len, positions)])
+    places = np.concatenate(positions)
+    stacked = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
+    drawn = used(places, stacked)
+    welded = np.zeros(len(places), dtype=np.int64)
+    welded[drawn] = _weld(places[drawn])
+    return places, stacked, welded, starts
 
 
 def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
