@@ -19,7 +19,6 @@ from facerender.errors import (
     check_type,
     clipped,
     each_of,
-    reason,
     shown,
     warn,
 )
@@ -27,10 +26,11 @@ from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
-from facerender.scenes.vectors import check_array
+from facerender.scenes.vectors import check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
+_OF_ROOT = ("faces", "uv", "colors", "occlusion", "uv2")  # arrays that all poses of a part share
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,10 @@ class Part:
         None; camera framing uses them
     name : name from the file, or ""; see docs/formats.md
     skin : False for eyes, lashes, teeth and hair, by the names of the part and its material
+    sources : (N,) index of each vertex in the vertices of the mesh's file or arrays, which texture
+        seams do not split; None if each vertex of the part has its own
+    source_count : number of these vertices of the file or arrays
+    rest : the part in the reference pose, if this part is in another pose, else None
     """
 
     positions: NDArray[np.float64]
@@ -64,13 +68,20 @@ class Part:
     head: NDArray[np.float64] | None = None
     name: str = ""
     skin: bool = True
+    sources: NDArray[np.integer] | None = None
+    source_count: int = 0
+    rest: Part | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
+        check_type("rest of a part", self.rest, Part | None, "a Part or None")
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
-        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)):
+        for name, columns in (
+            *(("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)),
+            ("sources", 0),
+        ):
             if (values := getattr(self, name)) is not None:
                 check_array(name, values, columns)
         if self.uv is None and self.uv2 is not None:
@@ -82,6 +93,14 @@ class Part:
         ]
         counts = f"{len(self.positions)} vertices, {len(self.faces)} triangles"
         return f"<Part {', '.join([repr(self.name), counts, *has])}>"
+
+    @property
+    def root(self) -> Part:
+        """The part in the reference pose. All poses of a part have one root, under which caches
+        store what does not depend on the pose."""
+        rest = self.rest
+        same = rest is not None and all(getattr(self, n) is getattr(rest, n) for n in _OF_ROOT)
+        return rest if same and rest is not None else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +140,9 @@ class Mesh:
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
     regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
         from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
+    rest : the mesh in the reference pose, if this mesh is in another pose, else None. In another
+        pose, bounds, profile and regions are those of the reference pose, so that cameras stay, and
+        the radius may be larger; see :meth:`with_positions` and :meth:`tracked`
     """
 
     name: str
@@ -131,6 +153,7 @@ class Mesh:
     profile: NDArray[np.float64]
     millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
     regions: Mapping[str, Region | None] | None = None
+    rest: Mesh | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a mesh", self.name, str, "text")
@@ -261,8 +284,8 @@ class Mesh:
         InputError : no part matches a name, or no part remains
         """
         wanted, hidden = names_of("parts", parts), names_of("hide", hide)
-        chosen = {i for name in wanted for i in self._called(name)} or {*range(len(self.parts))}
-        left = sorted(chosen - {i for name in hidden for i in self._called(name)})
+        chosen = {i for name in wanted for i in self.called(name)} or {*range(len(self.parts))}
+        left = sorted(chosen - {i for name in hidden for i in self.called(name)})
         if not left:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(left) == len(self.parts):
@@ -274,7 +297,7 @@ class Mesh:
             self.millimetres,
         )
 
-    def _called(self, name: str) -> list[int]:
+    def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
         pairs = enumerate(part.name for part in self.parts)
         if not (found := [i for i, own in pairs if own == name or fnmatchcase(own, name)]):
@@ -328,7 +351,7 @@ class Mesh:
         InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
         names = names_of("parts", parts)
-        chosen = {i for name in names for i in self._called(name)} or {*range(len(self.parts))}
+        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
         table = changes if preset is None else {"preset": preset, **changes}
         return self._changed(chosen, table)
 
@@ -336,6 +359,45 @@ class Mesh:
         """Return a copy of the mesh in which ``changes`` replace fields of the skin's materials;
         see :attr:`skin` and :meth:`with_material`."""
         return self._changed(self.skin, changes)
+
+    def with_positions(self, positions: Any, normals: Any = None) -> Mesh:
+        """Return the mesh in another pose: moved vertices, with the same triangles, texture
+        coordinates and materials.
+
+        A renderer only updates its vertex buffers. Cameras frame the reference pose, which is the
+        mesh of the first call, so that the image stays while the face moves; see :meth:`tracked`.
+
+        Parameters
+        ----------
+        positions : (N, 3), a row for each vertex of the file or arrays from which the mesh was
+            made, or for each vertex of all parts in order. Or an array for each part, as a list, or
+            as a mapping by part name; parts without an array (None) stay as they are
+        normals : like positions, vectors of any length. None to compute them: area-weighted means
+            of face normals, also across texture seams and parts. Creases of the reference pose
+            remain creases
+
+        Raises
+        ------
+        InputError : a shape is wrong, values are not finite numbers, no part has a name, or a
+            vertex is more than 1e6 mesh radii from the centre
+
+        Warns
+        -----
+        FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
+        """
+        from facerender.scenes.pose import moved, rows_of_parts
+
+        places = rows_of_parts(self, "positions", positions)
+        given = rows_of_parts(self, "normals", normals)
+        return moved(self, places, given)
+
+    def tracked(self) -> Mesh:
+        """Return the mesh with a camera framing that follows the head: orbiting cameras move by the
+        median displacement of the head's vertices from the reference pose. If no head is found, all
+        vertices count. A mesh in the reference pose is returned unchanged."""
+        from facerender.scenes.pose import tracked
+
+        return tracked(self)
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
         new = {i: changed(self.materials[i], changes) for i in chosen}
@@ -460,8 +522,8 @@ def _piece_of(
     material: Material | None,
 ) -> Piece:
     check_type("material", material, Material | None, "a facerender.Material or None")
-    places = _rows("positions", positions, (3,))
-    corners = _rows("faces", faces, (3,), "; cut polygons into triangles")
+    places = rows_of("positions", positions, (3,))
+    corners = rows_of("faces", faces, (3,), "; cut polygons into triangles")
     count = len(places)
     if (corners != np.floor(corners)).any():
         raise InputError("faces are not whole numbers: give vertex indices")
@@ -476,46 +538,15 @@ def _piece_of(
     return Piece(
         places,
         corners.astype(np.int64),
-        None if normals is None else _rows("normals", normals, (3,), count=count),
-        None if uv is None else _rows("uv", uv, (2,), count=count),
+        None if normals is None else rows_of("normals", normals, (3,), count=count),
+        None if uv is None else rows_of("uv", uv, (2,), count=count),
         None if colors is None else _linear_colors(colors, count),
         material,
     )
 
 
-def _rows(
-    name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
-) -> NDArray[np.float64]:
-    """Return a float64 copy of an array. Check its shape, and that all its numbers are finite.
-
-    widths : allowed numbers of columns
-    count : required number of rows; None for any
-    """
-    try:
-        values = np.asarray(array)
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
-    if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
-        wanted = " or ".join(map(str, widths))
-        raise InputError(
-            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {wanted} "
-            f"numbers{hint}"
-        )
-    if not len(values) or count not in (None, len(values)):
-        wanted = f"{count}, one for each vertex" if count else "at least one"
-        raise InputError(f"{name} has {len(values)} rows: give {wanted}")
-    rows = np.array(values, dtype=np.float64)
-    if not (finite := np.isfinite(rows).all(axis=1)).all():
-        bad = int(finite.argmin())
-        raise InputError(
-            f"{name}[{bad}] = {rows[bad].tolist()}: {int((~finite).sum())} rows are not finite; "
-            "leave them out"
-        )
-    return rows
-
-
 def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
-    rows = _rows("colors", colors, (3, 4), count=count)[:, :3]
+    rows = rows_of("colors", colors, (3, 4), count=count)[:, :3]
     dtype = np.asarray(colors).dtype
     if dtype in (np.uint8, np.uint16):
         return srgb_to_linear(rows / np.iinfo(dtype).max)

@@ -136,9 +136,9 @@ def are_closed(
     positions : (N, 3) for each part
     faces : (F, 3) for each part
     """
-    everywhere, stacked, welded, _ = _stacked(positions, faces)
+    everywhere, joint, welded, _ = stacked(positions, faces)
     own = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
-    corners, places = welded[stacked], everywhere[stacked]
+    corners, places = welded[joint], everywhere[joint]
     count = int(corners.max()) + 1
     ends = corners, corners[:, [1, 2, 0]]
     edges, backwards = ((a * count + b).ravel() for a, b in (ends, ends[::-1]))
@@ -294,7 +294,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
     the result does not depend on the triangulation of flat polygons.
     """
-    positions, faces, welded, starts = _stacked(
+    positions, faces, welded, starts = stacked(
         [piece.positions for piece in pieces], [piece.faces for piece in pieces]
     )
     faces = _wind_consistently(faces, welded[faces], positions, name)
@@ -322,18 +322,18 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
         piece.normals = normals[welded[start : start + len(piece.positions)]]
 
 
-def _stacked(
+def stacked(
     positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the vertices and the faces of all parts, an index for each position that faces use,
     see :func:`_weld`, and the first vertex of each part."""
     starts = np.cumsum([0, *map(len, positions)])
     places = np.concatenate(positions)
-    stacked = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
-    drawn = used(places, stacked)
+    joint = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
+    drawn = used(places, joint)
     welded = np.zeros(len(places), dtype=np.int64)
     welded[drawn] = _weld(places[drawn])
-    return places, stacked, welded, starts
+    return places, joint, welded, starts
 
 
 def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
