@@ -16,6 +16,7 @@ Job             a scene with its outputs as plain data, for files and other mach
 Frame, GBuffer  results of a renderer
 compare         returns whether two images match, and why not; shifted moves the image of a scene
 plan            finds the cheapest Shading within an error budget
+Landmarks       points on a mesh; load_landmarks reads a file, Renderer.landmarks finds their pixels
 load_cameras    reads cameras from a file; turntable returns cameras around a mesh
 save_animation  writes .gif, .webp or .mp4
 brdf, lobes     the reference functions in float64
@@ -62,6 +63,8 @@ if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama as Panorama
     from facerender.scenes.file import EnvironmentFile as EnvironmentFile
     from facerender.scenes.file import load_scene as load_scene
+    from facerender.scenes.landmarks import Landmarks as Landmarks
+    from facerender.scenes.landmarks import load_landmarks as load_landmarks
     from facerender.scenes.light import Light as Light
     from facerender.scenes.lod import simplified as simplified
     from facerender.scenes.material import Material as Material
@@ -93,6 +96,7 @@ _HOMES = {
     "scenes.environment": ("Environment", "Panorama"),
     "scenes.file": ("EnvironmentFile", "load_scene"),
     "scenes.lod": ("simplified",),
+    "scenes.landmarks": ("Landmarks", "load_landmarks"),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),
     "scenes.mesh": ("Mesh",),

@@ -1,0 +1,140 @@
+"""Motion vectors: the displacement of the visible surface points since the frame before. The driver
+only finds the visible triangles; the displacements are computed in float64."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.transparency import mask_features, unblended
+from facerender.drawing.program import Program, part_uniforms, surface_features
+from facerender.drawing.resolve import ResolvedScene
+from facerender.errors import InputError
+from facerender.scenes.landmarks import projected
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View
+
+Float = NDArray[np.float64]
+
+_IN_ROW = 4096  # triangles per unit of the second channel that depth.frag writes
+# Displacements are rounded to 1e-6 pixels, because two poses of one mesh may use renderer's spaces
+# of different radius. Rounding errors of float64 then leave static points at 0.
+_DIGITS = 6
+_XYW = [0, 1, 3]  # indices of clip x, y and w
+
+
+def check_before(scene: Scene) -> Scene:
+    """Return the scene in the frame before.
+
+    Raises
+    ------
+    InputError : there is none, or its mesh has other triangles
+    """
+    if (before := scene.before) is None:
+        raise InputError(
+            f"motion of {scene.mesh.name} needs the frame before: give the scene before = the scene "
+            "of that frame"
+        )
+    own, other = ([part.faces for part in each.mesh.parts] for each in (scene, before))
+    pairs = zip(own, other, strict=False)
+    if len(own) != len(other) or not all(a is b or np.array_equal(a, b) for a, b in pairs):
+        raise InputError(
+            f"{scene.mesh.name} and {before.mesh.name} of the frame before have different "
+            "triangles: give two poses of one mesh, from Mesh.with_positions"
+        )
+    return before
+
+
+def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
+    """Return the pass that draws the visible triangle at the centre of each pixel: the index of the
+    part plus 1, and two channels with the index of the triangle in the part."""
+    scene, shading = resolved.scene, resolved.shading
+    draws = [
+        Draw(
+            Program(
+                "depth.frag",
+                features=(*mask_features(surface_features(part, material, shading)), "TRIANGLE"),
+            ),
+            {**part_uniforms(part, material), "part": number},
+            part,
+            material,
+            double_sided=material.double_sided,
+        )
+        for number, (part, material) in enumerate(
+            zip(scene.mesh.parts, scene.mesh.materials, strict=True), 1
+        )
+    ]
+    uniforms = {"view_projection": view.matrix}
+    return Pass("triangles", Target(), unblended(scene, draws), uniforms=uniforms)
+
+
+def motion_vectors(
+    scene: Scene, before: Scene, views: tuple[View, View], triangles: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
+
+    Parameters
+    ----------
+    before : the result of :func:`check_before`
+    views : the camera of this frame, and that of the frame before
+    triangles : (H, W, 4), the image of :func:`triangle_pass`
+    """
+    height, width = triangles.shape[:2]
+    size = width, height
+    seen = triangles.reshape(-1, 4)
+    image = np.zeros_like(seen)
+    shown = np.flatnonzero(seen[:, 0])
+    numbers = seen[shown, 0].astype(np.int64) - 1
+    for number in np.unique(numbers):
+        pixels = shown[numbers == number]
+        index = (seen[pixels, 1] * _IN_ROW + seen[pixels, 2]).astype(np.int64)
+        visible, index = np.unique(index, return_inverse=True)
+        faces = scene.mesh.parts[number].faces[visible]
+        corners, old = (each.mesh.parts[number].positions[faces] for each in (scene, before))
+        weights = _weights(views[0], scene.mesh, corners, index, pixels, size)
+        now, _ = projected(views[0], scene.mesh, _mean(corners, index, weights), size)
+        then, _ = projected(views[1], before.mesh, _mean(old, index, weights), size)
+        moved = np.round(now - then, _DIGITS) + 0.0  # no -0
+        known = np.isfinite(moved).all(axis=1)
+        image[pixels[known], :2] = moved[known]
+        image[pixels[known], 3] = 1.0
+    return image.reshape(triangles.shape)
+
+
+def _weights(
+    view: View,
+    mesh: Mesh,
+    corners: Float,
+    index: NDArray[np.int64],
+    pixels: NDArray[np.int64],
+    size: tuple[int, int],
+) -> Float:
+    """Return the barycentric coordinates (N, 3) of the triangles' points at the centres of pixels.
+
+    The ray of a pixel meets a triangle at the weights det(p, b, c), det(p, c, a) and det(p, a, b),
+    divided by their sum, for homogeneous image points p of the pixel and a, b, c of the corners
+    (Olano and Greer 1997). A driver rounds corners to 1/256 pixel, so that the ray may miss the
+    triangle: negative weights become 0.
+
+    Parameters
+    ----------
+    corners : (T, 3, 3), corners of triangles in mesh space
+    index : (N,), triangle of each pixel
+    pixels : (N,), indices of pixels in an image of the given size
+    """
+    places = mesh.normalised(corners)
+    a, b, c = (places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW]).swapaxes(0, 1)
+    edges = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)[index]
+    row, column = np.divmod(pixels, size[0])
+    x, y = (2.0 * column + 1.0) / size[0] - 1.0, (2.0 * row + 1.0) / size[1] - 1.0
+    weights = edges[..., 0] * x[:, None] + edges[..., 1] * y[:, None] + edges[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.maximum(weights / weights.sum(axis=1, keepdims=True), 0.0)
+    weights[~np.isfinite(weights).all(axis=1)] = 1.0  # exactly edge-on
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _mean(corners: Float, index: NDArray[np.int64], weights: Float) -> Float:
+    return np.asarray(np.einsum("nij,ni->nj", corners[index], weights))
