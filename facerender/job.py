@@ -171,6 +171,7 @@ class Job:
     planned : images for which the shading was planned, with their level of detail; or None
     image : settings of the renderer
     outputs : image files
+    landmarks : path of a landmark file, or None; see :func:`facerender.load_landmarks`
 
     Raises
     ------
@@ -189,6 +190,7 @@ class Job:
     outputs: tuple[Output, ...] = ()
     environment: EnvironmentFile | None = None
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    landmarks: str | None = None
 
     def __post_init__(self) -> None:
         check_type("mesh", self.mesh, MeshFile, "a MeshFile")
@@ -202,6 +204,9 @@ class Job:
             values, remedy = getattr(self, name), f"a list of {each.__name__}"
             check_type(name, values, list | tuple, remedy)
             object.__setattr__(self, name, each_of(name, values, each, remedy))
+        if self.landmarks is not None:
+            check_path("landmarks", self.landmarks)
+            object.__setattr__(self, "landmarks", os.fspath(self.landmarks))
         from_table(Material, "material", self.material, without=MAPS)  # only to validate
         material = {
             name: tuple(value) if isinstance(value, list | tuple) else value
@@ -277,6 +282,7 @@ class Job:
             "shading": self.shading.as_dict(),
             **({"planned": _plain(self.planned)} if self.planned else {}),
             "image": _plain(self.image),
+            **({"landmarks": self.landmarks} if self.landmarks else {}),
             "outputs": [_plain(output) for output in self.outputs],
         }
 
@@ -295,7 +301,7 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs"]
+        known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs", "landmarks"]
         values: dict[str, Any] = {}
         for key, value in tables.items():
             if key not in known:
@@ -306,6 +312,8 @@ class Job:
             elif key == "outputs":
                 check_type(key, value, list, "a list of tables")
                 values[key] = tuple(from_table(Output, key, each) for each in value)
+            elif key == "landmarks":
+                values[key] = value
             else:
                 values[key] = scene_value(key, value)
         if "shading" in values:
@@ -315,7 +323,8 @@ class Job:
     def toml(self) -> str:
         """Return the job as the text of a TOML file."""
         tables = self.as_dict()
-        head = {key: tables.pop(key) for key in ("ambient", "background")}
+        plain = ("ambient", "background", "landmarks")
+        head = {key: tables.pop(key) for key in plain if key in tables}
         blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]
         for key, table in tables.items():
             if isinstance(table, list):

@@ -10,6 +10,7 @@ from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.transparency import mask_features, unblended
 from facerender.drawing.program import Program, part_uniforms, surface_features
 from facerender.drawing.resolve import ResolvedScene
+from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
 from facerender.scenes.landmarks import projected
 from facerender.scenes.mesh import Mesh
@@ -49,29 +50,28 @@ def check_before(scene: Scene) -> Scene:
 
 def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
     """Return the pass that draws the visible triangle at the centre of each pixel: the index of the
-    part plus 1, and two channels with the index of the triangle in the part."""
+    part plus 1, and two channels with the index of the triangle in drawing order."""
     scene, shading = resolved.scene, resolved.shading
-    draws = [
-        Draw(
-            Program(
-                "depth.frag",
-                features=(*mask_features(surface_features(part, material, shading)), "TRIANGLE"),
-            ),
-            {**part_uniforms(part, material), "part": number},
-            part,
-            material,
-            double_sided=material.double_sided,
-        )
-        for number, (part, material) in enumerate(
-            zip(scene.mesh.parts, scene.mesh.materials, strict=True), 1
-        )
-    ]
+    draws = []
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    for number, (part, material) in enumerate(parts, 1):
+        features = mask_features(surface_features(part, material, shading))
+        program = Program("depth.frag", features=(*features, "TRIANGLE"))
+        uniforms, order = {**part_uniforms(part, material), "part": number}, None
+        if material.double_sided is False:
+            order = triangle_setup_of(part, scene.mesh).facing(view.position)
+        sided = material.double_sided
+        draws.append(Draw(program, uniforms, part, material, order=order, double_sided=sided))
     uniforms = {"view_projection": view.matrix}
     return Pass("triangles", Target(), unblended(scene, draws), uniforms=uniforms)
 
 
 def motion_vectors(
-    scene: Scene, before: Scene, views: tuple[View, View], triangles: NDArray[np.float32]
+    scene: Scene,
+    before: Scene,
+    views: tuple[View, View],
+    drawn: Pass,
+    triangles: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
 
@@ -79,20 +79,24 @@ def motion_vectors(
     ----------
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
-    triangles : (H, W, 4), the image of :func:`triangle_pass`
+    drawn, triangles : the result of :func:`triangle_pass`, and its image (H, W, 4)
     """
     height, width = triangles.shape[:2]
     size = width, height
     seen = triangles.reshape(-1, 4)
     image = np.zeros_like(seen)
     shown = np.flatnonzero(seen[:, 0])
-    numbers = seen[shown, 0].astype(np.int64) - 1
-    for number in np.unique(numbers):
-        pixels = shown[numbers == number]
+    owners = seen[shown, 0]
+    for draw in drawn.draws:
+        number = draw.uniforms["part"]
+        pixels = shown[owners == number]
+        if not len(pixels):
+            continue
         index = (seen[pixels, 1] * _IN_ROW + seen[pixels, 2]).astype(np.int64)
-        visible, index = np.unique(index, return_inverse=True)
-        faces = scene.mesh.parts[number].faces[visible]
-        corners, old = (each.mesh.parts[number].positions[faces] for each in (scene, before))
+        index = index if draw.order is None else draw.order[index]
+        own, other = (each.mesh.parts[number - 1] for each in (scene, before))
+        visible, index = _unique(index, len(own.faces))
+        corners, old = (each.positions[own.faces[visible]] for each in (own, other))
         weights = _weights(views[0], scene.mesh, corners, index, pixels, size)
         now, _ = projected(views[0], scene.mesh, _mean(corners, index, weights), size)
         then, _ = projected(views[1], before.mesh, _mean(old, index, weights), size)
@@ -103,6 +107,16 @@ def motion_vectors(
     return image.reshape(triangles.shape)
 
 
+def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the different values of indices below `count`, and the indices into these values.
+    np.unique takes ten times as long."""
+    place = np.zeros(count, dtype=np.int64)
+    place[index] = 1
+    found = np.flatnonzero(place)
+    place[found] = np.arange(len(found))
+    return found, place[index]
+
+
 def _weights(
     view: View,
     mesh: Mesh,
@@ -111,7 +125,7 @@ def _weights(
     pixels: NDArray[np.int64],
     size: tuple[int, int],
 ) -> Float:
-    """Return the barycentric coordinates (N, 3) of the triangles' points at the centres of pixels.
+    """Return the barycentric coordinates (3, N) of the triangles' points at the centres of pixels.
 
     The ray of a pixel meets a triangle at the weights det(p, b, c), det(p, c, a) and det(p, a, b),
     divided by their sum, for homogeneous image points p of the pixel and a, b, c of the corners
@@ -125,16 +139,23 @@ def _weights(
     pixels : (N,), indices of pixels in an image of the given size
     """
     places = mesh.normalised(corners)
-    a, b, c = (places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW]).swapaxes(0, 1)
-    edges = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)[index]
+    a, b, c = np.moveaxis(places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
     row, column = np.divmod(pixels, size[0])
     x, y = (2.0 * column + 1.0) / size[0] - 1.0, (2.0 * row + 1.0) / size[1] - 1.0
-    weights = edges[..., 0] * x[:, None] + edges[..., 1] * y[:, None] + edges[..., 2]
+    weights = np.empty((3, len(pixels)))
+    for own, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
+        np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=own)
+        own += (p[2] * q[0] - p[0] * q[2])[index] * y
+        own += (p[0] * q[1] - p[1] * q[0])[index]
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = np.maximum(weights / weights.sum(axis=1, keepdims=True), 0.0)
-    weights[~np.isfinite(weights).all(axis=1)] = 1.0  # exactly edge-on
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        weights = np.maximum(weights / weights.sum(axis=0), 0.0)
+    weights[:, ~np.isfinite(weights).all(axis=0)] = 1.0  # exactly edge-on
+    return np.asarray(weights / weights.sum(axis=0))
 
 
 def _mean(corners: Float, index: NDArray[np.int64], weights: Float) -> Float:
-    return np.asarray(np.einsum("nij,ni->nj", corners[index], weights))
+    """Return the weighted means (N, 3) of the corners of triangles."""
+    means = np.zeros((len(index), 3))
+    for own, weight in enumerate(weights):
+        means += np.take(corners[:, own], index, axis=0) * weight[:, None]
+    return means

@@ -277,8 +277,8 @@ class Renderer:
         before, aspect = check_before(scene), self.size[0] / self.size[1]
         views = view_of(scene, aspect), view_of(before, aspect)
         resolved = self._resolved(scene, shading, views[0], 1)
-        (triangles,) = self._draw([triangle_pass(resolved, views[0])], resolved.scene)
-        return motion_vectors(scene, before, views, triangles)
+        drawn = triangle_pass(resolved, views[0])
+        return motion_vectors(scene, before, views, drawn, *self._draw([drawn], resolved.scene))
 
     def landmarks(
         self, scene: Scene, landmarks: Landmarks
