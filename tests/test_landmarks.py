@@ -239,8 +239,8 @@ def test_nose_neck_and_cheeks(skull, renderer):
     landmarks = nearest(skull, nose, back, left, right)
     for azimuth, expected in (
         (0.0, [True, False, True, True]),
-        (90.0, [True, False, True, False]),
-        (-90.0, [True, False, False, True]),
+        (80.0, [True, False, True, False]),
+        (-80.0, [True, False, False, True]),
         (180.0, [False, True, False, False]),
     ):
         scene = fr.Scene(skull, fr.Camera(azimuth))
@@ -253,13 +253,23 @@ def test_nose_neck_and_cheeks(skull, renderer):
 
 
 def test_landmarks_on_silhouettes_do_not_flicker(skull, renderer):
-    """In profile, the tip of the nose is on the silhouette."""
-    landmarks = nearest(skull, nose_of(skull))
-    for camera in (fr.Camera(90.0 + turn, tilt) for turn in np.arange(-5, 6) for tilt in (0, 3)):
-        for shift in np.random.default_rng(0).uniform(-1.0, 1.0, (3, 2)):
-            scene = fr.shifted(fr.Scene(skull, camera), *shift, renderer.size)
-            if camera.azimuth <= 90.0:  # the tip faces the camera, or is on the silhouette
-                assert renderer.landmarks(scene, landmarks)[2].all(), (camera, shift)
+    """Points that are nearly edge-on stay visible wherever the grid of pixels lies."""
+    scene, surface = fr.Scene(skull, fr.Camera(80.0, 5.0)), Surface.of(skull)
+    points, own = surface.points(20000, seed=4)
+    view = fr.view_of(scene, 1.0)
+    a, b, c = surface.corners[own].transpose(1, 0, 2)
+    normals, rays = np.cross(b - a, c - a), skull.to_mesh_space(view.position) - points
+    facing = (normals * rays).sum(axis=1)
+    facing /= np.linalg.norm(normals, axis=1) * np.linalg.norm(rays, axis=1)
+    slanted = (facing > 0.0) & (facing < 0.1)
+    matrices = camera_of(scene, renderer.size)
+    _, index, _ = surface.hit(by_opencv(points[slanted], matrices), matrices)
+    rim = points[slanted][index == own[slanted]]
+    assert len(rim) > 200
+    for shift in np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2)):
+        moved = fr.shifted(scene, *shift, renderer.size)
+        image = renderer.render(moved, only="depth").linear
+        assert located(fr.view_of(moved, 1.0), skull, rim, image)[2].mean() > 0.995
 
 
 def test_landmarks_outside_the_image(skull, renderer):
@@ -311,11 +321,12 @@ def test_hollows_and_slopes(renderer):
     also at the border of the image; a surface two pixels behind another is hidden."""
     x = np.linspace(-1.0, 1.0, 9)
     size = renderer.size[0]
+    cells = np.arange(8)[:, None] * 2
+    faces = np.concatenate([cells + (0, 3, 1), cells + (0, 2, 3)])
+    flat = fr.Mesh.from_arrays([(a, y, 0.0) for a in x for y in (-1.0, 1.0)], faces)
     for slope, bend in ((0.0, 0.0), (4.0, 0.0), (-4.0, 0.0), (0.0, 1.0)):
         rows = [(a, y, slope * a + bend * abs(a)) for a in x for y in (-1.0, 1.0)]
-        cells = np.arange(8)[:, None] * 2
-        faces = np.concatenate([cells + (0, 2, 3), cells + (0, 3, 1)])
-        mesh = fr.Mesh.from_arrays(rows, faces).with_material(double_sided=True)
+        mesh = flat.with_positions(rows).with_material(double_sided=True)
         eye = fr.Camera(position=(0.0, 0.0, 30.0), target=(0.0, 0.0, 0.0), fov=3.0)
         scene = fr.Scene(mesh, eye)
         points = np.random.default_rng(2).uniform(-1.0, 1.0, (3000, 3))
@@ -373,6 +384,6 @@ def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path
     path = written(tmp_path, landmarks.vertices[:, 0].tolist())
     image = fr.ImageSettings(size=renderer.size, samples=1)
     job = fr.Job(image=image, landmarks=str(path))
-    planned = replace(job, planned=Planned((renderer.size,), 1, triangles=4000))
+    planned = replace(job, planned=Planned((renderer.size,), 1, triangles=4001))
     facts = [draw(each, skull, renderer, ("mask",), 0.0).facts for each in (job, planned)]
     assert facts[0]["landmarks"] == facts[1]["landmarks"]
