@@ -301,7 +301,8 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs", "landmarks"]
+        known = [each for each in KEYS if each != "cameras"]
+        known += ["mesh", "image", "landmarks", "outputs"]
         values: dict[str, Any] = {}
         for key, value in tables.items():
             if key not in known:

@@ -98,8 +98,7 @@ def test_numbers_count_the_vertices_of_the_file():
         for own, corners, name in zip(cells, faces, "ab", strict=True)
     ]
     parts = [
-        replace(part, sources=own, source_count=6)
-        for part, own in zip(pairs, cells, strict=True)
+        replace(part, sources=own, source_count=6) for part, own in zip(pairs, cells, strict=True)
     ]
     mesh = fr.Mesh.of("split", parts, [fr.Material()] * 2)
     every = fr.Landmarks(tuple("uvwxyz"), np.arange(6)[:, None] + [0] * 3, np.eye(3)[[0] * 6])
@@ -334,7 +333,7 @@ def test_hollows_and_slopes(renderer):
         points[:, 2] = slope * points[:, 0] + bend * np.abs(points[:, 0])
         image = renderer.render(scene, only="depth").linear
         view = fr.view_of(scene, 1.0)
-        pixels, depth, visible = located(view, mesh, points, image)
+        pixels, _, visible = located(view, mesh, points, image)
         inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
         assert 500 < inside.sum() < 3000
         np.testing.assert_array_equal(visible, inside)

@@ -71,7 +71,8 @@ def draw(
     """Draw the outputs of a job; docs/batch.md describes their files.
 
     The image, the specular term, the diffuse term and motion take one draw each; all other outputs
-    share one draw. layers.exr has motion if the scene has a frame before. On the same OpenGL driver, the same job gives the same bytes.
+    share one draw. layers.exr has motion if the scene has a frame before. On the same OpenGL
+    driver, the same job gives the same bytes.
 
     Parameters
     ----------
@@ -197,7 +198,7 @@ def landmark_facts(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dict
     landmarks = load_landmarks(path)
     points = landmarks.positions(mesh)
     pixels, depths, visible = located(view, mesh, points, depth.linear)
-    places = np.where(np.isfinite(pixels), pixels, None).tolist()
+    places = [(x, y) if x == x else (None, None) for x, y in pixels.tolist()]
     rows = zip(landmarks.names, places, depths.tolist(), visible.tolist(), strict=True)
     return [{"name": n, "x": x, "y": y, "depth": d, "visible": v} for n, (x, y), d, v in rows]
 

@@ -35,8 +35,8 @@ def check_before(scene: Scene) -> Scene:
     """
     if (before := scene.before) is None:
         raise InputError(
-            f"motion of {scene.mesh.name} needs the frame before: give the scene before = the scene "
-            "of that frame"
+            f"motion of {scene.mesh.name} needs the frame before: give its Scene as before, or use "
+            "another term"
         )
     own, other = ([part.faces for part in each.mesh.parts] for each in (scene, before))
     pairs = zip(own, other, strict=False)
