@@ -44,7 +44,8 @@ _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
 
-_ARRAYS = tuple(each.name for each in fields(Part) if each.name not in ("name", "skin"))
+_PLAIN_FIELDS = ("name", "skin", "source_count")
+_ARRAYS = tuple(each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest"))
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "name": mesh.name,
         "parts": [
             {name: number(getattr(part, name)) for name in _ARRAYS}
-            | {"name": part.name, "skin": part.skin}
+            | {name: getattr(part, name) for name in _PLAIN_FIELDS}
             for part in mesh.parts
         ],
         "materials": [
@@ -254,7 +255,7 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
     return Mesh(
         facts["name"],
         tuple(
-            Part(**each, name=own["name"], skin=own["skin"])
+            Part(**each, **{name: own[name] for name in _PLAIN_FIELDS})
             for each, own in zip(columns, facts["parts"], strict=True)
         ),
         tuple(materials),

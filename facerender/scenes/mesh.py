@@ -223,6 +223,8 @@ class Mesh:
                 uv2=piece.uv2,
                 head=piece.head,
                 skin=piece.skin,
+                sources=piece.sources,
+                source_count=piece.source_count,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
         ]
@@ -235,6 +237,7 @@ class Mesh:
         faces: ArrayLike,
         *,
         uv: ArrayLike | None = None,
+        uv_faces: ArrayLike | None = None,
         normals: ArrayLike | None = None,
         colors: ArrayLike | None = None,
         material: Material | None = None,
@@ -250,7 +253,9 @@ class Mesh:
         ----------
         positions : (N, 3), y up
         faces : (F, 3) vertex indices from 0, counter-clockwise seen from outside
-        uv : (N, 2), v upwards; repeat the vertices of a seam for each side of the seam
+        uv : (N, 2), v upwards, one row for each vertex; or (M, 2) with uv_faces
+        uv_faces : (F, 3) indices of rows of uv for the corners of the faces, as in OBJ files; None
+            if uv has one row for each vertex
         normals : (N, 3), vectors of any length; None to compute smooth normals
         colors : (N, 3) or (N, 4): linear floats in [0, 1], or sRGB-encoded uint8 or uint16; alpha
             is dropped
@@ -264,7 +269,7 @@ class Mesh:
             maps without texture coordinates
         """
         check_type("name of a mesh", name, str, "text")
-        piece = _piece_of(positions, faces, uv, normals, colors, material)
+        piece = _piece_of(positions, faces, uv, uv_faces, normals, colors, material)
         piece.name = name
         with np.errstate(all="ignore"):  # clean() drops faces that cause overflow
             return cls.assembled(clean([piece], name), name, millimetres)
@@ -517,31 +522,70 @@ def _piece_of(
     positions: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike | None,
+    uv_faces: ArrayLike | None,
     normals: ArrayLike | None,
     colors: ArrayLike | None,
     material: Material | None,
 ) -> Piece:
     check_type("material", material, Material | None, "a facerender.Material or None")
     places = rows_of("positions", positions, (3,))
-    corners = rows_of("faces", faces, (3,), "; cut polygons into triangles")
     count = len(places)
-    if (corners != np.floor(corners)).any():
-        raise InputError("faces are not whole numbers: give vertex indices")
-    if ((corners < 0) | (corners >= count)).any():
-        bad = int(corners.min()) if (corners < 0).any() else int(corners.max())
-        raise InputError(f"a face uses vertex {bad} of {count}: give indices from 0 on")
+    corners = _indices("faces", faces, count, "vertex", "; cut polygons into triangles")
     if material is None:
         material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
     maps = [each for each in MAPS if getattr(material, each) is not None]
     if uv is None and maps:
         raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
-    return Piece(
+    if uv is None and uv_faces is not None:
+        raise InputError("uv_faces without uv: give uv as well")
+    piece = Piece(
         places,
-        corners.astype(np.int64),
+        corners,
         None if normals is None else rows_of("normals", normals, (3,), count=count),
-        None if uv is None else rows_of("uv", uv, (2,), count=count),
+        None,
         None if colors is None else _linear_colors(colors, count),
         material,
+    )
+    if uv_faces is not None and uv is not None:
+        rows = rows_of("uv", uv, (2,))
+        return _split_at_seams(piece, rows, _indices("uv_faces", uv_faces, len(rows), "row of uv"))
+    piece.uv = None if uv is None else rows_of("uv", uv, (2,), count=count)
+    return piece
+
+
+def _indices(
+    name: str, values: ArrayLike, count: int, what: str, hint: str = ""
+) -> NDArray[np.int64]:
+    """Return indices (F, 3) in [0, count) from an array or nested lists."""
+    rows = rows_of(name, values, (3,), hint)
+    if (rows != np.floor(rows)).any():
+        raise InputError(f"{name} are not whole numbers: give indices")
+    if ((rows < 0) | (rows >= count)).any():
+        bad = int(rows.min()) if (rows < 0).any() else int(rows.max())
+        raise InputError(f"{name} use {what} {bad} of {count}: give indices from 0 on")
+    return rows.astype(np.int64)
+
+
+def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.int64]) -> Piece:
+    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses."""
+    if len(uv_faces) != len(piece.faces):
+        raise InputError(
+            f"uv_faces has {len(uv_faces)} rows: give {len(piece.faces)}, one for each face"
+        )
+    pairs = piece.faces * len(uv) + uv_faces
+    used_pairs, corners = np.unique(pairs, return_inverse=True)
+    sources, rows = np.divmod(used_pairs, len(uv))
+    per_vertex: dict[str, Any] = {
+        name: None if (values := getattr(piece, name)) is None else values[sources]
+        for name in ("positions", "normals", "colors")
+    }
+    return replace(
+        piece,
+        **per_vertex,
+        faces=corners.reshape(-1, 3),
+        uv=uv[rows],
+        sources=sources,
+        source_count=len(piece.positions),
     )
 
 

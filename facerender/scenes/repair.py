@@ -30,7 +30,7 @@ class Piece:
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head, skin : see :class:`facerender.scenes.mesh.Part`
+    head, skin, sources, source_count : see :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -45,6 +45,8 @@ class Piece:
     material_name: str = ""
     head: NDArray[np.float64] | None = None
     skin: bool = True
+    sources: NDArray[np.integer] | None = None
+    source_count: int = 0
 
 
 def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> NDArray[np.int64]:
