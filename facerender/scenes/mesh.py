@@ -149,8 +149,8 @@ class Mesh:
     regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
         from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
     rest : the mesh in the reference pose, if this mesh is in another pose, else None. Bounds,
-        profile and regions describe the reference pose, so that cameras stay; the radius may be larger. See
-        :meth:`with_positions` and :func:`facerender.tracked`
+        profile and regions describe the reference pose, so that cameras stay; the radius may be
+        larger. See :meth:`with_positions` and :func:`facerender.tracked`
     """
 
     name: str
