@@ -25,8 +25,10 @@ from facerender.errors import (
 )
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
+from facerender.scenes.pose import clips_of, posed, shapes_of
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
+from facerender.scenes.rig import Rig
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
@@ -52,6 +54,7 @@ class Part:
         None; camera framing uses them
     name : name from the file, or ""; see docs/formats.md
     skin : False for eyes, lashes, teeth and hair, by the names of the part and its material
+    rig : data of the poses of a glTF file; None for a part that cannot be posed
     """
 
     positions: NDArray[np.float64]
@@ -64,10 +67,12 @@ class Part:
     head: NDArray[np.float64] | None = None
     name: str = ""
     skin: bool = True
+    rig: Rig | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
+        check_type("rig of a part", self.rig, Rig | None, "a facerender.scenes.rig.Rig or None")
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
         for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)):
@@ -200,6 +205,7 @@ class Mesh:
                 uv2=piece.uv2,
                 head=piece.head,
                 skin=piece.skin,
+                rig=piece.rig,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
         ]
@@ -342,6 +348,55 @@ class Mesh:
         _warn_of_lobes(self.name, changes, new.values())
         materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
         return replace(self, materials=materials)
+
+    # --- poses -----------------------------------------------------------------------------------
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the morph targets of a glTF file: ``shape1``, ``shape2``... if it has none."""
+        return shapes_of(self.parts)
+
+    @property
+    def clips(self) -> dict[str, float]:
+        """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
+        ``clip2``... if they have none. Damaged animations are left out."""
+        return {each.name: each.duration for each in clips_of(self.parts) if not each.fault}
+
+    def with_pose(
+        self,
+        weights: Mapping[str, float] | None = None,
+        *,
+        clip: str | None = None,
+        time: float | None = None,
+    ) -> Mesh:
+        """Return a copy of the mesh in another pose. Triangles, materials and camera framing do
+        not change. Every pose starts from the pose in the file, also if this mesh has another one.
+
+        Parameters
+        ----------
+        weights : weights in [-100, 100] of morph targets, keyed by a name of :attr:`shapes`. They
+            override the weights of the clip and of the file, in all parts with this shape
+        clip : name of an animation, see :attr:`clips`; None: the first one if ``time`` is given,
+            otherwise the pose in the file
+        time : time in seconds, from 0 to the length of the clip; None: 0
+
+        Raises
+        ------
+        InputError : the mesh has no shapes and no clips, a name is unknown, a value is outside its
+            range, a clip or shape is damaged, or a vertex moves too far
+
+        Warns
+        -----
+        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored
+        """
+        return self._moved(*posed(self, weights, clip, time))
+
+    def _moved(
+        self, positions: Sequence[NDArray[np.float64]], normals: Sequence[NDArray[np.float64]]
+    ) -> Mesh:
+        rows = zip(self.parts, positions, normals, strict=True)
+        parts = tuple(replace(part, positions=p, normals=n) for part, p, n in rows)
+        return replace(self, parts=parts)
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
+from facerender.scenes.rig import Rig, transformed
 
 # Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
 # products of areas with positions neither overflow nor become 0 in float64.
@@ -30,7 +30,7 @@ class Piece:
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head, skin : see :class:`facerender.scenes.mesh.Part`
+    head, skin, rig : see :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -45,6 +45,7 @@ class Piece:
     material_name: str = ""
     head: NDArray[np.float64] | None = None
     skin: bool = True
+    rig: Rig | None = None
 
 
 def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -75,18 +76,9 @@ def check_count(count: int, name: str) -> None:
 
 def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
     """Return a piece transformed by a matrix (4, 4)."""
-    linear = transform[:3, :3]
-    determinant = float(np.linalg.det(linear)) if np.isfinite(transform).all() else 0.0
-    normals = None
-    if piece.normals is not None and determinant:
-        with suppress(np.linalg.LinAlgError):
-            normals = np.asarray(piece.normals, dtype=np.float64) @ np.linalg.inv(linear)
-    return replace(
-        piece,
-        positions=piece.positions @ linear.T + transform[:3, 3],
-        faces=piece.faces[:, ::-1] if determinant < 0.0 else piece.faces,
-        normals=normals,
-    )
+    positions, normals, mirrored = transformed(piece.positions, piece.normals, transform)
+    faces = piece.faces[:, ::-1] if mirrored else piece.faces
+    return replace(piece, positions=positions, faces=faces, normals=normals)
 
 
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
@@ -104,6 +96,8 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
         for piece in pieces:
             piece.faces = piece.faces[:, ::-1]
             piece.normals = -np.asarray(piece.normals)
+            if piece.rig is not None:
+                piece.rig = replace(piece.rig, sign=-1.0)
     return pieces
 
 
@@ -136,9 +130,9 @@ def are_closed(
     positions : (N, 3) for each part
     faces : (F, 3) for each part
     """
-    everywhere, stacked, welded, _ = _stacked(positions, faces)
+    everywhere, numbers, welded, _ = stacked(positions, faces)
     own = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
-    corners, places = welded[stacked], everywhere[stacked]
+    corners, places = welded[numbers], everywhere[numbers]
     count = int(corners.max()) + 1
     ends = corners, corners[:, [1, 2, 0]]
     edges, backwards = ((a * count + b).ravel() for a, b in (ends, ends[::-1]))
@@ -294,7 +288,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
     the result does not depend on the triangulation of flat polygons.
     """
-    positions, faces, welded, starts = _stacked(
+    positions, faces, welded, starts = stacked(
         [piece.positions for piece in pieces], [piece.faces for piece in pieces]
     )
     faces = _wind_consistently(faces, welded[faces], positions, name)
@@ -320,9 +314,33 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     for piece, start, each in zip(pieces, starts, np.split(faces, ends[:-1]), strict=False):
         piece.faces = each - start
         piece.normals = normals[welded[start : start + len(piece.positions)]]
+        if piece.rig is not None:
+            piece.rig = piece.rig.with_normals(piece.normals)
 
 
-def _stacked(
+def area_normals(
+    positions: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return unit normals of welded vertices, weighted by the areas of their faces; 0 for a vertex
+    whose faces have no area.
+
+    Parameters
+    ----------
+    positions : (N, 3)
+    faces : (F, 3), indices of positions
+    welded : (N,), index of the welded vertex of each position
+    """
+    unscaled = _face_normals(np.take(positions, faces, axis=0))
+    corners = welded[faces]
+    normals = np.zeros((int(welded.max()) + 1, 3))
+    for corner in corners.T:
+        for axis in range(3):
+            normals[:, axis] += np.bincount(corner, unscaled[:, axis], len(normals))
+    length = np.linalg.norm(normals, axis=1)
+    return normals / np.where(length > 0.0, length, 1.0)[:, None]
+
+
+def stacked(
     positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the vertices and the faces of all parts, an index for each position that faces use,
