@@ -4,6 +4,7 @@ complete the normals."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 _MOST_WEIGHT = 100.0  # largest absolute weight that a caller may give
 _MOST_NAMES = 300  # characters of the names in a message
 
-# Faces of all parts, and the shared positions of their vertices in the stored pose; see _welded.
-_Weld = tuple[NDArray[np.int64], NDArray[np.int64]]
+# Keyed by the first rig: faces of the parts, result of _welded.
+_Weld = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 _welds: WeakKeyDictionary[Rig, tuple[list[NDArray[Any]], _Weld]] = WeakKeyDictionary()
 
 
@@ -114,7 +115,7 @@ def _evaluated(
             behind[-1] = places
             if (lagging := rig.lagging(weights)) != weights:
                 lags = True
-                behind[-1], _ = _posed(mesh, part, rig, worlds, lagging)
+                behind[-1], _ = replace(rig, normals=None).posed(worlds, lagging)
         positions.append(places)
         normals.append(turned)
     return positions, _following(mesh, positions, behind, normals) if lags else normals
@@ -141,7 +142,7 @@ def _posed(
     unused = ~used(places, part.faces)
     if unused.any():
         places[unused] = part.positions[unused]
-    far = np.abs(mesh.normalised(np.array([places.min(axis=0), places.max(axis=0)]))).max()
+    far = float(np.abs(places - mesh.center).max()) / mesh.radius
     if not far <= MOST_RADII:
         raise InputError(
             f"the pose moves vertices of {mesh.name} to {far:.3g} mesh radii from its centre: "
@@ -152,7 +153,8 @@ def _posed(
 
 def _unit(vectors: Float, otherwise: Float) -> Float:
     """Return unit vectors; a vector whose length is 0 or not finite is replaced."""
-    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    x, y, z = vectors.T
+    length = np.sqrt(x * x + y * y + z * z)  # the bits of np.linalg.norm in less time
     good = np.isfinite(length) & (length > 0.0)
     unit: Float = vectors / length[:, None]
     if not good.all():
@@ -171,9 +173,9 @@ def _following(
     positions : (N, 3) for each part
     behind : positions of the same pose in which these shapes have their stored weights
     """
-    faces, welded = _welded(mesh)
+    corners, welded_corners, welded = _welded(mesh)
     after, before = (
-        area_normals(np.concatenate(each), faces, welded) for each in (positions, behind)
+        area_normals(np.concatenate(each), corners, welded_corners) for each in (positions, behind)
     )
     change = (after - before)[welded]
     ends = np.cumsum([len(each) for each in positions])[:-1]
@@ -183,8 +185,9 @@ def _following(
 
 
 def _welded(mesh: Mesh) -> _Weld:
-    """Return the faces of all parts (F, 3), and for each vertex the index of its position in the
-    stored pose. Parts may share positions."""
+    """Return the corners of all faces (3, F) as indices of the vertices of all parts and as indices
+    of their positions in the stored pose, and the latter index for each vertex. Parts may share
+    positions."""
     rigs = [part.rig for part in mesh.parts]
     first = next(rig for rig in rigs if rig is not None)
     faces = [part.faces for part in mesh.parts]
@@ -192,12 +195,11 @@ def _welded(mesh: Mesh) -> _Weld:
     if found is None or [*map(id, known)] != [*map(id, faces)]:
         worlds = first.skeleton.worlds({})
         stored = [
-            part.positions
-            if rig is None
-            else _posed(mesh, part, rig, worlds, rig.stored_weights)[0]
+            part.positions if rig is None else rig.posed(worlds, rig.stored_weights)[0]
             for part, rig in zip(mesh.parts, rigs, strict=True)
         ]
         _, corners, welded, _ = stacked(stored, faces)
-        found = corners, welded
+        corners = np.ascontiguousarray(corners.T)
+        found = corners, welded[corners], welded
         _welds[first] = faces, found
     return found

@@ -319,25 +319,26 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
 
 
 def area_normals(
-    positions: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64]
+    positions: NDArray[np.float64], corners: NDArray[np.int64], welded: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return unit normals of welded vertices, weighted by the areas of their faces; 0 for a vertex
-    whose faces have no area.
+    """Return unit normals of welded vertices (M, 3), weighted by the areas of their faces; 0 for a
+    vertex whose faces have no area.
 
     Parameters
     ----------
     positions : (N, 3)
-    faces : (F, 3), indices of positions
-    welded : (N,), index of the welded vertex of each position
+    corners : (3, F), the first, second and third vertices of the faces, as indices of positions
+    welded : (3, F), the same vertices as indices of welded vertices
     """
-    unscaled = _face_normals(np.take(positions, faces, axis=0))
-    corners = welded[faces]
-    normals = np.zeros((int(welded.max()) + 1, 3))
-    for corner in corners.T:
-        for axis in range(3):
-            normals[:, axis] += np.bincount(corner, unscaled[:, axis], len(normals))
-    length = np.linalg.norm(normals, axis=1)
-    return normals / np.where(length > 0.0, length, 1.0)[:, None]
+    columns = np.ascontiguousarray(positions.T)
+    a, b, c = (np.stack([each.take(own) for each in columns]) for own in corners)
+    b -= a
+    c -= a
+    faces = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    count = int(welded.max()) + 1
+    x, y, z = (sum(np.bincount(own, each, count) for own in welded) for each in faces)
+    length = np.sqrt(x * x + y * y + z * z)
+    return np.stack([x, y, z], axis=1) / np.where(length > 0.0, length, 1.0)[:, None]
 
 
 def stacked(
