@@ -3,8 +3,11 @@ specification with loops and with SciPy's rotations. The files resemble Khronos'
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable
+import time
+import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,11 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 import facerender as fr
-from tests.awkward_files import join_glb
+from facerender.commands import main
+from facerender.errors import InputError
+from tests import awkward_files as files
+from tests.awkward_files import assert_equal, join_glb
+from tests.conftest import wait_for_cache
 
 KINDS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
 KINDS["|u1"], KINDS["|i1"] = 5121, 5120
@@ -631,3 +638,479 @@ def test_poses_follow_the_specification(sample):
             assert_pose(pose.with_pose(given, clip=clip, time=at), file, given, number, at)
     given = dict(zip(mesh.shapes, (1.5, -0.5, 0.25), strict=False))
     assert_pose(mesh.with_pose(given), file, given, None, 0.0)
+
+
+# --- normals -------------------------------------------------------------------------------------
+
+
+def bulging(has_normals):
+    """Two tubes of one mesh that share a border. The targets of both have no normals; the first
+    target moves the border, too."""
+    places, faces, normals = tube(sectors=6)
+    file = Glb({"mesh": 0, "rotation": around("z", 30)[0].tolist(), "scale": [2, 2, 2]})
+    primitives = []
+    for shift in (0.0, 2.0):
+        own = np.asarray(places) + (0.0, shift, 0.0)
+        primitives.append(file.primitive(own, faces, normals if has_normals else None))
+        bulge = np.exp(-((own[:, 1:2] - 2.0) ** 2)) * normals
+        lifted = 0.3 * np.maximum(own[:, 1:2] - 3.0, 0.0) * (0.0, 0.0, 1.0)
+        primitives[-1]["targets"] = [{"POSITION": file.add(bulge)}, {"POSITION": file.add(lifted)}]
+    file.mesh(*primitives, extras={"targetNames": ["bulge", "lift"]}, weights=[0.0, 0.4])
+    file.clip((0, "rotation", [0, 1], around("x", 0, 90)))
+    return file
+
+
+def welded_normals(parts, places):
+    """Return unit normals weighted by area at each vertex of the parts. Vertices at one place of
+    ``places`` share a normal."""
+    sums: dict[tuple[float, ...], Any] = {}
+    keys = [[tuple(np.round(each, 5)) for each in own] for own in places]
+    for part, own in zip(parts, keys, strict=True):
+        for face in part.faces:
+            a, b, c = part.positions[face]
+            for i in face:
+                sums[own[i]] = sums.get(own[i], 0.0) + np.cross(b - a, c - a)
+    return [[sums[key] / np.linalg.norm(sums[key]) for key in own] for own in keys]
+
+
+@pytest.mark.parametrize("has_normals", [True, False])
+def test_normals_follow_targets_without_normals(has_normals):
+    mesh = bulging(has_normals).load()
+    stored = [part.positions for part in mesh.parts]
+    before = welded_normals(mesh.parts, stored)
+    pose = mesh.with_pose({"bulge": 0.5, "lift": 1.0})
+    after = welded_normals(pose.parts, stored)
+    for part, own, a, b in zip(pose.parts, mesh.parts, after, before, strict=True):
+        expected = own.normals + a - b
+        expected /= np.linalg.norm(expected, axis=1)[:, None]
+        np.testing.assert_allclose(part.normals, expected, atol=1e-6)
+    lower, upper = (part.normals for part in pose.parts)
+    np.testing.assert_allclose(lower[-6:], upper[:6], atol=1e-6)
+
+
+@pytest.mark.parametrize("has_normals", [True, False])
+def test_normals_of_a_moved_part_turn_with_it(has_normals):
+    """The node turns by another rotation in the clip than in the file; shapes do not change."""
+    mesh = bulging(has_normals).load()
+    pose = mesh.with_pose(clip="clip1", time=1.0)
+    turn = Rotation.from_euler("x", 90, degrees=True) * Rotation.from_euler("z", -30, degrees=True)
+    for part, own in zip(pose.parts, mesh.parts, strict=True):
+        np.testing.assert_allclose(part.normals, turn.apply(own.normals), atol=1e-6)
+
+
+def test_normals_of_a_mesh_that_is_inside_out():
+    """The loader turns the faces and the normals, and a pose keeps them turned."""
+    places, faces, normals = cube()
+    file = Glb({"mesh": 0})
+    file.mesh(file.primitive(places, np.flip(faces, 1), -np.asarray(normals)))
+    file.clip((0, "rotation", [0, 1], around("y", 0, 90)))
+    mesh, messages = loaded_glb(file)
+    assert messages == ["the faces of bytes are inside out: turned"]
+    part = mesh.with_pose(clip="clip1", time=1.0).parts[0]
+    turned = Rotation.from_euler("y", 90, degrees=True).apply(normals)
+    np.testing.assert_allclose(part.normals, turned, atol=1e-6)
+
+
+def test_normals_of_a_part_without_extent_are_unit_vectors():
+    file = Glb({"mesh": 0})
+    file.mesh(file.primitive(*cube()))
+    file.clip((0, "scale", [0, 1, 2], [(1, 1, 1), (0, 0, 0), (1, 0, 1)]))
+    mesh = file.load()
+    for at in (1.0, 2.0):
+        part = mesh.with_pose(time=at).parts[0]
+        np.testing.assert_allclose(np.linalg.norm(part.normals, axis=1), 1.0)
+        assert np.ptp(part.positions[:, 1]) == 0.0
+
+
+# --- names and values ----------------------------------------------------------------------------
+
+
+def loaded_glb(file):
+    """Return the mesh of a file and its warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mesh = file.load()
+    return mesh, [str(each.message) for each in caught]
+
+
+def two_meshes():
+    """Two meshes with targets: the first has names, one of them repeated in the other mesh."""
+    file = Glb({"children": [1, 2]}, {"mesh": 0}, {"mesh": 1, "translation": [3, 0, 0]})
+    for names in (["smile", "smile", 5, "jaw"], ["frown", "smile", "", " two\nlines "]):
+        primitive = file.primitive(*cube())
+        primitive["targets"] = targets_of(file, 4, 24, 1)
+        file.mesh(primitive, extras={"targetNames": names})
+    return file
+
+
+def test_names_of_shapes_and_clips():
+    file = two_meshes()
+    file.document["meshes"][1]["primitives"][0]["targets"] *= 2
+    for name in ("walk", None, "walk", 7, "clip2"):
+        file.clip(
+            (0, "scale", [0, 2.5], [(1, 1, 1), (2, 2, 2)]), **({"name": name} if name else {})
+        )
+    mesh = file.load()
+    own = ("smile", "smile.2", "shape3", "jaw")
+    assert mesh.shapes == (*own, "frown", "two lines", "shape5", "shape6", "shape7", "shape8")
+    assert mesh.clips == dict.fromkeys(("walk", "clip2", "walk.2", "clip4", "clip2.2"), 2.5)
+    assert fr.load_mesh(files.MINI_HEAD).shapes == ()
+    assert fr.load_mesh(files.MINI_HEAD).clips == {}
+
+
+def test_a_shape_moves_all_parts_that_have_it():
+    mesh = two_meshes().load()
+    pose = mesh.with_pose({"smile": 1.0})
+    for part, own in zip(pose.parts, mesh.parts, strict=True):
+        assert np.abs(part.positions - own.positions).max() > 0.1
+    pose = mesh.with_pose({"frown": 1.0})
+    assert_equal(pose.parts[0].positions, mesh.parts[0].positions, "part without the shape")
+    assert np.abs(pose.parts[1].positions - mesh.parts[1].positions).max() > 0.1
+
+
+def test_given_weights_override_the_clip_and_a_pose_starts_from_the_file():
+    file = morph_stress()
+    mesh = file.load()
+    pose = mesh.with_pose({"Key 1": 3.0}, clip="Pulse", time=1.7)
+    again = pose.with_pose({"Key 2": 0.5})
+    assert_pose(again, file, {"Key 2": 0.5}, None, 0.0)
+    for same in (mesh.with_pose(), pose.with_pose(), mesh.with_pose({"Key 5": -0.2})):
+        for part, own in zip(same.parts, mesh.parts, strict=True):
+            np.testing.assert_allclose(part.positions, own.positions, atol=1e-12)
+            np.testing.assert_allclose(part.normals, own.normals, atol=1e-12)
+    first = mesh.with_pose(time=0.5), mesh.with_pose(clip="Individuals", time=0.5)
+    assert_equal(*(each.parts[0].positions for each in first), "first clip")
+    begin = mesh.with_pose(clip="Pulse"), mesh.with_pose(clip="Pulse", time=0)
+    assert_equal(*(each.parts[0].positions for each in begin), "no time")
+
+
+def test_a_pose_keeps_the_rest_of_the_mesh():
+    mesh = morph_stress().load()
+    pose = mesh.with_pose({"Key 1": 1.0})
+    for name in ("name", "materials", "bounds", "radius", "profile", "millimetres", "regions"):
+        assert getattr(pose, name) is getattr(mesh, name)
+    for part, own in zip(pose.parts, mesh.parts, strict=True):
+        assert (part.faces is own.faces, part.name, part.skin) == (True, own.name, own.skin)
+    chosen = mesh.select("part2").with_material(m=0.2)
+    assert_equal(
+        chosen.with_pose({"Key 1": 1.0}).parts[0].positions, pose.parts[1].positions, "selected"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"weights": {"smil": 1.0}}, "bytes has no shape 'smil': its shapes are Key 1, Key 2, "),
+        ({"weights": {3: 1.0}}, "bytes has no shape 3: its shapes are Key 1"),
+        ({"weights": {"Key 1": math.nan}}, "weight of 'Key 1' = nan is outside [-100, 100]"),
+        ({"weights": {"Key 1": -100.5}}, "weight of 'Key 1' = -100.5 is outside [-100, 100]"),
+        ({"weights": {"Key 1": "x"}}, "weight of 'Key 1' = 'x' is outside [-100, 100]"),
+        ({"weights": {"Key 1": True}}, "weight of 'Key 1' = True is outside [-100, 100]"),
+        ({"weights": [1.0]}, "weights = [1.0]: give a mapping from names of shapes to numbers"),
+        (
+            {"clip": "run"},
+            "clip = 'run', which bytes lacks: its clips are Individuals, TheWave, Pulse",
+        ),
+        ({"clip": 3}, "clip = 3: give the name of a clip"),
+        ({"time": 2.01}, "time of clip 'Individuals' = 2.01 is outside [0, 2]"),
+        ({"clip": "Pulse", "time": -0.1}, "time of clip 'Pulse' = -0.1 is outside [0, 2]"),
+        ({"time": math.inf}, "time of clip 'Individuals' = inf is outside [0, 2]"),
+        ({"time": "1"}, "time of clip 'Individuals' = '1' is outside [0, 2]"),
+    ],
+)
+def test_invalid_arguments_raise(arguments, message):
+    assert message in error_of(morph_stress().load(), **arguments)
+
+
+def error_of(mesh, *arguments, **more):
+    with pytest.raises(InputError) as caught:
+        mesh.with_pose(*arguments, **more)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_meshes_without_rig_or_clips_raise():
+    still = fr.load_mesh(files.MINI_HEAD)
+    assert "has no shapes and no clips: give a glTF file" in error_of(still, {"smile": 1.0})
+    file = morph_stress()
+    del file.document["animations"]
+    mesh = file.load()
+    assert "time = 1 needs a clip, which bytes lacks: it has no clips" in error_of(mesh, time=1)
+    file = box_animated()
+    assert "has no shape 'smile': it has no shapes" in error_of(file.load(), {"smile": 1.0})
+
+
+def test_a_pose_that_leaves_the_camera_behind_raises():
+    file = Glb({"mesh": 0})
+    file.mesh(file.primitive(*cube()))
+    file.clip((0, "translation", [0, 1], [(0, 0, 0), (1e30, 0, 0)]))
+    mesh = file.load()
+    assert "the pose moves vertices of bytes to" in error_of(mesh, time=1.0)
+    mesh.with_pose(time=0.0)
+
+
+# --- files that are damaged or hostile -----------------------------------------------------------
+
+
+def posable():
+    """Return a file with a clip "walk" of one translation, and its one animation."""
+    file = Glb({"mesh": 0}, {})
+    file.mesh(file.primitive(*cube()))
+    return file, file.clip((0, "translation", [0, 1], [(0, 0, 0), (1, 0, 0)]), name="walk")
+
+
+def with_keys(times=(0, 1), values=((0, 0, 0), (1, 0, 0)), node=0, path="translation", **more):
+    """Return a change of the sampler's keys and the channel's target."""
+
+    def change(file, animation):
+        animation["samplers"][0] |= {"input": file.add(times), "output": file.add(values), **more}
+        animation["channels"][0]["target"] = {"node": node, "path": path}
+
+    return change
+
+
+def beyond(file, animation):
+    file.document["accessors"][animation["samplers"][0]["output"]]["count"] = 1000
+
+
+def far_beyond(file, animation):
+    file.document["accessors"][animation["samplers"][0]["output"]]["count"] = 10**9
+
+
+def without_view(file, animation):
+    del file.document["accessors"][animation["samplers"][0]["output"]]["bufferView"]
+
+
+def of_a_matrix(file, animation):
+    file.document["nodes"][0]["matrix"] = np.eye(4).ravel().tolist()
+
+
+DAMAGED = {
+    "backwards": (with_keys([1, 0]), "the times run backwards"),
+    "nan time": (with_keys([0, math.nan]), "has a value that is not finite"),
+    "infinite time": (with_keys([0, math.inf]), "has a value that is not finite"),
+    "negative time": (with_keys([-1, 0]), "the first time is below 0"),
+    "nan value": (
+        with_keys(values=[(0, 0, 0), (0, math.nan, 0)]),
+        "has a value that is not finite",
+    ),
+    "few values": (with_keys([0, 1, 2]), "the values have the shape (2, 3) for 3 keys"),
+    "cubic": (with_keys(interpolation="CUBICSPLINE"), "the values have the shape (2, 3) for 2"),
+    "no times": (with_keys(np.zeros((2, 3))), "the times have the shape (2, 3)"),
+    "wide": (with_keys(values=np.ones((2, 4))), "the values have the shape (2, 4) for 2 keys"),
+    "kind": (with_keys(interpolation="SLOW"), "interpolation 'SLOW' is unknown"),
+    "node": (with_keys(node=2), "node = 2 is not an index into the 2 nodes"),
+    "path": (with_keys(path="visible"), "target.path = 'visible' is unknown"),
+    "targets": (with_keys(path="weights"), "nodes[0], which has no morph targets"),
+    "no mesh": (with_keys(path="weights", node=1), "nodes[1], which has no morph targets"),
+    "beyond": (beyond, "needs 12000 bytes of bufferViews"),
+    "far beyond": (far_beyond, "the file has too many animated values"),
+    "no view": (without_view, "has no bufferView"),
+    "matrix": (of_a_matrix, "moves nodes[0], which has a matrix"),
+    "sampler": (lambda _, own: own["channels"][0].update(sampler=4), "sampler = 4 does not exist"),
+    "twice": (lambda _, own: own["channels"].extend(own["channels"]), "has the same target as"),
+    "no channels": (lambda _, own: own.pop("channels"), "animations[0].channels is missing"),
+    "text": (lambda _, own: own.update(samplers="x"), "samplers = 'x' is not a list"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_damaged_clip_does_not_prevent_drawing(case):
+    change, message = DAMAGED[case]
+    file, animation = posable()
+    plain = file.load()
+    change(file, animation)
+    file.clip((0, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)]), name="grow")
+    mesh, messages = loaded_glb(file)
+    assert messages == []
+    assert_equal(mesh.parts[0].positions, plain.parts[0].positions, case)
+    for name in ("walk", None):
+        text = error_of(mesh, clip=name, time=0.5)
+        assert text.startswith("clip 'walk' of bytes is damaged (")
+        assert message in text
+    assert mesh.clips == ({"grow": 1.0} if case != "matrix" else {})
+
+
+@pytest.mark.parametrize("animations", [7, {}, "x", [], [3], [None], [{}], [[]]])
+def test_animations_of_another_type_are_no_clips(animations):
+    file, _ = posable()
+    file.document["animations"] = animations
+    mesh, messages = loaded_glb(file)
+    assert messages == []
+    assert mesh.clips == {}
+
+
+def test_a_damaged_shape_does_not_prevent_drawing():
+    file = two_meshes()
+    first, second = (mesh["primitives"][0]["targets"] for mesh in file.document["meshes"])
+    file.document["accessors"][first[0]["POSITION"]]["count"] = 23
+    second[0]["POSITION"] = file.add(np.full((24, 3), math.nan))
+    mesh, messages = loaded_glb(file)
+    assert messages == []
+    mesh.with_pose({"smile": 0.0, "frown": 0.0, "jaw": 1.0})
+    assert "targets[0]: POSITION has the wrong number of entries" in error_of(mesh, {"smile": 1.0})
+    assert "the pose moves vertices of bytes to nan" in error_of(mesh, {"frown": 1.0})
+    file.document["nodes"][1]["weights"] = [0.5]
+    with pytest.raises(InputError, match="is damaged .*POSITION has the wrong number"):
+        file.load()
+
+
+def test_shapes_and_clips_that_share_much_data_are_refused(monkeypatch):
+    """Thousands of accessors may refer to the same bytes."""
+    file, _ = posable()
+    file.document["meshes"][0]["primitives"][0]["targets"] = [
+        {"POSITION": file.add(np.ones((24, 3)))} for _ in range(9)
+    ]
+    monkeypatch.setattr("facerender.loading.gltf_animation._MOST", 300)
+    mesh, messages = loaded_glb(file)
+    assert messages == []
+    assert "the file has too many animated values" in error_of(mesh, {"shape9": 1.0})
+    mesh.with_pose({"shape1": 1.0}, clip="walk")
+
+
+def test_pointers_are_ignored_with_a_warning():
+    file, animation = posable()
+    target = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": "/x"}}}
+    animation["channels"].append({"sampler": 0, "target": target})
+    animation["channels"].append({"sampler": 0, "target": {"path": "scale"}})
+    mesh, messages = loaded_glb(file)
+    assert messages == []
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        pose = mesh.with_pose(clip="walk", time=1.0)
+    assert [str(each.message) for each in caught] == [
+        "clip 'walk' of bytes has channels of KHR_animation_pointer: ignored"
+    ]
+    step = pose.parts[0].positions - mesh.parts[0].positions
+    np.testing.assert_allclose(step, np.tile((1.0, 0.0, 0.0), (24, 1)), atol=1e-6)
+
+
+def test_a_million_keys():
+    file = Glb({"mesh": 0})
+    file.mesh(file.primitive(*cube()))
+    times = np.linspace(0, 1000, 10**6).astype("<f4")
+    file.clip((0, "translation", times, np.stack([times, 0 * times, 0 * times], axis=1)))
+    mesh = file.load()
+    start = time.perf_counter()
+    for at in np.linspace(0, 1000, 100):
+        place = mesh.with_pose(time=at).parts[0].positions.mean(axis=0)
+        np.testing.assert_allclose(place, (at, 0, 0), atol=1e-3)
+    assert time.perf_counter() - start < 2.0  # 20 ms each; reading all keys takes longer
+
+
+def test_unused_vertices_do_not_move():
+    """The loader moves them into the bounds; a pose must not move them out again."""
+    places, faces, normals = cube()
+    file = Glb({"mesh": 0})
+    far = [(math.nan, 0, 0), (1e38, 0, 0)]
+    file.mesh(file.primitive([*places, *far], faces, [*normals, (1, 0, 0), (1, 0, 0)]))
+    file.clip((0, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)]))
+    mesh, messages = loaded_glb(file)
+    assert messages == ["bytes has 1 non-finite vertices: 0 faces dropped"]
+    pose = mesh.with_pose(time=1.0)
+    np.testing.assert_allclose(pose.parts[0].positions[:24], 2.0 * np.array(places), atol=1e-6)
+    assert np.abs(pose.parts[0].positions).max() < 1.1
+
+
+def test_shapes_of_primitives_that_share_vertices():
+    """The loader keeps only the vertices that a primitive uses."""
+    places, faces, normals = tube(rings=41, sectors=24)
+    file = Glb({"mesh": 0})
+    whole = file.primitive(places, faces, normals)
+    whole["targets"] = targets_of(file, 2, len(places), 12)
+    few = {**whole, "indices": file.add(np.ravel(faces[100:220]), "<u2")}
+    file.mesh(few, {**whole, "indices": file.add(np.ravel(faces[220:]), "<u2")})
+    mesh = file.load()
+    assert len(mesh.parts[0].positions) < 200
+    rows = np.unique(faces[100:220])
+    pose = mesh.with_pose({"shape1": 1.0, "shape2": -0.3})
+    moves = [Reference(file).accessor(each["POSITION"])[rows] for each in whole["targets"]]
+    expected = np.asarray(places)[rows] + moves[0] - 0.3 * moves[1]
+    np.testing.assert_allclose(pose.parts[0].positions, expected, atol=1e-6)
+
+
+# --- storage -------------------------------------------------------------------------------------
+
+
+def arrays_of(value):
+    """Yield all arrays of a rig."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, list | tuple):
+        for each in value:
+            yield from arrays_of(each)
+    elif hasattr(value, "__dataclass_fields__"):
+        for name in value.__dataclass_fields__:
+            yield from arrays_of(getattr(value, name))
+
+
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_rigs_do_not_keep_the_content_of_the_file(sample):
+    for part in sample().load().parts:
+        for each in arrays_of(part.rig):
+            while isinstance(each.base, np.ndarray):
+                each = each.base
+            assert each.base is None
+
+
+def test_only_rows_that_move_are_stored():
+    file = Glb({"mesh": 0})
+    primitive = file.primitive(*cube())
+    moves = np.zeros((24, 3))
+    moves[[3, 7]] = 1.0
+    primitive["targets"] = [{"POSITION": file.add(moves)}, {"POSITION": file.add(0 * moves)}]
+    file.mesh(primitive)
+    shapes = file.load().parts[0].rig.shapes
+    assert [each.rows.tolist() for each in shapes] == [[3, 7], []]
+
+
+def test_parts_that_do_not_move_have_no_rig():
+    file = Glb({"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [3, 0, 0]})
+    file.mesh(file.primitive(*cube()))
+    assert [part.rig for part in file.load().parts] == [None, None]
+    file.clip((2, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)]))
+    mesh = file.load()
+    assert [part.rig is None for part in mesh.parts] == [True, False]
+    pose = mesh.with_pose(time=1.0)
+    assert_equal(pose.parts[0].positions, mesh.parts[0].positions, "part without rig")
+    assert all(part.rig is None for part in fr.load_mesh().parts)
+
+
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_rigs_survive_the_cache(sample, tmp_path, cache_folder):
+    path = tmp_path / "a.glb"
+    path.write_bytes(sample().content())
+    first = fr.load_mesh(path, cache=True)
+    wait_for_cache()
+    assert len([*cache_folder.glob("meshes/*")]) == 1
+    cached = fr.load_mesh(path, cache=True)
+    assert cached is not first
+    assert_equal(replace(first, regions=None), replace(cached, regions=None), "mesh")
+    skeletons = {part.rig.skeleton for part in cached.parts if part.rig is not None}
+    assert len(skeletons) == 1
+    for clip, duration in first.clips.items():
+        poses = [each.with_pose(clip=clip, time=0.6 * duration) for each in (first, cached)]
+        assert_equal(*(pose.parts[0].positions for pose in poses), "positions")
+        assert_equal(*(pose.parts[0].normals for pose in poses), "normals")
+
+
+def test_info_lists_shapes_and_clips(tmp_path, capsys):
+    file, animation = posable()
+    animation["samplers"][0]["interpolation"] = "SLOW"
+    file.clip((0, "scale", [0, 1.25], [(1, 1, 1), (2, 2, 2)]), name="grow")
+    targets = targets_of(file, 1, 24, 1) * 70
+    file.document["meshes"][0]["primitives"][0]["targets"] = targets
+    path = tmp_path / "a.glb"
+    path.write_bytes(file.content())
+    assert main(["info", str(path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["shapes"] == [f"shape{i}" for i in range(1, 71)]
+    assert facts["clips"] == {"walk": None, "grow": 1.25}
+    assert main(["info", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first = lines.index("70 shapes:")
+    assert lines[first + 1] == "  " + ", ".join(f"shape{i}" for i in range(1, 9))
+    assert lines[first + 8].endswith("shape63, shape64")
+    assert lines[first + 9] == "  and 6 more: --json lists all"
+    assert lines[first + 10 : first + 12] == ["2 clips:", "  walk damaged, grow 1.25 s"]
+    assert main(["info", str(files.MINI_HEAD)]) == 0
+    assert "shapes" not in capsys.readouterr().out

@@ -3,8 +3,8 @@ returned with a description of the damage, so that the stored pose can still be 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any, get_args
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import TYPES, Doc, checked_animation
 from facerender.scenes.rig import Clip, Interpolation, Path, Shape, Track
 
+_T = TypeVar("_T")
 _WIDTHS: dict[Path, int] = {"translation": 3, "rotation": 4, "scale": 3}
 _Rows = tuple[NDArray[Any], NDArray[Any]]  # indices and values
 _POINTER = "KHR_animation_pointer"
@@ -34,14 +35,17 @@ class RigReader:
         self.times: dict[int, NDArray[np.float64]] = {}
         self.rows: dict[int, _Rows] = {}
 
-    def _charge(self, index: int) -> None:
-        """Count the values of an accessor; raise ValueError if they exceed the limit."""
+    def _read(self, index: int, read: Callable[[int], _T]) -> _T:
+        """Return ``read(index)``; raise ValueError if the accessor's values exceed the limit."""
         accessor = self.document["accessors"][index]
         rows = accessor["count"] if "bufferView" in accessor else 0
         rows += accessor.get("sparse", {"count": 0})["count"]
-        self.left -= rows * TYPES[accessor["type"]]
-        if self.left < 0:
+        needed = rows * TYPES[accessor["type"]]
+        if needed > self.left:
             raise ValueError("the file has too many animated values")
+        found = read(index)
+        self.left -= needed
+        return found
 
     # --- clips -----------------------------------------------------------------------------------
 
@@ -123,8 +127,7 @@ class RigReader:
     def _array(self, index: int) -> NDArray[Any]:
         """Return a copy of an accessor's values, which several channels may share."""
         if index not in self.arrays:
-            self._charge(index)
-            values = np.array(self.buffers.accessor(index))
+            values = np.array(self._read(index, self.buffers.accessor))
             if not np.isfinite(values).all():
                 raise ValueError(f"accessors[{index}] has a value that is not finite")
             self.arrays[index] = values
@@ -174,8 +177,7 @@ class RigReader:
         if (accessor["count"], TYPES[accessor["type"]]) != (count, 3):
             raise ValueError(f"{where} has the wrong number of entries")
         if index not in self.rows:
-            self._charge(index)
-            rows, moves = self.buffers.rows(index)
+            rows, moves = self._read(index, self.buffers.rows)
             self.rows[index] = rows.astype(np.uint32), moves.astype(np.float32)
         rows, moves = self.rows[index]
         if isinstance(kept, slice):
