@@ -23,7 +23,7 @@ from facerender.loading import load_mesh
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.pose import clips_of
+from facerender.scenes.rig_pose import clips_of
 from facerender.scenes.presets import PRESETS, preset_of
 from facerender.system.data import data_dir
 

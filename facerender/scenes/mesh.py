@@ -25,7 +25,7 @@ from facerender.errors import (
 )
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
-from facerender.scenes.pose import clips_of, posed, shapes_of
+from facerender.scenes.rig_pose import clips_of, posed, shapes_of
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
 from facerender.scenes.rig import Rig
