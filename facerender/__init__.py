@@ -12,7 +12,8 @@ simplified      returns a mesh with fewer triangles; with_occlusion bakes ambien
 Scene           mesh, Camera, Light, ambient light, background and environment
 Environment     environment map from a Panorama; load_environment reads an EnvironmentFile
 Shading         the specular Term of each light, and the terms to omit
-Job             a scene with its outputs as plain data, for files and other machines
+Job             a scene with its outputs as plain data, for files and other machines; a Pose
+                moves its mesh
 Frame, GBuffer  results of a renderer
 compare         returns whether two images match, and why not; shifted moves the image of a scene
 plan            finds the cheapest Shading within an error budget
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from facerender.scenes.environment import Environment as Environment
     from facerender.scenes.environment import Panorama as Panorama
     from facerender.scenes.file import EnvironmentFile as EnvironmentFile
+    from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
     from facerender.scenes.light import Light as Light
     from facerender.scenes.lod import simplified as simplified
@@ -91,7 +93,7 @@ _HOMES = {
     "planning.plan": ("Plan", "plan"),
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
-    "scenes.file": ("EnvironmentFile", "load_scene"),
+    "scenes.file": ("EnvironmentFile", "Pose", "load_scene"),
     "scenes.lod": ("simplified",),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),

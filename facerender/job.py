@@ -17,6 +17,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.file import (
     KEYS,
     EnvironmentFile,
+    Pose,
     from_table,
     part_tables,
     scene_value,
@@ -168,6 +169,8 @@ class Job:
     camera, lights, ambient, background : see :class:`facerender.Scene`
     environment : file of the environment map, or None
     shading : see :class:`facerender.Shading`
+    pose : pose of the mesh
+    before : pose of the mesh in the frame before, from which motion vectors start
     planned : images for which the shading was planned, with their level of detail; or None
     image : settings of the renderer
     outputs : image files
@@ -189,12 +192,16 @@ class Job:
     outputs: tuple[Output, ...] = ()
     environment: EnvironmentFile | None = None
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    pose: Pose = Pose()
+    before: Pose = Pose()
 
     def __post_init__(self) -> None:
         check_type("mesh", self.mesh, MeshFile, "a MeshFile")
         check_type("camera", self.camera, Camera, "a Camera")
         check_type("shading", self.shading, Shading, "a Shading")
         check_type("image", self.image, ImageSettings, "an ImageSettings")
+        for name in ("pose", "before"):
+            check_type(name, getattr(self, name), Pose, "a facerender.Pose")
         check_type("planned", self.planned, Planned | None, "a facerender.scenes.lod.Planned")
         remedy = "a facerender.EnvironmentFile"
         check_type("environment", self.environment, EnvironmentFile | None, remedy)
@@ -223,6 +230,10 @@ class Job:
         InputError : a file cannot be used; warnings as in :func:`facerender.load_mesh`
         """
         loaded = self.mesh.load() if mesh is None else mesh
+        if self.pose != Pose():
+            from facerender.loading.vertices import posed
+
+            loaded = posed(loaded, self.pose)
         environment = None
         if self.environment is not None:
             from facerender.loading.environment import load_environment
@@ -275,6 +286,7 @@ class Job:
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),
+            **{n: _plain(own) for n in ("pose", "before") if (own := getattr(self, n)) != Pose()},
             **({"planned": _plain(self.planned)} if self.planned else {}),
             "image": _plain(self.image),
             "outputs": [_plain(output) for output in self.outputs],

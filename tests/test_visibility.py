@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.drawing.passes import visibility
-from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup
+from facerender.drawing.program import IN_ROW
 from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
@@ -141,19 +141,26 @@ def test_terms_agree(both, head, only):
     assert np.quantile(error, 0.99) < 1e-3
 
 
-def test_triangle_setup_interpolates_vertex_attributes(head):
+def test_triangle_table_interpolates_vertex_attributes(head):
     part = head.parts[0]
-    setup = TriangleSetup.of(part, head)
-    packed = setup.texture().reshape(-1, setup.texels, 4)[: len(setup.faces)]
-    for corner in setup.faces.T:
-        at = setup.positions[corner]
+    with fr.Renderer((64, 64)) as renderer:
+        renderer.render(fr.Scene(head, lights=PLAIN_THREE))
+        table = renderer._resources.geometries[part].table.texels
+        with renderer.context.drawing():
+            packed = np.frombuffer(table.read(), dtype=np.float32)
+    texels = table.width // IN_ROW
+    assert texels == 7
+    packed = packed.reshape(-1, texels, 4)[: len(part.faces)]
+    positions = head.normalised(part.positions)
+    for corner in part.faces.T:
+        at = positions[corner]
         values = np.einsum("ijk,ik->ij", packed[:, :, :3], at) + packed[:, :, 3] * (
-            1.0 - 2.0 * (np.arange(setup.texels) == 0)
+            1.0 - 2.0 * (np.arange(texels) == 0)
         )
         np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on the plane
         np.testing.assert_allclose(values[:, 1:4], part.normals[corner], atol=2e-4)
         np.testing.assert_allclose(values[:, 4:6], part.uv[corner], atol=2e-5)
-        above = np.einsum("ij,ij->i", head.normalised(part.positions), part.normals)[corner]
+        above = np.einsum("ij,ij->i", positions, part.normals)[corner]
         np.testing.assert_allclose(values[:, 6], above, atol=2e-4)
 
 

@@ -16,8 +16,9 @@ from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import with_shadows
 from facerender.drawing.prepare import part_maps, reduced, simplify
-from facerender.drawing.program import ENVIRONMENT_MAP, part_columns
+from facerender.drawing.program import ENVIRONMENT_MAP, fixed_attributes
 from facerender.drawing.resolve import Lighting, ResolvedScene
+from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import view_of
@@ -106,14 +107,13 @@ def _described(
     if scene.environment is not None:
         texels = scene.environment.panorama.map
         maps[ENVIRONMENT_MAP] = _map(blob, [texels], "float", np.float32, filtered=False)
-    if draw.setup is not None:
-        columns, faces = {"in_position": draw.setup.positions}, draw.setup.faces
-    elif draw.part is None:
-        columns, faces = {}, np.arange(3, dtype=np.uint32)
-    else:
-        assert draw.material is not None
-        columns = part_columns(draw.part, scene.mesh)
+    columns: dict[str, NDArray[Any]] = {}
+    faces = np.arange(3, dtype=np.uint32)
+    if draw.part is not None:
+        positions, normals = np.hsplit(triangle_setup_of(draw.part, scene.mesh).vertices, 2)
+        columns = {"in_position": positions, "in_normal": normals, **fixed_attributes(draw.part)}
         faces = draw.part.faces if draw.order is None else draw.part.faces[draw.order]
+    if draw.part is not None and draw.material is not None:
         filtered = "SLOPE_FILTER" in draw.program.features
         maps |= {
             name: _map(

@@ -22,7 +22,7 @@ from facerender.batch.tables import Table, listed, merged, nested
 from facerender.errors import InputError, check_path, clipped, shown
 from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, from_table, scene_value
+from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, Pose, from_table, scene_value
 from facerender.scenes.light import Light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import Material
@@ -39,6 +39,8 @@ TABLE_KINDS: dict[str, Any] = {
     "lights": Light,
     "environment": EnvironmentFile,
     "material": Material,
+    "pose": Pose,
+    "before": Pose,
     "planned": Planned,
     "image": ImageSettings,
 }
@@ -208,6 +210,10 @@ def _row(number: int, values: Table, folder: str) -> Row:
             if name in mesh
         }
         tables["mesh"] = {**mesh, **paths}
+    for key in ("pose", "before"):
+        if type(own := tables.get(key)) is dict and "vertices" in own:
+            file = _absolute(own["vertices"], f"{key} vertices", folder)
+            tables[key] = {**own, "vertices": file}
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     environment = tables.get("environment")

@@ -18,7 +18,7 @@ from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
 from facerender.job import Job
-from facerender.scenes.lod import LevelOfDetail, simplified
+from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.view import View, view_of
@@ -97,10 +97,7 @@ def draw(
     }
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
-    # Simplify before job.scene() replaces the mesh by a copy with the job's material: the cache of
-    # simplified meshes is keyed by the original mesh, which all jobs share.
-    drawn = mesh if detail.triangles is None else simplified(mesh, detail.triangles)
-    scene = replace(detail, triangles=None).of(job.scene(drawn))
+    scene = detail.of(job.scene(mesh))
     view = view_of(scene, renderer.size[0] / renderer.size[1])
     facts["camera"] = camera_facts(view, mesh, renderer.size)
     frames = _frames(job, scene, detail, renderer, OUTPUTS if "layers" in outputs else outputs)

@@ -12,6 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
+from facerender.scenes.file import WEIGHTS
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS
@@ -244,6 +245,14 @@ _SPECIAL: dict[str, Schema] = {
     "shading.specular_lights": _INDICES,
     "shading.shadow_lights": _INDICES,
     "shading.frontal_lights": _INDICES,
+    **{
+        f"{table}.weights": {
+            "type": "object",
+            "patternProperties": {"^[^.]+$": _of_range(WEIGHTS)},
+            "additionalProperties": _of_range(WEIGHTS),
+        }
+        for table in ("pose", "before")
+    },
     "planned.sizes": _array(_SIZE) | {"minItems": 1},
     "planned.samples": {"type": "integer", "minimum": 1},
     "image.size": {

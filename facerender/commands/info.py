@@ -23,7 +23,6 @@ from facerender.loading import load_mesh
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.rig_pose import clips_of
 from facerender.scenes.presets import PRESETS, preset_of
 from facerender.system.data import data_dir
 
@@ -86,9 +85,7 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
         "shapes": list(mesh.shapes),
-        "clips": {
-            each.name: None if each.fault else each.duration for each in clips_of(mesh.parts)
-        },
+        "clips": {each.name: None if each.fault else each.duration for each in mesh.all_clips},
         "hints": hints.of_mesh(mesh),
     }
 

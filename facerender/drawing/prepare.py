@@ -92,7 +92,8 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
             uv = coordinates(part, material, name)
             assert uv is not None
             image = view, size, anisotropy
-            levels = levels_to_spare(scene.mesh, part, uv, texture.size, *image)
+            # The reference pose decides, so that the maps stay while the mesh moves.
+            levels = levels_to_spare(scene.mesh, part.root, uv, texture.size, *image)
             spared[texture] = min(levels, spared.get(texture, levels))
     if not any(spared.values()):
         return scene

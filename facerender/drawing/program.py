@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.resolve import LightGroup, Lighting, ResolvedPart, ResolvedScene
 from facerender.glsl.code import call, environment_call, prelude
 from facerender.glsl.library import resolve_includes
 from facerender.scenes.material import PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part, base_slope, drawn_alpha
+from facerender.scenes.mesh import Part, base_slope, drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 from facerender.shading import Shading
@@ -29,6 +30,8 @@ SHADOW_CONES = "shadow_cones"
 SHADOW_TOPS = "shadow_tops"
 ENVIRONMENT_MAP = "environment_map"
 SELECTED_TRIANGLES = "selected_triangles"
+TRIANGLE_TABLE = "triangle_table"
+IN_ROW = 256  # vertices or triangles in a row of a texture
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
 
@@ -240,15 +243,33 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
     }
 
 
-def part_columns(part: Part, mesh: Mesh) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the vertex attributes of a part, (N, width) each, keyed by name. Positions are in the
-    renderer's space."""
+def fixed_attributes(part: Part) -> dict[str, NDArray[np.floating[Any]]]:
+    """Return the vertex attributes that all poses of a part share, (N, width) each, keyed by
+    name."""
     columns = {
-        "in_position": mesh.normalised(part.positions),
-        "in_normal": part.normals,
         "in_uv": part.uv,
         "in_occlusion": None if part.occlusion is None else part.occlusion[:, None],
         "in_color": part.colors,
         "in_uv2": part.uv2,
     }
     return {name: values for name, values in columns.items() if values is not None}
+
+
+def table_attributes(part: Part) -> NDArray[np.float32]:
+    """Return the fixed attributes in a part's triangle table as texels of three channels,
+    (N, texels, 3). Deferred shading supports one set of texture coordinates."""
+    columns = fixed_attributes(part)
+    columns.pop("in_uv2", None)
+    values = np.hstack([np.empty((len(part.positions), 0)), *columns.values()])
+    texels = max(-(-values.shape[1] // 3), 1)
+    padded = np.zeros((len(values), 3 * texels), dtype=np.float32)
+    padded[:, : values.shape[1]] = values
+    return padded.reshape(-1, texels, 3)
+
+
+def table_features(part: Part) -> tuple[str, ...]:
+    """Return the macros that describe the triangle table of a part; see
+    ``shaders/host/triangle_table.frag``."""
+    widths = {name: values.shape[1] for name, values in fixed_attributes(part).items()}
+    fixed = sum(width for name, width in widths.items() if name != "in_uv2")
+    return f"TRIANGLES_IN_ROW {IN_ROW}", f"TRIANGLE_TEXELS {5 + fixed}"

@@ -447,7 +447,7 @@ class Renderer:
         with self.context.drawing() as gl:
             self._resources.settle()
             if scene.environment is not None:
-                drawn[ENVIRONMENT_MAP] = self._resources.table(scene.environment.panorama)
+                drawn[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
                 kind = step.target

@@ -18,8 +18,16 @@ from numpy.typing import NDArray
 from facerender.drawing.context import Context
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
-from facerender.drawing.program import SELECTED_TRIANGLES, Program, part_columns
-from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup
+from facerender.drawing.program import (
+    IN_ROW,
+    SELECTED_TRIANGLES,
+    TRIANGLE_TABLE,
+    Program,
+    fixed_attributes,
+    table_attributes,
+    table_features,
+)
+from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.errors import ContextError, InputError
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
@@ -55,24 +63,45 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 
 @dataclass(eq=False)
 class Geometry:
-    """The geometry of a part on the GPU.
+    """The geometry of a part on the GPU. All poses of a part share one geometry.
 
     Attributes
     ----------
-    space : centre and radius of the mesh, which place the vertices in the renderer's space
-    vertices : interleaved vertex attributes
-    widths : number of components of each attribute, keyed by attribute name
+    setup : vertices of the pose that the GPU holds
+    moving : positions and normals, which change with the pose
+    fixed : interleaved further vertex attributes; None if there are none
+    widths : number of components of each fixed attribute, keyed by attribute name
     indices : vertex indices of the triangles
     arrays : cache of vertex arrays, keyed by program
     chosen : vertex indices of the triangles that a draw chooses, and its vertex arrays
+    table : triangle table of the pose; None before its first use
     """
 
-    space: tuple[float, ...]
-    vertices: moderngl.Buffer
+    setup: TriangleSetup
+    moving: moderngl.Buffer
+    fixed: moderngl.Buffer | None
     widths: Mapping[str, int]
     indices: moderngl.Buffer
     arrays: dict[moderngl.Program, moderngl.VertexArray] = field(default_factory=dict)
     chosen: tuple[moderngl.Buffer, dict[moderngl.Program, moderngl.VertexArray]] | None = None
+    table: TriangleTable | None = None
+
+    @classmethod
+    def of(cls, gl: moderngl.Context, part: Part, setup: TriangleSetup) -> Geometry:
+        """Upload a part."""
+        columns = fixed_attributes(part)
+        fixed = None
+        if columns:
+            rows = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
+            fixed = gl.buffer(rows)
+        widths = {name: values.shape[1] for name, values in columns.items()}
+        moving = gl.buffer(setup.vertices, dynamic=True)
+        return cls(setup, moving, fixed, widths, gl.buffer(setup.faces))
+
+    def show(self, setup: TriangleSetup) -> None:
+        """Upload the vertices of another pose, or of another centre or radius of the mesh."""
+        self.moving.write(setup.vertices)
+        self.setup = setup
 
     def draw(
         self,
@@ -106,11 +135,16 @@ class Geometry:
     ) -> moderngl.VertexArray:
         if program in arrays:
             return arrays[program]
-        layout = " ".join(
-            f"{width}f" if name in program else f"{width}x4" for name, width in self.widths.items()
-        )
-        used = [name for name in self.widths if name in program]
-        arrays[program] = gl.vertex_array(program, [(self.vertices, layout, *used)], indices)
+        content = []
+        moving = {"in_position": 3, "in_normal": 3}
+        for buffer, widths in ((self.moving, moving), (self.fixed, self.widths)):
+            used = [name for name in widths if name in program]
+            layout = " ".join(
+                f"{width}f" if name in used else f"{width}x4" for name, width in widths.items()
+            )
+            if used:
+                content.append((buffer, layout, *used))
+        arrays[program] = gl.vertex_array(program, content, indices)
         return arrays[program]
 
     def forget(self, program: moderngl.Program) -> None:
@@ -118,6 +152,61 @@ class Geometry:
         self.arrays.pop(program, None)
         if self.chosen is not None:
             self.chosen[1].pop(program, None)
+
+
+@dataclass(eq=False)
+class TriangleTable:
+    """The triangle table of a part, which ``shaders/host/triangle_table.frag`` draws.
+
+    Attributes
+    ----------
+    setup : vertices of the pose that the table holds
+    vertices, attributes, faces : textures that the shader reads
+    texels : the table, IN_ROW triangles in a row
+    target : framebuffer that draws the table
+    """
+
+    setup: TriangleSetup | None
+    vertices: moderngl.Texture
+    attributes: moderngl.Texture
+    faces: moderngl.Texture
+    texels: moderngl.Texture
+    target: moderngl.Framebuffer
+
+    @classmethod
+    def of(cls, gl: moderngl.Context, part: Part, width: int) -> TriangleTable:
+        """Return an empty table of a part.
+
+        width : number of texels per triangle
+        """
+        attributes = table_attributes(part)
+        vertices = _empty(gl, len(part.positions), 2, 3)
+        fixed = _empty(gl, len(part.positions), attributes.shape[1], 3)
+        faces = _empty(gl, len(part.faces), 1, 3, "i4")
+        texels = _empty(gl, len(part.faces), width, 4)
+        _fill(fixed, attributes)
+        _fill(faces, np.asarray(part.faces, dtype=np.int32))
+        return cls(None, vertices, fixed, faces, texels, gl.framebuffer([texels]))
+
+
+def _empty(
+    gl: moderngl.Context, count: int, texels: int, components: int, dtype: str = "f4"
+) -> moderngl.Texture:
+    """Return a texture for `count` items of several texels, IN_ROW items in a row."""
+    texture = gl.texture((IN_ROW * texels, -(-count // IN_ROW)), components, dtype=dtype)
+    texture.filter = moderngl.NEAREST, moderngl.NEAREST
+    return texture
+
+
+def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
+    """Write items (N, ...) to the first texels of a texture, row by row."""
+    values = np.ascontiguousarray(values).reshape(len(values), -1)
+    width = values.shape[1] // texture.components
+    whole = len(values) // IN_ROW
+    for first, rows, columns in ((0, whole, IN_ROW), (whole, 1, len(values) - whole * IN_ROW)):
+        if rows and columns:
+            own = values[first * IN_ROW : first * IN_ROW + rows * columns]
+            texture.write(own, (0, first, columns * width, rows))
 
 
 class Resources:
@@ -138,10 +227,9 @@ class Resources:
     ) -> None:
         self.context, self.size = context, size
         self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
-        self.geometries: WeakKeyDictionary[Part | TriangleSetup, Geometry] = WeakKeyDictionary()
-        self.tables: WeakKeyDictionary[TriangleSetup | Panorama, moderngl.Texture]
-        self.tables = WeakKeyDictionary()
-        self.selected: WeakKeyDictionary[TriangleSetup, moderngl.Texture] = WeakKeyDictionary()
+        self.geometries: WeakKeyDictionary[Part, Geometry] = WeakKeyDictionary()
+        self.panoramas: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
+        self.selected: WeakKeyDictionary[Part, moderngl.Texture] = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
@@ -155,7 +243,7 @@ class Resources:
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
-        textures = (self.tables, self.selected, self.textures)
+        textures = (self.panoramas, self.selected, self.textures)
         others = (self.geometries, self.programs, self.targets, self.scopes, self.screens)
         for made in (*textures, *others, self.held):
             made.clear()
@@ -201,6 +289,9 @@ class Resources:
         if step.key is not None and held == step.key:
             self.held[step.target] = held
             return target
+        for draw in step.draws:
+            if draw.depth == "marked" and draw.part is not None:
+                self._draw_table(draw.part, mesh)
         with self.scopes[step.target]:
             self._prepare(target, step)  # an error in an earlier draw may have left another state
             target.depth_mask = step.target.depth_of is None
@@ -250,20 +341,18 @@ class Resources:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
-        gl, source, faces = self.context.gl, draw.setup or draw.part, None
-        if source is None or draw.depth in ("mark", "marked"):
-            if program not in self.screens:
-                self.screens[program] = gl.vertex_array(program, [])
-            self.screens[program].render(vertices=3)
+        gl, part, faces = self.context.gl, draw.part, None
+        if part is None or draw.depth == "marked":
+            self._screen(program).render(vertices=3)
             return
         if draw.order is not None:
-            faces = np.take(source.faces, draw.order, axis=0)
-        self.geometry(source, mesh).draw(gl, program, faces)
+            faces = np.take(np.asarray(part.faces, dtype=np.uint32), draw.order, axis=0)
+        self.geometry(part, mesh).draw(gl, program, faces)
 
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
     ) -> None:
-        """Bind the material's maps, the triangle setup and the scene's textures to the uniforms of
+        """Bind the material's maps, the triangle table and the scene's textures to the uniforms of
         a program."""
         textures = dict(drawn)
         if draw.part is not None and draw.material is not None:
@@ -273,11 +362,13 @@ class Resources:
                 if program.get(name, None):
                     own = self.texture(name, source, kind)  # before use(): uploads bind unit 0
                     textures[name] = own
-        if draw.setup is not None and draw.depth == "marked":
-            textures["triangle_setup"] = self.table(draw.setup)
+        if draw.part is not None and draw.depth == "marked":
+            table = self.geometries[draw.part.root].table
+            assert table is not None
+            textures[TRIANGLE_TABLE] = table.texels
         if draw.order is not None and program.get(SELECTED_TRIANGLES, None):
-            assert draw.setup is not None
-            textures[SELECTED_TRIANGLES] = self._selected(draw.setup, draw.order)
+            assert draw.part is not None
+            textures[SELECTED_TRIANGLES] = self._selected(draw.part, draw.order)
         used = [each for each in textures.items() if program.get(each[0], None)]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
@@ -373,47 +464,68 @@ class Resources:
                 ) from None
         return self.programs[source]
 
-    def geometry(self, source: Part | TriangleSetup, mesh: Mesh) -> Geometry:
-        """Upload a part, or only the positions of a triangle setup, on first use, and again if the
-        mesh's centre or radius has changed."""
-        space = *mesh.center, mesh.radius
-        made = self.geometries.get(source)
-        if made is None or made.space != space:
-            gl = self.context.gl
-            gl.gc()
-            columns = {"in_position": source.positions}
-            if isinstance(source, Part):
-                columns = part_columns(source, mesh)
-            vertices = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
-            widths = {name: values.shape[1] for name, values in columns.items()}
-            buffers = gl.buffer(vertices), gl.buffer(source.faces)
-            made = Geometry(space, buffers[0], widths, buffers[1])
-            self.geometries[source] = made
+    def geometry(self, part: Part, mesh: Mesh) -> Geometry:
+        """Return the geometry of a part, which is uploaded on first use. Positions and normals are
+        uploaded again if the pose, or the mesh's centre or radius, has changed."""
+        setup, root = triangle_setup_of(part, mesh), part.root
+        made = self.geometries.get(root)
+        if made is None:
+            self.context.gl.gc()
+            made = self.geometries[root] = Geometry.of(self.context.gl, root, setup)
+        elif made.setup is not setup:
+            made.show(setup)
         return made
 
-    def _selected(self, setup: TriangleSetup, order: NDArray[np.int64]) -> moderngl.Texture:
-        """Return a texture of triangle indices, IN_ROW in a row."""
-        if setup not in self.selected:
-            self.context.gl.gc()
-            rows = -(-len(setup.faces) // IN_ROW)
-            self.selected[setup] = self.context.gl.texture((IN_ROW, rows), 1, dtype="f4")
-            self.selected[setup].filter = moderngl.NEAREST, moderngl.NEAREST
-        texels = np.zeros((-(-len(order) // IN_ROW), IN_ROW), dtype=np.float32)
-        texels.ravel()[: len(order)] = order
-        self.selected[setup].write(texels, (0, 0, *texels.shape[::-1]))
-        return self.selected[setup]
+    def _draw_table(self, part: Part, mesh: Mesh) -> None:
+        """Draw the triangle table of a part, unless it is up to date."""
+        gl, made = self.context.gl, self.geometry(part, mesh)
+        features = table_features(part)
+        if made.table is None:
+            self._settled = False
+            gl.gc()
+            made.table = TriangleTable.of(gl, part.root, int(features[-1].split()[1]))
+        table = made.table
+        if table.setup is made.setup:
+            return
+        _fill(table.vertices, made.setup.vertices)
+        columns = table.attributes.width // IN_ROW
+        macros = *features, f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
+        program = self.program(Program("triangle_table.frag", "screen.vert", macros))
+        inputs = {"vertices": table.vertices, "attributes": table.attributes, "faces": table.faces}
+        for unit, (name, texture) in enumerate(inputs.items()):
+            if program.get(name, None):
+                texture.use(unit)
+                set_uniforms(program, {name: unit})
+        table.target.use()
+        gl.enable_only(moderngl.NOTHING)
+        self._screen(program).render(vertices=3)
+        table.setup = made.setup
 
-    def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
-        """Return the texture of a triangle setup or a panorama, which is uploaded on first use."""
-        if source not in self.tables:
+    def _screen(self, program: moderngl.Program) -> moderngl.VertexArray:
+        """Return the vertex array of a program that draws one triangle over the target."""
+        if program not in self.screens:
+            self.screens[program] = self.context.gl.vertex_array(program, [])
+        return self.screens[program]
+
+    def _selected(self, part: Part, order: NDArray[np.int64]) -> moderngl.Texture:
+        """Return a texture of triangle indices, IN_ROW in a row."""
+        root = part.root
+        if root not in self.selected:
+            self.context.gl.gc()
+            self.selected[root] = _empty(self.context.gl, len(part.faces), 1, 1)
+        _fill(self.selected[root], order.astype(np.float32))
+        return self.selected[root]
+
+    def panorama(self, source: Panorama) -> moderngl.Texture:
+        """Return the texture of a panorama, which is uploaded on first use."""
+        if source not in self.panoramas:
             self._settled = False
             self.context.gl.gc()
-            texels = source.texture() if isinstance(source, TriangleSetup) else source.map
-            height, width, components = texels.shape
-            texture = self.context.gl.texture((width, height), components, texels, dtype="f4")
+            height, width, components = source.map.shape
+            texture = self.context.gl.texture((width, height), components, source.map, dtype="f4")
             texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self.tables[source] = texture
-        return self.tables[source]
+            self.panoramas[source] = texture
+        return self.panoramas[source]
 
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
         """Return the texture of a map, whose mip chain is uploaded on first use.

@@ -45,8 +45,10 @@ _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
 
-_PLAIN = ("name", "skin", "rig")
-_ARRAYS = tuple(each.name for each in fields(Part) if each.name not in _PLAIN)
+_PLAIN_FIELDS = ("name", "skin", "source_count")
+_ARRAYS = tuple(
+    each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest", "rig")
+)
 _OF_RIGS = {each.__name__: each for each in (Clip, Node, Rig, Shape, Skeleton, Skin, Track)}
 
 
@@ -195,7 +197,8 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "name": mesh.name,
         "parts": [
             {name: number(getattr(part, name)) for name in _ARRAYS}
-            | {"name": part.name, "skin": part.skin, "rig": rigs.packed(part.rig)}
+            | {name: getattr(part, name) for name in _PLAIN_FIELDS}
+            | {"rig": rigs.packed(part.rig)}
             for part in mesh.parts
         ],
         "materials": [
@@ -302,7 +305,7 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
     return Mesh(
         facts["name"],
         tuple(
-            Part(**each, name=own["name"], skin=own["skin"], rig=rig)
+            Part(**each, **{name: own[name] for name in _PLAIN_FIELDS}, rig=rig)
             for each, own, rig in zip(columns, facts["parts"], rigs, strict=True)
         ),
         tuple(materials),

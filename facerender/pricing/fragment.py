@@ -272,7 +272,7 @@ def _timed(
     for step in maps:
         textures[step.name] = resources.draw(step, scene.mesh, textures).color_attachments[0]
     if scene.environment is not None:
-        textures[ENVIRONMENT_MAP] = resources.table(scene.environment.panorama)
+        textures[ENVIRONMENT_MAP] = resources.panorama(scene.environment.panorama)
     array = resources.geometry(part, scene.mesh).array(context.gl, program)
     clock = clock_of(context)
 

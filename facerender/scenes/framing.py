@@ -101,7 +101,8 @@ class _Head(NamedTuple):
 
 
 def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
-    """Return the regions "head", "face" and "auto" of a mesh; results are cached.
+    """Return the regions "head", "face" and "auto" of a mesh in its reference pose; results are
+    cached.
 
     "auto" is the head if a head is found and the mesh is clearly larger than the head. Otherwise
     "auto" is None, which means the whole mesh. If the mesh has no height, "head" and "face" are the
@@ -109,9 +110,20 @@ def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
     """
     if mesh.regions is not None:
         return mesh.regions
+    if mesh.rest is not None:
+        return _scaled(find_regions(mesh.rest), mesh.rest.radius / mesh.radius)
     if mesh not in _known:
         _known[mesh] = _found(mesh)
     return _known[mesh]
+
+
+def _scaled(regions: Mapping[str, Region | None], scale: float) -> Mapping[str, Region | None]:
+    if scale == 1.0:
+        return regions
+    return {
+        name: own and Region(own.center * scale, own.radius * scale, own.height * scale)
+        for name, own in regions.items()
+    }
 
 
 def region_of(mesh: Mesh, frame: Frame) -> Region | None:

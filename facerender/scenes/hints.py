@@ -59,14 +59,14 @@ def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
     maps = [(each.albedo_map, each.normal_map, each.alpha) for each in mesh.materials]
-    examined, found = _of_maps.get(mesh.parts[0], (None, []))
+    examined, found = _of_maps.get(mesh.parts[0].root, (None, []))
     if maps != examined:
         found = [(each, each(mesh)) for each in (upside_down, green_down)]
-        _of_maps[mesh.parts[0]] = maps, found
+        _of_maps[mesh.parts[0].root] = maps, found
     for hint, line in found:
         emit(mesh, hint, line)
     pairs = ((mesh.parts[i], mesh.materials[i]) for i in mesh.skin)
-    if all(_gloss(each) == _loaded.get(part) for part, each in pairs):
+    if all(_gloss(each) == _loaded.get(part.root) for part, each in pairs):
         emit(mesh, faint, faint(mesh))
 
 
@@ -74,7 +74,7 @@ def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
     """Emit the result of a hint: as a warning once for each mesh, and for each image that records
     its warnings."""
     if line is not None:
-        emitted = _emitted.setdefault(mesh.parts[0], set())
+        emitted = _emitted.setdefault(mesh.parts[0].root, set())
         (note if hint in emitted else warn)(line)
         emitted.add(hint)
 

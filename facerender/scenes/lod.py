@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import index
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,13 @@ from facerender.errors import InputError, check_type, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import TRIANGLES, Mesh, Part
+from facerender.scenes.pose import moved, reference_of
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 from facerender.system import meshoptimizer
 from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
+Level = tuple[Mesh, list[NDArray[np.int64]]]
 
 # Weights of attribute errors. Position errors, in extents of the mesh, have weight 1.
 # _PLACE weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights
@@ -31,6 +34,9 @@ _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 _SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, because sizes are rounded
 
 _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
+# Keyed by the first part, all parts and the triangle limit: the simplified parts, and for each part
+# the indices of the remaining vertices. Poses and copies with other materials share these levels.
+_levels: WeakKeyDictionary[Part, dict[tuple[Any, ...], Level]] = WeakKeyDictionary()
 _single_sided: WeakKeyDictionary[Mesh, Mesh] = WeakKeyDictionary()
 
 
@@ -42,7 +48,8 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     move. Edges on mesh borders, seams and borders between parts collapse only along these lines, on
     both sides together, so that no cracks open. Materials, number of parts, bounds, radius,
     profile, head and face do not change, so that cameras frame the simplified mesh like the
-    original. Triangles are ordered for the GPU's vertex cache.
+    original. Triangles are ordered for the GPU's vertex cache. In all poses of a mesh, the
+    reference pose determines which triangles remain.
 
     The result is the same in every process. Repeated calls with equal arguments return one object.
 
@@ -67,15 +74,34 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
         return mesh
     known = _simplified.setdefault(mesh, {})
     if triangles not in known:
-        known[triangles] = _simplify(mesh, triangles)
+        known[triangles] = _posed(mesh, *_level(reference_of(mesh), triangles))
     if (left := sum(len(part.faces) for part in known[triangles].parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {left} remain")
     return known[triangles]
 
 
-def _simplify(mesh: Mesh, triangles: int) -> Mesh:
+def _level(rest: Mesh, triangles: int) -> Level:
+    """Return the simplified reference pose and its remaining vertices, from a cache."""
+    known = _levels.setdefault(rest.parts[0], {})
+    key = triangles, *map(ref, rest.parts)
+    if key not in known:
+        known[key] = _simplify(rest, triangles)
+    return known[key]
+
+
+def _posed(mesh: Mesh, level: Mesh, remaining: Sequence[NDArray[np.int64]]) -> Mesh:
+    """Return a simplified mesh with the pose and the materials of a mesh."""
+    own = {name: getattr(mesh, name) for name in ("materials", "bounds", "radius", "profile")}
+    if mesh.rest is None:
+        return replace(level, **own)
+    pairs = [*zip(mesh.parts, remaining, strict=True)]
+    places, normals = ([getattr(p, n)[left] for p, left in pairs] for n in ("positions", "normals"))
+    return replace(moved(level, places, normals), **own)
+
+
+def _simplify(mesh: Mesh, triangles: int) -> Level:
     """Simplify all parts together, so that borders between parts stay closed and the errors of
-    different parts are comparable."""
+    different parts are comparable. Also return the indices of each part's remaining vertices."""
     try:
         meshoptimizer.library()
     except ImportError:
@@ -93,22 +119,24 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
     left = meshoptimizer.collapsed(
         corners.astype(np.uint32), columns[:, 1:4], columns[:, 4:], weights, triangles
     )
-    parts = []
+    parts, remaining = [], []
     for number, part in enumerate(mesh.parts):
         chosen = left[rows[left[:, 0], 0] == number]
         if not len(chosen):
             all_faces = corners[rows[corners[:, 0], 0] == number]
             chosen = all_faces[[np.argmax(_double_areas(rows[all_faces, 1:4]))]]
         vertices, own = np.unique(chosen, return_inverse=True)
+        kept = first[vertices] - starts[number]
         arrays = {
-            name: values[first[vertices] - starts[number]]
+            name: values[kept]
             for name in ("positions", "normals", "uv", "colors", "occlusion", "uv2")
             if (values := getattr(part, name)) is not None
         }
         corners_of_part = own.reshape(chosen.shape).astype(np.uint32)
         ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
-    return replace(mesh, parts=tuple(parts), regions=find_regions(mesh))
+        remaining.append(kept)
+    return replace(mesh, parts=tuple(parts), regions=find_regions(mesh)), remaining
 
 
 def _vertices(mesh: Mesh, index: int) -> Float:

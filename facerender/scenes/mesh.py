@@ -19,20 +19,19 @@ from facerender.errors import (
     check_type,
     clipped,
     each_of,
-    reason,
     shown,
     warn,
 )
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
-from facerender.scenes.rig_pose import clips_of, posed, shapes_of
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
-from facerender.scenes.rig import Rig
-from facerender.scenes.vectors import check_array
+from facerender.scenes.rig import Clip, Rig
+from facerender.scenes.vectors import check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
+_OF_ROOT = ("faces", "uv", "colors", "occlusion", "uv2")  # arrays that all poses of a part share
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +53,10 @@ class Part:
         None; camera framing uses them
     name : name from the file, or ""; see docs/formats.md
     skin : False for eyes, lashes, teeth and hair, by the names of the part and its material
+    sources : (N,) index of each vertex in the vertices of the mesh's file or arrays, which texture
+        seams do not split; None if each vertex of the part has its own
+    source_count : number of these vertices of the file or arrays
+    rest : the part in the reference pose, if this part is in another pose, else None
     rig : data of the poses of a glTF file; None for a part that cannot be posed
     """
 
@@ -67,15 +70,22 @@ class Part:
     head: NDArray[np.float64] | None = None
     name: str = ""
     skin: bool = True
+    sources: NDArray[np.integer] | None = None
+    source_count: int = 0
+    rest: Part | None = None
     rig: Rig | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
+        check_type("rest of a part", self.rest, Part | None, "a Part or None")
         check_type("rig of a part", self.rig, Rig | None, "a facerender.scenes.rig.Rig or None")
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
-        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)):
+        for name, columns in (
+            *(("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)),
+            ("sources", 0),
+        ):
             if (values := getattr(self, name)) is not None:
                 check_array(name, values, columns)
         if self.uv is None and self.uv2 is not None:
@@ -87,6 +97,14 @@ class Part:
         ]
         counts = f"{len(self.positions)} vertices, {len(self.faces)} triangles"
         return f"<Part {', '.join([repr(self.name), counts, *has])}>"
+
+    @property
+    def root(self) -> Part:
+        """The part in the reference pose. All poses of a part have one root, under which caches
+        store what does not depend on the pose."""
+        rest = self.rest
+        same = rest is not None and all(getattr(self, n) is getattr(rest, n) for n in _OF_ROOT)
+        return rest if same and rest is not None else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +144,9 @@ class Mesh:
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
     regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
         from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
+    rest : the mesh in the reference pose, if this mesh is in another pose, else None. In another
+        pose, bounds, profile and regions are those of the reference pose, so that cameras stay, and
+        the radius may be larger; see :meth:`with_positions` and :meth:`tracked`
     """
 
     name: str
@@ -136,6 +157,7 @@ class Mesh:
     profile: NDArray[np.float64]
     millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
     regions: Mapping[str, Region | None] | None = None
+    rest: Mesh | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a mesh", self.name, str, "text")
@@ -205,6 +227,8 @@ class Mesh:
                 uv2=piece.uv2,
                 head=piece.head,
                 skin=piece.skin,
+                sources=piece.sources,
+                source_count=piece.source_count,
                 rig=piece.rig,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
@@ -218,6 +242,7 @@ class Mesh:
         faces: ArrayLike,
         *,
         uv: ArrayLike | None = None,
+        uv_faces: ArrayLike | None = None,
         normals: ArrayLike | None = None,
         colors: ArrayLike | None = None,
         material: Material | None = None,
@@ -233,7 +258,9 @@ class Mesh:
         ----------
         positions : (N, 3), y up
         faces : (F, 3) vertex indices from 0, counter-clockwise seen from outside
-        uv : (N, 2), v upwards; repeat the vertices of a seam for each side of the seam
+        uv : (N, 2), v upwards, one row for each vertex; or (M, 2) with uv_faces
+        uv_faces : (F, 3) indices of rows of uv for the corners of the faces, as in OBJ files; None
+            if uv has one row for each vertex
         normals : (N, 3), vectors of any length; None to compute smooth normals
         colors : (N, 3) or (N, 4): linear floats in [0, 1], or sRGB-encoded uint8 or uint16; alpha
             is dropped
@@ -247,7 +274,7 @@ class Mesh:
             maps without texture coordinates
         """
         check_type("name of a mesh", name, str, "text")
-        piece = _piece_of(positions, faces, uv, normals, colors, material)
+        piece = _piece_of(positions, faces, uv, uv_faces, normals, colors, material)
         piece.name = name
         with np.errstate(all="ignore"):  # clean() drops faces that cause overflow
             return cls.assembled(clean([piece], name), name, millimetres)
@@ -267,8 +294,8 @@ class Mesh:
         InputError : no part matches a name, or no part remains
         """
         wanted, hidden = names_of("parts", parts), names_of("hide", hide)
-        chosen = {i for name in wanted for i in self._called(name)} or {*range(len(self.parts))}
-        left = sorted(chosen - {i for name in hidden for i in self._called(name)})
+        chosen = {i for name in wanted for i in self.called(name)} or {*range(len(self.parts))}
+        left = sorted(chosen - {i for name in hidden for i in self.called(name)})
         if not left:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(left) == len(self.parts):
@@ -280,7 +307,7 @@ class Mesh:
             self.millimetres,
         )
 
-    def _called(self, name: str) -> list[int]:
+    def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
         pairs = enumerate(part.name for part in self.parts)
         if not (found := [i for i, own in pairs if own == name or fnmatchcase(own, name)]):
@@ -334,7 +361,7 @@ class Mesh:
         InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
         names = names_of("parts", parts)
-        chosen = {i for name in names for i in self._called(name)} or {*range(len(self.parts))}
+        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
         table = changes if preset is None else {"preset": preset, **changes}
         return self._changed(chosen, table)
 
@@ -343,24 +370,67 @@ class Mesh:
         see :attr:`skin` and :meth:`with_material`."""
         return self._changed(self.skin, changes)
 
+    def with_positions(self, positions: Any, normals: Any = None) -> Mesh:
+        """Return the mesh in another pose: moved vertices, with the same triangles, texture
+        coordinates and materials.
+
+        A renderer only updates its vertex buffers. Cameras frame the reference pose, which is the
+        mesh of the first call, so that the image stays while the face moves; see :meth:`tracked`.
+
+        Parameters
+        ----------
+        positions : (N, 3), a row for each vertex of the file or arrays from which the mesh was
+            made, or for each vertex of all parts in order. Or an array for each part, as a list, or
+            as a mapping by part name; parts without an array (None) stay as they are
+        normals : like positions, vectors of any length. None to compute them: area-weighted means
+            of face normals, also across texture seams and parts. Creases of the reference pose
+            remain creases
+
+        Raises
+        ------
+        InputError : a shape is wrong, values are not finite numbers, no part has a name, or a
+            vertex is more than 1e6 mesh radii from the centre
+
+        Warns
+        -----
+        FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
+        """
+        from facerender.scenes.pose import moved, rows_of_parts
+
+        places = rows_of_parts(self, "positions", positions)
+        given = rows_of_parts(self, "normals", normals)
+        return moved(self, places, given)
+
+    def tracked(self) -> Mesh:
+        """Return the mesh with a camera framing that follows the head: orbiting cameras move by the
+        median displacement of the head's vertices from the reference pose. If no head is found, all
+        vertices count. A mesh in the reference pose is returned unchanged."""
+        from facerender.scenes.pose import tracked
+
+        return tracked(self)
+
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
         new = {i: changed(self.materials[i], changes) for i in chosen}
         _warn_of_lobes(self.name, changes, new.values())
         materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
         return replace(self, materials=materials)
 
-    # --- poses -----------------------------------------------------------------------------------
-
     @property
     def shapes(self) -> tuple[str, ...]:
         """Names of the morph targets of a glTF file: ``shape1``, ``shape2``... if it has none."""
-        return shapes_of(self.parts)
+        rigs = (part.rig for part in self.parts if part.rig is not None)
+        return tuple(dict.fromkeys(shape.name for rig in rigs for shape in rig.shapes))
 
     @property
     def clips(self) -> dict[str, float]:
         """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
         ``clip2``... if they have none. Damaged animations are left out."""
-        return {each.name: each.duration for each in clips_of(self.parts) if not each.fault}
+        return {each.name: each.duration for each in self.all_clips if not each.fault}
+
+    @property
+    def all_clips(self) -> tuple[Clip, ...]:
+        """The animations of a glTF file, also the damaged ones."""
+        return next((own.rig.skeleton.clips for own in self.parts if own.rig is not None), ())
 
     def with_pose(
         self,
@@ -387,16 +457,12 @@ class Mesh:
 
         Warns
         -----
-        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored
+        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
+            the mesh has baked occlusion, see :meth:`with_positions`
         """
-        return self._moved(*posed(self, weights, clip, time))
+        from facerender.scenes.rig_pose import posed
 
-    def _moved(
-        self, positions: Sequence[NDArray[np.float64]], normals: Sequence[NDArray[np.float64]]
-    ) -> Mesh:
-        rows = zip(self.parts, positions, normals, strict=True)
-        parts = tuple(replace(part, positions=p, normals=n) for part, p, n in rows)
-        return replace(self, parts=parts)
+        return posed(self, weights, clip, time)
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
@@ -510,67 +576,75 @@ def _piece_of(
     positions: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike | None,
+    uv_faces: ArrayLike | None,
     normals: ArrayLike | None,
     colors: ArrayLike | None,
     material: Material | None,
 ) -> Piece:
     check_type("material", material, Material | None, "a facerender.Material or None")
-    places = _rows("positions", positions, (3,))
-    corners = _rows("faces", faces, (3,), "; cut polygons into triangles")
+    places = rows_of("positions", positions, (3,))
     count = len(places)
-    if (corners != np.floor(corners)).any():
-        raise InputError("faces are not whole numbers: give vertex indices")
-    if ((corners < 0) | (corners >= count)).any():
-        bad = int(corners.min()) if (corners < 0).any() else int(corners.max())
-        raise InputError(f"a face uses vertex {bad} of {count}: give indices from 0 on")
+    corners = _indices("faces", faces, count, "vertex", "; cut polygons into triangles")
     if material is None:
         material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
     maps = [each for each in MAPS if getattr(material, each) is not None]
     if uv is None and maps:
         raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
-    return Piece(
+    if uv is None and uv_faces is not None:
+        raise InputError("uv_faces without uv: give uv as well")
+    piece = Piece(
         places,
-        corners.astype(np.int64),
-        None if normals is None else _rows("normals", normals, (3,), count=count),
-        None if uv is None else _rows("uv", uv, (2,), count=count),
+        corners,
+        None if normals is None else rows_of("normals", normals, (3,), count=count),
+        None,
         None if colors is None else _linear_colors(colors, count),
         material,
     )
+    if uv_faces is not None and uv is not None:
+        rows = rows_of("uv", uv, (2,))
+        return _split_at_seams(piece, rows, _indices("uv_faces", uv_faces, len(rows), "row of uv"))
+    piece.uv = None if uv is None else rows_of("uv", uv, (2,), count=count)
+    return piece
 
 
-def _rows(
-    name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
-) -> NDArray[np.float64]:
-    """Return a float64 copy of an array. Check its shape, and that all its numbers are finite.
+def _indices(
+    name: str, values: ArrayLike, count: int, what: str, hint: str = ""
+) -> NDArray[np.int64]:
+    """Return indices (F, 3) in [0, count) from an array or nested lists."""
+    rows = rows_of(name, values, (3,), hint)
+    if (rows != np.floor(rows)).any():
+        raise InputError(f"{name} are not whole numbers: give indices")
+    if ((rows < 0) | (rows >= count)).any():
+        bad = int(rows.min()) if (rows < 0).any() else int(rows.max())
+        raise InputError(f"{name} use {what} {bad} of {count}: give indices from 0 on")
+    return rows.astype(np.int64)
 
-    widths : allowed numbers of columns
-    count : required number of rows; None for any
-    """
-    try:
-        values = np.asarray(array)
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
-    if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
-        wanted = " or ".join(map(str, widths))
+
+def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.int64]) -> Piece:
+    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses."""
+    if len(uv_faces) != len(piece.faces):
         raise InputError(
-            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {wanted} "
-            f"numbers{hint}"
+            f"uv_faces has {len(uv_faces)} rows: give {len(piece.faces)}, one for each face"
         )
-    if not len(values) or count not in (None, len(values)):
-        wanted = f"{count}, one for each vertex" if count else "at least one"
-        raise InputError(f"{name} has {len(values)} rows: give {wanted}")
-    rows = np.array(values, dtype=np.float64)
-    if not (finite := np.isfinite(rows).all(axis=1)).all():
-        bad = int(finite.argmin())
-        raise InputError(
-            f"{name}[{bad}] = {rows[bad].tolist()}: {int((~finite).sum())} rows are not finite; "
-            "leave them out"
-        )
-    return rows
+    pairs = piece.faces * len(uv) + uv_faces
+    used_pairs, corners = np.unique(pairs, return_inverse=True)
+    sources, rows = np.divmod(used_pairs, len(uv))
+    per_vertex: dict[str, Any] = {
+        name: None if (values := getattr(piece, name)) is None else values[sources]
+        for name in ("positions", "normals", "colors")
+    }
+    return replace(
+        piece,
+        **per_vertex,
+        faces=corners.reshape(-1, 3),
+        uv=uv[rows],
+        sources=sources,
+        source_count=len(piece.positions),
+    )
 
 
 def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
-    rows = _rows("colors", colors, (3, 4), count=count)[:, :3]
+    rows = rows_of("colors", colors, (3, 4), count=count)[:, :3]
     dtype = np.asarray(colors).dtype
     if dtype in (np.uint8, np.uint16):
         return srgb_to_linear(rows / np.iinfo(dtype).max)

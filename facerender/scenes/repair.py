@@ -30,7 +30,7 @@ class Piece:
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head, skin, rig : see :class:`facerender.scenes.mesh.Part`
+    head, skin, sources, source_count, rig : see :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -45,6 +45,8 @@ class Piece:
     material_name: str = ""
     head: NDArray[np.float64] | None = None
     skin: bool = True
+    sources: NDArray[np.integer] | None = None
+    source_count: int = 0
     rig: Rig | None = None
 
 
@@ -130,9 +132,9 @@ def are_closed(
     positions : (N, 3) for each part
     faces : (F, 3) for each part
     """
-    everywhere, numbers, welded, _ = stacked(positions, faces)
+    everywhere, joint, welded, _ = stacked(positions, faces)
     own = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
-    corners, places = welded[numbers], everywhere[numbers]
+    corners, places = welded[joint], everywhere[joint]
     count = int(corners.max()) + 1
     ends = corners, corners[:, [1, 2, 0]]
     edges, backwards = ((a * count + b).ravel() for a, b in (ends, ends[::-1]))
@@ -318,29 +320,6 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
             piece.rig = piece.rig.with_normals(piece.normals)
 
 
-def area_normals(
-    positions: NDArray[np.float64], corners: NDArray[np.int64], welded: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return unit normals of welded vertices (M, 3), weighted by the areas of their faces; 0 for a
-    vertex whose faces have no area.
-
-    Parameters
-    ----------
-    positions : (N, 3)
-    corners : (3, F), the first, second and third vertices of the faces, as indices of positions
-    welded : (3, F), the same vertices as indices of welded vertices
-    """
-    columns = np.ascontiguousarray(positions.T)
-    a, b, c = (np.stack([each.take(own) for each in columns]) for own in corners)
-    b -= a
-    c -= a
-    faces = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-    count = int(welded.max()) + 1
-    x, y, z = (sum(np.bincount(own, each, count) for own in welded) for each in faces)
-    length = np.sqrt(x * x + y * y + z * z)
-    return np.stack([x, y, z], axis=1) / np.where(length > 0.0, length, 1.0)[:, None]
-
-
 def stacked(
     positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -348,11 +327,11 @@ def stacked(
     see :func:`_weld`, and the first vertex of each part."""
     starts = np.cumsum([0, *map(len, positions)])
     places = np.concatenate(positions)
-    stacked = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
-    drawn = used(places, stacked)
+    joint = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
+    drawn = used(places, joint)
     welded = np.zeros(len(places), dtype=np.int64)
     welded[drawn] = _weld(places[drawn])
-    return places, stacked, welded, starts
+    return places, joint, welded, starts
 
 
 def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """Rigs: the data that move the vertices of a part, and their evaluation in float64: morph targets,
-skins, nodes and animation clips. This module reads no files; :mod:`facerender.scenes.rig_pose` checks
-the arguments of a pose.
+skins, nodes and animation clips. This module reads no files. The module ``rig_pose`` checks the
+arguments of a pose.
 
 Reference: Khronos (2021), glTF 2.0, sections 3.5 (nodes), 3.7.2.1 (morph targets), 3.7.3 (skins),
 3.11 and appendix C (animations).

@@ -1,42 +1,33 @@
-"""Poses of a mesh: check the weights, the clip and the time, evaluate the rigs of its parts, and
-complete the normals."""
+"""Poses by a mesh's rig: check the weights, the clip and the time, evaluate the rigs of the parts,
+and complete the normals."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type, clipped, shown, warn
-from facerender.scenes.repair import area_normals, stacked, used
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.pose import face_normal_sums, moved, reference_of
+from facerender.scenes.repair import used
 from facerender.scenes.rig import Clip, Float, Moves, Rig
 from facerender.scenes.vectors import MOST_RADII
-
-if TYPE_CHECKING:
-    from facerender.scenes.mesh import Mesh, Part
 
 _MOST_WEIGHT = 100.0  # largest absolute weight that a caller may give
 _MOST_NAMES = 300  # characters of the names in a message
 
-# Keyed by the first rig: faces of the parts, result of _welded.
-_Weld = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-_welds: WeakKeyDictionary[Rig, tuple[list[NDArray[Any]], _Weld]] = WeakKeyDictionary()
-
 
 def posed(
     mesh: Mesh, weights: Mapping[str, float] | None, clip: str | None, time: float | None
-) -> tuple[list[Float], list[Float]]:
-    """Return positions and normals of each part in a pose; see :meth:`Mesh.with_pose`."""
-    rigs = [part.rig for part in mesh.parts]
-    skeleton = next((each.skeleton for each in rigs if each is not None), None)
-    if skeleton is None:
+) -> Mesh:
+    """Return a mesh in a pose; see :meth:`Mesh.with_pose`."""
+    if all(part.rig is None for part in mesh.parts):
         raise InputError(f"{mesh.name} has no shapes and no clips: give a glTF file with a rig")
     given = _checked(mesh, weights)
-    chosen = _chosen(mesh, skeleton.clips, clip, time)
+    chosen = _chosen(mesh, clip, time)
     moves: Moves = {}
     if chosen is not None:
         moves = chosen.at(0.0 if time is None else float(time))
@@ -45,29 +36,20 @@ def posed(
                 f"clip {shown(chosen.name)} of {mesh.name} has channels of {chosen.ignored}: "
                 "ignored"
             )
+    rest = reference_of(mesh)
     with np.errstate(all="ignore"):
-        return _evaluated(mesh, rigs, given, moves)
-
-
-def shapes_of(parts: Sequence[Part]) -> tuple[str, ...]:
-    """Return the names of the parts' shapes without repetitions."""
-    rigs = (part.rig for part in parts if part.rig is not None)
-    return tuple(dict.fromkeys(shape.name for rig in rigs for shape in rig.shapes))
-
-
-def clips_of(parts: Sequence[Part]) -> tuple[Clip, ...]:
-    """Return all clips, also damaged ones."""
-    return next((part.rig.skeleton.clips for part in parts if part.rig is not None), ())
+        places, normals = _evaluated(rest, given, moves)
+    if mesh is not rest:
+        mesh = replace(mesh, parts=rest.parts, bounds=rest.bounds)
+    return moved(mesh, places, normals)
 
 
 def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float]:
     check_type("weights", weights, Mapping | None, "a mapping from names of shapes to numbers")
-    known = shapes_of(mesh.parts)
+    known = mesh.shapes
     for name, weight in (weights or {}).items():
         if name not in known:
-            raise InputError(
-                f"{mesh.name} has no shape {shown(name)}: {_known('shapes', list(known))}"
-            )
+            raise InputError(f"{mesh.name} has no shape {shown(name)}: {_known('shapes', known)}")
         check_range(f"weight of {shown(name)}", weight, -_MOST_WEIGHT, _MOST_WEIGHT)
     return {name: float(weight) for name, weight in (weights or {}).items()}
 
@@ -78,11 +60,12 @@ def _known(kind: str, names: Sequence[str]) -> str:
     )
 
 
-def _chosen(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | None) -> Clip | None:
+def _chosen(mesh: Mesh, name: str | None, time: float | None) -> Clip | None:
     """Return the clip of a name, or the first clip if only a time is given."""
     if name is None and time is None:
         return None
     check_type("clip", name, str | None, "the name of a clip")
+    clips = mesh.all_clips
     found = [each for each in clips if name in (None, each.name)]
     if not found:
         problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
@@ -100,25 +83,27 @@ def _chosen(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | N
 
 
 def _evaluated(
-    mesh: Mesh, rigs: Sequence[Rig | None], given: Mapping[str, float], moves: Moves
-) -> tuple[list[Float], list[Float]]:
-    skeleton = next(each.skeleton for each in rigs if each is not None)
-    worlds = skeleton.worlds(moves)
-    positions, normals, behind = [], [], []
-    lags = False
-    for part, rig in zip(mesh.parts, rigs, strict=True):
-        places, turned = part.positions, part.normals
-        behind.append(places)
-        if rig is not None:
-            weights = _weights(rig, given, moves)
-            places, turned = _posed(mesh, part, rig, worlds, weights)
-            behind[-1] = places
+    rest: Mesh, given: Mapping[str, float], moves: Moves
+) -> tuple[list[Float | None], list[Float | None]]:
+    """Return positions and normals of each part; None for a part in its stored pose."""
+    positions: list[Float | None] = []
+    normals: list[Float | None] = []
+    behind: dict[int, Float] = {}
+    worlds: dict[int, Float] = {}
+    for number, part in enumerate(rest.parts):
+        places = turned = None
+        if (rig := part.rig) is not None:
+            worlds = worlds or rig.skeleton.worlds(moves)
+            stored, weights = rig.stored_weights, _weights(rig, given, moves)
+            if moves or weights != stored:
+                places, turned = _posed(rest, part, rig, worlds, weights)
             if (lagging := rig.lagging(weights)) != weights:
-                lags = True
-                behind[-1], _ = replace(rig, normals=None).posed(worlds, lagging)
+                behind[number] = part.positions
+                if moves or lagging != stored:
+                    behind[number], _ = replace(rig, normals=None).posed(worlds, lagging)
         positions.append(places)
         normals.append(turned)
-    return positions, _following(mesh, positions, behind, normals) if lags else normals
+    return positions, _following(rest, positions, behind, normals) if behind else normals
 
 
 def _weights(rig: Rig, given: Mapping[str, float], moves: Moves) -> list[float]:
@@ -131,75 +116,75 @@ def _weights(rig: Rig, given: Mapping[str, float], moves: Moves) -> list[float]:
 
 
 def _posed(
-    mesh: Mesh, part: Part, rig: Rig, worlds: Mapping[int, Float], weights: Sequence[float]
+    rest: Mesh, part: Part, rig: Rig, worlds: Mapping[int, Float], weights: Sequence[float]
 ) -> tuple[Float, Float]:
-    """Return positions and unit normals of a part. Vertices that no face uses do not move: the
-    loader may have moved them."""
+    """Return positions and normals of a part. A normal that is not finite becomes 0."""
     try:
         places, normals = rig.posed(worlds, weights)
     except ValueError as error:
-        raise InputError(f"a shape of {mesh.name} is damaged ({error}); export it again") from None
-    unused = ~used(places, part.faces)
-    if unused.any():
-        places[unused] = part.positions[unused]
-    far = float(np.abs(places - mesh.center).max()) / mesh.radius
-    if not far <= MOST_RADII:
-        raise InputError(
-            f"the pose moves vertices of {mesh.name} to {far:.3g} mesh radii from its centre: "
-            f"give weights, a clip or a time within {MOST_RADII:g} radii"
-        )
-    return places, part.normals if normals is None else _unit(normals, part.normals)
+        raise InputError(f"a shape of {rest.name} is damaged ({error}); export it again") from None
+    if not _reach(rest, places) <= MOST_RADII:
+        far = _reach(rest, places[used(places, part.faces)])
+        if not far <= MOST_RADII:
+            raise InputError(
+                f"the pose moves vertices of {rest.name} to {far:.3g} mesh radii from its centre: "
+                f"give weights, a clip or a time within {MOST_RADII:g} radii"
+            )
+    if normals is None:
+        return places, part.normals
+    if not np.isfinite(normals).all():
+        normals[~np.isfinite(normals).all(axis=1)] = 0.0
+    return places, normals
 
 
-def _unit(vectors: Float, otherwise: Float) -> Float:
-    """Return unit vectors; a vector whose length is 0 or not finite is replaced."""
-    x, y, z = vectors.T
-    length = np.sqrt(x * x + y * y + z * z)  # the bits of np.linalg.norm in less time
-    good = np.isfinite(length) & (length > 0.0)
-    unit: Float = vectors / length[:, None]
-    if not good.all():
-        unit[~good] = otherwise[~good]
-    return unit
+def _reach(rest: Mesh, places: Float) -> float:
+    return float(np.abs(places - rest.center).max()) / rest.radius
 
 
 def _following(
-    mesh: Mesh, positions: Sequence[Float], behind: Sequence[Float], normals: Sequence[Float]
-) -> list[Float]:
+    rest: Mesh,
+    positions: Sequence[Float | None],
+    behind: Mapping[int, Float],
+    normals: Sequence[Float | None],
+) -> list[Float | None]:
     """Return normals that follow shapes without own normals. A normal changes by the difference of
     the face normals around its position with and without these shapes.
 
     Parameters
     ----------
-    positions : (N, 3) for each part
-    behind : positions of the same pose in which these shapes have their stored weights
+    positions, normals : (N, 3) for each part; None for a part in its stored pose
+    behind : positions of the same pose in which these shapes have their stored weights, keyed by
+        the part's index; other parts have the same positions
     """
-    corners, welded_corners, welded = _welded(mesh)
-    after, before = (
-        area_normals(np.concatenate(each), corners, welded_corners) for each in (positions, behind)
-    )
-    change = (after - before)[welded]
-    ends = np.cumsum([len(each) for each in positions])[:-1]
-    return [
-        _unit(own + step, own) for own, step in zip(normals, np.split(change, ends), strict=True)
-    ]
-
-
-def _welded(mesh: Mesh) -> _Weld:
-    """Return the corners of all faces (3, F) as indices of the vertices of all parts and as indices
-    of their positions in the stored pose, and the latter index for each vertex. Parts may share
-    positions."""
-    rigs = [part.rig for part in mesh.parts]
-    first = next(rig for rig in rigs if rig is not None)
-    faces = [part.faces for part in mesh.parts]
-    known, found = _welds.get(first, ([], None))
-    if found is None or [*map(id, known)] != [*map(id, faces)]:
-        worlds = first.skeleton.worlds({})
-        stored = [
-            part.positions if rig is None else rig.posed(worlds, rig.stored_weights)[0]
-            for part, rig in zip(mesh.parts, rigs, strict=True)
-        ]
-        _, corners, welded, _ = stacked(stored, faces)
-        corners = np.ascontiguousarray(corners.T)
-        found = corners, welded[corners], welded
-        _welds[first] = faces, found
+    pairs = zip(rest.parts, positions, strict=True)
+    after = [part.positions if own is None else own for part, own in pairs]
+    before = [behind.get(number, own) for number, own in enumerate(after)]
+    steps = []
+    for now, then in zip(_face_normals(rest, after), _face_normals(rest, before), strict=True):
+        steps.append(now - then)
+    found: list[Float | None] = []
+    for part, own, step in zip(rest.parts, normals, steps, strict=True):
+        moves = own is not None or step.any()
+        found.append(_unit(part.normals if own is None else own) + step if moves else None)
     return found
+
+
+# Keyed by a mesh in its stored pose: result of _face_normals.
+_stored: WeakKeyDictionary[Mesh, list[Float]] = WeakKeyDictionary()
+
+
+def _face_normals(rest: Mesh, positions: Sequence[Float]) -> list[Float]:
+    """Return the mean face normals around each vertex as unit vectors."""
+    still = all(own is part.positions for own, part in zip(positions, rest.parts, strict=True))
+    if still and rest in _stored:
+        return _stored[rest]
+    found = [_unit(each) for each in face_normal_sums(rest, positions)]
+    if still:
+        _stored[rest] = found
+    return found
+
+
+def _unit(vectors: Float) -> Float:
+    """Return vectors (N, 3) scaled to length 1; vectors of length 0 stay 0."""
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return np.asarray(vectors / np.where(length > 0.0, length, 1.0)[:, None])

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, reason, shown
 from facerender.terms.ranges import Range, VectorRange
 
 Vector = tuple[float, float, float]
@@ -53,3 +53,34 @@ def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
     """Return a unit vector from angles: azimuth 0 is +z (front), 90 is +x; elevation 90 is +y."""
     a, e = math.radians(azimuth), math.radians(elevation)
     return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+
+
+def rows_of(
+    name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
+) -> NDArray[np.float64]:
+    """Return a float64 copy of an array. Check its shape, and that all its numbers are finite.
+
+    widths : allowed numbers of columns
+    count : required number of rows; None for any
+    """
+    try:
+        values = np.asarray(array)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
+    if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
+        wanted = " or ".join(map(str, widths))
+        raise InputError(
+            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {wanted} "
+            f"numbers{hint}"
+        )
+    if not len(values) or count not in (None, len(values)):
+        wanted = f"{count}, one for each vertex" if count else "at least one"
+        raise InputError(f"{name} has {len(values)} rows: give {wanted}")
+    rows = np.array(values, dtype=np.float64)
+    if not (finite := np.isfinite(rows).all(axis=1)).all():
+        bad = int(finite.argmin())
+        raise InputError(
+            f"{name}[{bad}] = {rows[bad].tolist()}: {int((~finite).sum())} rows are not finite; "
+            "leave them out"
+        )
+    return rows

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from facerender.drawing.program import Program, Uniforms
 from facerender.drawing.triangle_setup import Area as Area
-from facerender.drawing.triangle_setup import TriangleSetup
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 
@@ -50,8 +49,6 @@ class Draw:
 
     Attributes
     ----------
-    setup : triangle data of the part. A "marked" draw reads this data as a texture; other
-        draws with a setup read only the vertex positions
     area : left column, lowest row, width and height, in pixels, of the rectangle to draw; None for
         the whole target
     depth : the depth test, and the buffers that the draw writes:
@@ -61,7 +58,7 @@ class Draw:
         - "blend": fragments that are not behind the stored depth are blended over the image
         - "mark": one triangle over the area writes depth only, without a test
         - "marked": one triangle over the area writes colour where the previous "mark" draw wrote
-          the same depth. The draw's program reads the triangle data from `setup`
+          the same depth. The draw's program reads the triangle table of the part
     order : (F,) indices of the part's triangles in drawing order; None for the part's own order
     double_sided : false to draw only front faces
     """
@@ -70,7 +67,6 @@ class Draw:
     uniforms: Uniforms
     part: Part | None = None
     material: Material | None = None
-    setup: TriangleSetup | None = None
     area: Area | None = None
     depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
     order: NDArray[np.int64] | None = None

@@ -239,10 +239,9 @@ class Refraction:
         """Yield the draws of the regions themselves: z in map space."""
         program, places = Program("refraction_surface.frag"), iter(areas)
         for part, own in zip(mesh.parts, self.parts, strict=True):
-            setup = triangle_setup_of(part, mesh)
             for region in own:
                 uniforms = {"view_projection": region.clip, "to_map": region.matrix}
-                yield Draw(program, uniforms, setup=setup, area=next(places), order=region.faces)
+                yield Draw(program, uniforms, part, area=next(places), order=region.faces)
 
 
 _NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))

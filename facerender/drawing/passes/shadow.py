@@ -24,7 +24,6 @@ from facerender.drawing.program import (
     surface_features,
 )
 from facerender.drawing.resolve import ResolvedScene
-from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
 from facerender.scenes.light import LightSpace
 from facerender.scenes.material import Material
@@ -176,9 +175,7 @@ def _draws(scene: Scene, space: LightSpace, area: Area) -> list[Draw]:
             own = {**part_uniforms(part, material), **uniforms}
             draws.append(Draw(program, own, part, material, area=area))
         else:
-            draws.append(
-                Draw(program, uniforms, setup=triangle_setup_of(part, scene.mesh), area=area)
-            )
+            draws.append(Draw(program, uniforms, part, area=area))
     return draws
 
 

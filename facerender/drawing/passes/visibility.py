@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import unblended
-from facerender.drawing.program import Program, Uniforms
-from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup, around, triangle_setup_of
-from facerender.scenes.mesh import drawn_alpha
+from facerender.drawing.program import IN_ROW, Program, Uniforms, table_features
+from facerender.drawing.triangle_setup import around, triangle_setup_of
+from facerender.scenes.mesh import Part, drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
@@ -64,13 +64,12 @@ class Visible:
 
     Attributes
     ----------
-    setup : triangle data of the part
     first : value of the part's first triangle in the image, at least 1; the background has 0
     area : bounds of the part in the image; if width or height is 0, the part is outside the image
     front : indices of the triangles that can face the camera; None if back faces are drawn too
     """
 
-    setup: TriangleSetup
+    part: Part
     first: int
     area: Area
     front: NDArray[np.int64] | None
@@ -114,8 +113,8 @@ class Visibility:
             if material.double_sided is False:
                 front = setup.facing(view.position)
                 area = area if len(front) else (0, 0, 0, 0)
-            parts.append(Visible(setup, first, area, front))
-            first += len(setup.faces)
+            parts.append(Visible(part, first, area, front))
+            first += len(part.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
 
     @property
@@ -134,7 +133,7 @@ class Visibility:
             Draw(
                 Program("visibility.frag", "visibility.vert", _SELECTED * (each.front is not None)),
                 {"first": each.first},
-                setup=each.setup,
+                each.part,
                 order=each.front,
                 double_sided=each.front is None,
             )
@@ -171,22 +170,20 @@ class Visibility:
         depth : depth value in [0, 1] that is different for each part
         """
         samples = f"SAMPLES {self.samples}"
-        uniforms = {"first": part.first, "triangle_count": len(part.setup.faces), "depth": depth}
+        uniforms = {"first": part.first, "triangle_count": len(part.part.faces), "depth": depth}
         visible = Program("visible.frag", "screen.vert", (samples,))
         features = (
             *draw.program.features,
             "VISIBLE",
             *(("PIXEL_RATE",) * (self.shading_rate == "pixel")),
             samples,
-            f"TRIANGLES_IN_ROW {IN_ROW}",
-            f"TRIANGLE_TEXELS {part.setup.texels}",
+            *table_features(part.part),
         )
         program = replace(draw.program, vertex="screen.vert", features=features)
         shaded = replace(
             draw,
             program=program,
             uniforms={**draw.uniforms, **uniforms},
-            setup=part.setup,
             area=part.area,
             depth="marked",
             double_sided=True,

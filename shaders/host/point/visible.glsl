@@ -1,11 +1,11 @@
 // Point where the ray through the centre of a pixel intersects the plane of a triangle.
-// drawing/triangle_setup.py packs a triangle: its plane, and its attributes as affine functions of
-// the position. Method: Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to
+// triangle_table.frag packs a triangle: its plane, and its attributes as affine functions of the
+// position. Method: Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to
 // deferred shading".
 #include "host/point/point.glsl"
 #include "host/visible.glsl"
 
-uniform sampler2D triangle_setup;
+uniform sampler2D triangle_table;
 uniform vec3 ray;  // From the camera to the far plane, at the outer corner of the first pixel.
 uniform vec3 ray_x;  // Change of the ray to the next pixel to the right.
 uniform vec3 ray_y;
@@ -15,7 +15,7 @@ uniform vec3 ray_y;
 vec4 texel_of(uint triangle, int index) {
     int row = int(triangle) / TRIANGLES_IN_ROW;
     int column = int(triangle) - row * TRIANGLES_IN_ROW;
-    return texelFetch(triangle_setup, ivec2(column * TRIANGLE_TEXELS + index, row), 0);
+    return texelFetch(triangle_table, ivec2(column * TRIANGLE_TEXELS + index, row), 0);
 }
 
 #ifdef CURVATURE
