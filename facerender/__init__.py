@@ -8,7 +8,8 @@ render          draws one image in one call; a Renderer keeps uploaded meshes an
 load_mesh       loads a mesh file with its materials, or converts a trimesh object
 Mesh            from_arrays creates a mesh; with_material changes materials, select picks parts
 Material        reflectance of a part; a Texture is a map from a file, an array or a Pillow image
-simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion
+simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion, and
+                tracked makes cameras follow a moving head
 Scene           mesh, Camera, Light, ambient light, background and environment
 Environment     environment map from a Panorama; load_environment reads an EnvironmentFile
 Shading         the specular Term of each light, and the terms to omit
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from facerender.scenes.file import EnvironmentFile as EnvironmentFile
     from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
+    from facerender.scenes.framing import tracked as tracked
     from facerender.scenes.light import Light as Light
     from facerender.scenes.lod import simplified as simplified
     from facerender.scenes.material import Material as Material
@@ -94,6 +96,7 @@ _HOMES = {
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
     "scenes.file": ("EnvironmentFile", "Pose", "load_scene"),
+    "scenes.framing": ("tracked",),
     "scenes.lod": ("simplified",),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),

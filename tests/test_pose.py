@@ -183,7 +183,7 @@ class TestDrawing:
         moved = head.with_positions([part.positions + step for part in head.parts])
         still, kept, followed = (
             view_of(fr.Scene(mesh, fr.Camera(frame="face")), 1.0).extrinsics(mesh)
-            for mesh in (head, moved, moved.tracked())
+            for mesh in (head, moved, fr.tracked(moved))
         )
         np.testing.assert_allclose(kept, still, atol=1e-9)
         np.testing.assert_allclose(followed[:, :3], still[:, :3], atol=1e-12)

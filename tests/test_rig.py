@@ -792,7 +792,7 @@ def test_a_pose_keeps_the_rest_of_the_mesh():
     assert pose.rest is mesh
     for part, own in zip(pose.parts, mesh.parts, strict=True):
         assert part.root is own
-    moved = pose.with_positions([part.positions + 0.1 for part in mesh.parts]).tracked()
+    moved = fr.tracked(pose.with_positions([part.positions + 0.1 for part in mesh.parts]))
     again = moved.with_material(m=0.2).with_pose({"Key 1": 1.0})
     assert_equal(again.parts[0].positions, pose.parts[0].positions, "after other positions")
     assert_equal(again.bounds, mesh.bounds, "bounds")

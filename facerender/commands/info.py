@@ -24,6 +24,7 @@ from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.presets import PRESETS, preset_of
+from facerender.scenes.rig_pose import clips_of
 from facerender.system.data import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
@@ -70,6 +71,7 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
     Lengths of clips are in seconds, or None for a damaged clip."""
     size = mesh.bounds[1] - mesh.bounds[0]
     known, skin = mesh.millimetres, mesh.skin
+    clips = clips_of(part.rig for part in mesh.parts)
     parts = [
         {**_part(number + 1, *pair), "skin": number in skin}
         for number, pair in enumerate(zip(mesh.parts, mesh.materials, strict=True))
@@ -85,7 +87,10 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
         "shapes": list(mesh.shapes),
-        "clips": {each.name: None if each.fault else each.duration for each in mesh.all_clips},
+        "clips": {
+            each.name: None if each.fault else each.duration
+            for each in clips_of(part.rig for part in mesh.parts)
+        },
         "hints": hints.of_mesh(mesh),
     }
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, shown
 from facerender.scenes.file import Pose
+from facerender.scenes.framing import tracked
 from facerender.scenes.mesh import Mesh
 from facerender.system.memory import MIB, limit
 
@@ -32,7 +33,7 @@ def posed(mesh: Mesh, pose: Pose) -> Mesh:
         mesh = mesh.with_positions(_frame(pose.vertices, pose.frame))
     elif pose.weights or pose.clip is not None or pose.time is not None:
         mesh = mesh.with_pose(pose.weights, clip=pose.clip, time=pose.time)
-    return mesh.tracked() if pose.track else mesh
+    return tracked(mesh) if pose.track else mesh
 
 
 def frame_count(path: str | os.PathLike[str]) -> int:

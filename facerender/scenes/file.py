@@ -73,7 +73,7 @@ class Pose:
     vertices : path of a file with vertex positions: .npy of shape (frames, vertices, 3), or .npz
         with one such array for each part; see :meth:`facerender.Mesh.with_positions`
     frame : index of the frame in ``vertices``
-    track : whether the framing follows the head; see :meth:`facerender.Mesh.tracked`
+    track : whether the framing follows the head; see :func:`facerender.tracked`
     """
 
     weights: Mapping[str, float] = field(default_factory=dict)
@@ -405,7 +405,11 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in known]):
         bad = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
         raise InputError(f"unknown {bad} in {key}; known: {', '.join(known)}")
-    needed = [each.name for each in fields(kind) if each.default is MISSING]
+    needed = [
+        each.name
+        for each in fields(kind)
+        if each.default is MISSING and each.default_factory is MISSING
+    ]
     if lacking := [name for name in needed if name not in table]:
         raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}: add it")
     return kind(**table)

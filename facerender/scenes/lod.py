@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, check_type, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.scenes.framing import find_regions
-from facerender.scenes.mesh import TRIANGLES, Mesh, Part
-from facerender.scenes.pose import moved, reference_of
+from facerender.scenes.mesh import TRIANGLES, Mesh, Part, moved, reference_of
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 from facerender.system import meshoptimizer
 from facerender.terms.ranges import IntegerRange, check_fields, ranged

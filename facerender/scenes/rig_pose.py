@@ -3,45 +3,68 @@ and complete the normals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from facerender.errors import InputError, check_range, check_type, clipped, shown, warn
-from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.pose import face_normal_sums, moved, reference_of
+from facerender.scenes.normals import Corners
 from facerender.scenes.repair import used
 from facerender.scenes.rig import Clip, Float, Moves, Rig
 from facerender.scenes.vectors import MOST_RADII
+
+if TYPE_CHECKING:
+    from facerender.scenes.mesh import Mesh, Part
+
+_Rows = list[Float | None]
 
 _MOST_WEIGHT = 100.0  # largest absolute weight that a caller may give
 _MOST_NAMES = 300  # characters of the names in a message
 
 
+def shapes_of(rigs: Iterable[Rig | None]) -> tuple[str, ...]:
+    """Return the names of the shapes without repetitions."""
+    return tuple(dict.fromkeys(shape.name for rig in rigs if rig for shape in rig.shapes))
+
+
+def clips_of(rigs: Iterable[Rig | None]) -> tuple[Clip, ...]:
+    """Return the clips of the parts of a file, also the damaged ones."""
+    return next((rig.skeleton.clips for rig in rigs if rig), ())
+
+
 def posed(
-    mesh: Mesh, weights: Mapping[str, float] | None, clip: str | None, time: float | None
-) -> Mesh:
-    """Return a mesh in a pose; see :meth:`Mesh.with_pose`."""
-    if all(part.rig is None for part in mesh.parts):
-        raise InputError(f"{mesh.name} has no shapes and no clips: give a glTF file with a rig")
-    given = _checked(mesh, weights)
-    chosen = _chosen(mesh, clip, time)
+    rest: Mesh,
+    corners: Callable[[], Corners],
+    weights: Mapping[str, float] | None,
+    clip: str | None,
+    time: float | None,
+) -> tuple[_Rows, _Rows]:
+    """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
+    pose. The normals have any length.
+
+    Parameters
+    ----------
+    rest : the mesh in the reference pose
+    corners : returns the corners of the mesh
+    weights, clip, time : see :meth:`Mesh.with_pose`
+    """
+    if all(part.rig is None for part in rest.parts):
+        raise InputError(f"{rest.name} has no shapes and no clips: give a glTF file with a rig")
+    given = _checked(rest, weights)
+    chosen = _chosen(rest, clip, time)
     moves: Moves = {}
     if chosen is not None:
         moves = chosen.at(0.0 if time is None else float(time))
         if chosen.ignored:
             warn(
-                f"clip {shown(chosen.name)} of {mesh.name} has channels of {chosen.ignored}: "
+                f"clip {shown(chosen.name)} of {rest.name} has channels of {chosen.ignored}: "
                 "ignored"
             )
-    rest = reference_of(mesh)
     with np.errstate(all="ignore"):
-        places, normals = _evaluated(rest, given, moves)
-    if mesh is not rest:
-        mesh = replace(mesh, parts=rest.parts, bounds=rest.bounds)
-    return moved(mesh, places, normals)
+        return _evaluated(rest, corners, given, moves)
 
 
 def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float]:
@@ -65,7 +88,7 @@ def _chosen(mesh: Mesh, name: str | None, time: float | None) -> Clip | None:
     if name is None and time is None:
         return None
     check_type("clip", name, str | None, "the name of a clip")
-    clips = mesh.all_clips
+    clips = clips_of(part.rig for part in mesh.parts)
     found = [each for each in clips if name in (None, each.name)]
     if not found:
         problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
@@ -83,11 +106,10 @@ def _chosen(mesh: Mesh, name: str | None, time: float | None) -> Clip | None:
 
 
 def _evaluated(
-    rest: Mesh, given: Mapping[str, float], moves: Moves
-) -> tuple[list[Float | None], list[Float | None]]:
-    """Return positions and normals of each part; None for a part in its stored pose."""
-    positions: list[Float | None] = []
-    normals: list[Float | None] = []
+    rest: Mesh, corners: Callable[[], Corners], given: Mapping[str, float], moves: Moves
+) -> tuple[_Rows, _Rows]:
+    positions: _Rows = []
+    normals: _Rows = []
     behind: dict[int, Float] = {}
     worlds: dict[int, Float] = {}
     for number, part in enumerate(rest.parts):
@@ -103,7 +125,9 @@ def _evaluated(
                     behind[number], _ = replace(rig, normals=None).posed(worlds, lagging)
         positions.append(places)
         normals.append(turned)
-    return positions, _following(rest, positions, behind, normals) if behind else normals
+    if behind:
+        normals = _following(rest, corners(), positions, behind, normals)
+    return positions, normals
 
 
 def _weights(rig: Rig, given: Mapping[str, float], moves: Moves) -> list[float]:
@@ -142,11 +166,8 @@ def _reach(rest: Mesh, places: Float) -> float:
 
 
 def _following(
-    rest: Mesh,
-    positions: Sequence[Float | None],
-    behind: Mapping[int, Float],
-    normals: Sequence[Float | None],
-) -> list[Float | None]:
+    rest: Mesh, corners: Corners, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
+) -> _Rows:
     """Return normals that follow shapes without own normals. A normal changes by the difference of
     the face normals around its position with and without these shapes.
 
@@ -156,31 +177,30 @@ def _following(
     behind : positions of the same pose in which these shapes have their stored weights, keyed by
         the part's index; other parts have the same positions
     """
-    pairs = zip(rest.parts, positions, strict=True)
-    after = [part.positions if own is None else own for part, own in pairs]
+    stored = [part.positions for part in rest.parts]
+    after = [a if b is None else b for a, b in zip(stored, positions, strict=True)]
     before = [behind.get(number, own) for number, own in enumerate(after)]
-    steps = []
-    for now, then in zip(_face_normals(rest, after), _face_normals(rest, before), strict=True):
-        steps.append(now - then)
-    found: list[Float | None] = []
+    pairs = zip(*(_face_normals(rest, corners, each) for each in (after, before)), strict=True)
+    steps = [now - then for now, then in pairs]
+    found: _Rows = []
     for part, own, step in zip(rest.parts, normals, steps, strict=True):
         moves = own is not None or step.any()
         found.append(_unit(part.normals if own is None else own) + step if moves else None)
     return found
 
 
-# Keyed by a mesh in its stored pose: result of _face_normals.
-_stored: WeakKeyDictionary[Mesh, list[Float]] = WeakKeyDictionary()
+# Keyed by the corners of a mesh: result of _face_normals in the stored pose.
+_stored: WeakKeyDictionary[Corners, list[Float]] = WeakKeyDictionary()
 
 
-def _face_normals(rest: Mesh, positions: Sequence[Float]) -> list[Float]:
+def _face_normals(rest: Mesh, corners: Corners, positions: Sequence[Float]) -> list[Float]:
     """Return the mean face normals around each vertex as unit vectors."""
     still = all(own is part.positions for own, part in zip(positions, rest.parts, strict=True))
-    if still and rest in _stored:
-        return _stored[rest]
-    found = [_unit(each) for each in face_normal_sums(rest, positions)]
+    if still and corners in _stored:
+        return _stored[corners]
+    found = [_unit(each) for each in corners.normal_sums(positions)]
     if still:
-        _stored[rest] = found
+        _stored[corners] = found
     return found
 
 
