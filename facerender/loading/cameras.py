@@ -84,7 +84,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     document = document_of(chunks(content, name)[0], name)
     found = []
     try:
-        for node in scene_nodes(document):
+        for node in scene_nodes(document)[1]:
             if "camera" in node.properties:
                 camera = document["cameras"][node.properties["camera"]]
                 label = node.properties.get("name") or camera.get("name") or ""

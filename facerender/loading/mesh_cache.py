@@ -9,9 +9,9 @@ import json
 import math
 import struct
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from facerender.scenes.framing import find_regions
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, Region
 from facerender.scenes.mips import Kind, Levels
+from facerender.scenes.rig import Clip, Node, Rig, Shape, Skeleton, Skin, Track
 from facerender.scenes.texture import LARGE, Texture, pack
 from facerender.system import cache
 from facerender.system.files import digest_of, read_file
@@ -45,7 +46,10 @@ _CHAINS: dict[str, Kind] = {
 }
 
 _PLAIN_FIELDS = ("name", "skin", "source_count")
-_ARRAYS = tuple(each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest"))
+_ARRAYS = tuple(
+    each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest", "rig")
+)
+_OF_RIGS = {each.__name__: each for each in (Clip, Node, Rig, Shape, Skeleton, Skin, Track)}
 
 
 @dataclass(frozen=True)
@@ -188,11 +192,13 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         facts_of = {"name": texture.name, "wrap": texture.wrap, "nearest": texture.nearest}
         textures.append({**facts_of, "levels": levels, "texels": texels})
     numbers = {texture: i for i, texture in enumerate(chains)}
+    rigs = _RigWriter(number)
     facts |= {
         "name": mesh.name,
         "parts": [
             {name: number(getattr(part, name)) for name in _ARRAYS}
             | {name: getattr(part, name) for name in _PLAIN_FIELDS}
+            | {"rig": rigs.packed(part.rig)}
             for part in mesh.parts
         ],
         "materials": [
@@ -206,6 +212,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "millimetres": mesh.millimetres,
         "regions": {name: each and _plain(each) for name, each in find_regions(mesh).items()},
         "textures": textures,
+        "rigs": rigs.objects,
     }
     facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
     head = json.dumps(facts, default=float).encode()
@@ -215,6 +222,48 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         pieces += [bytes(-size % _ALIGNMENT), each.data]
         size += -size % _ALIGNMENT + each.nbytes
     return pieces
+
+
+class _RigWriter:
+    """Converts rigs to plain data. Parts share most objects and arrays of their rigs, so an object
+    is stored once and referred to by its index, before the objects that refer to it."""
+
+    def __init__(self, number: Callable[[NDArray[Any]], int | None]) -> None:
+        self.number = number
+        self.objects: list[dict[str, Any]] = []
+        self.known: dict[int, dict[str, int | None]] = {}  # keyed by id
+
+    def packed(self, value: Any) -> Any:
+        if isinstance(value, tuple | list):
+            return [self.packed(each) for each in value]
+        if isinstance(value, np.ndarray):
+            if id(value) not in self.known:
+                self.known[id(value)] = {"array": self.number(value)}
+            return self.known[id(value)]
+        if not is_dataclass(value):
+            return value
+        if id(value) not in self.known:
+            own = {each.name: self.packed(getattr(value, each.name)) for each in fields(value)}
+            self.objects.append({"type": type(value).__name__, "fields": own})
+            self.known[id(value)] = {"object": len(self.objects) - 1}
+        return self.known[id(value)]
+
+
+def _rigs(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> list[Rig | None]:
+    """Return the rig of each part."""
+    objects: list[Any] = []
+
+    def unpacked(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(unpacked(each) for each in value)
+        if not isinstance(value, dict):
+            return value
+        return objects[value["object"]] if "object" in value else arrays[value["array"]]
+
+    for each in facts["rigs"]:
+        own = {name: unpacked(value) for name, value in each["fields"].items()}
+        objects.append(_OF_RIGS[each["type"]](**own))
+    return [unpacked(part["rig"]) for part in facts["parts"]]
 
 
 def _plain(region: Region) -> dict[str, Any]:
@@ -252,11 +301,12 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         {name: None if each[name] is None else arrays[each[name]] for name in _ARRAYS}
         for each in facts["parts"]
     ]
+    rigs = _rigs(facts, arrays)
     return Mesh(
         facts["name"],
         tuple(
-            Part(**each, **{name: own[name] for name in _PLAIN_FIELDS})
-            for each, own in zip(columns, facts["parts"], strict=True)
+            Part(**each, **{name: own[name] for name in _PLAIN_FIELDS}, rig=rig)
+            for each, own, rig in zip(columns, facts["parts"], rigs, strict=True)
         ),
         tuple(materials),
         arrays[facts["bounds"]],

@@ -28,6 +28,8 @@ from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
+from facerender.scenes.rig import Rig
+from facerender.scenes.rig_pose import clips_of, posed, shapes_of
 from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
@@ -63,6 +65,7 @@ class Part:
         seams do not split; None if each vertex of the part has its own
     source_count : number of these vertices of the file or arrays
     rest : the part in the reference pose, if this part is in another pose, else None
+    rig : data of the poses of a glTF file; None for a part that cannot be posed
     """
 
     positions: NDArray[np.float64]
@@ -78,11 +81,13 @@ class Part:
     sources: NDArray[np.integer] | None = None
     source_count: int = 0
     rest: Part | None = None
+    rig: Rig | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
         check_type("rest of a part", self.rest, Part | None, "a Part or None")
+        check_type("rig of a part", self.rig, Rig | None, "a facerender.scenes.rig.Rig or None")
         IntegerRange(0, math.inf).check("source_count of a part", self.source_count)
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
@@ -234,6 +239,7 @@ class Mesh:
                 skin=piece.skin,
                 sources=piece.sources,
                 source_count=piece.source_count,
+                rig=piece.rig,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
         ]
@@ -410,6 +416,51 @@ class Mesh:
         _warn_of_lobes(self.name, changes, new.values())
         materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
         return replace(self, materials=materials)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the morph targets of a glTF file: ``shape1``, ``shape2``... if it has none."""
+        return shapes_of(part.rig for part in self.parts)
+
+    @property
+    def clips(self) -> dict[str, float]:
+        """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
+        ``clip2``... if they have none. Damaged animations are left out."""
+        clips = clips_of(part.rig for part in self.parts)
+        return {each.name: each.duration for each in clips if not each.fault}
+
+    def with_pose(
+        self,
+        weights: Mapping[str, float] | None = None,
+        *,
+        clip: str | None = None,
+        time: float | None = None,
+    ) -> Mesh:
+        """Return a copy of the mesh in another pose. Triangles, materials and camera framing do
+        not change. Every pose starts from the pose in the file, also if this mesh has another one.
+
+        Parameters
+        ----------
+        weights : weights in [-100, 100] of morph targets, keyed by a name of :attr:`shapes`. They
+            override the weights of the clip and of the file, in all parts with this shape
+        clip : name of an animation, see :attr:`clips`; None: the first one if ``time`` is given,
+            otherwise the pose in the file
+        time : time in seconds, from 0 to the length of the clip; None: 0
+
+        Raises
+        ------
+        InputError : the mesh has no shapes and no clips, a name is unknown, a value is outside its
+            range, a clip or shape is damaged, or a vertex moves too far
+
+        Warns
+        -----
+        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
+            the mesh has baked occlusion, see :meth:`with_positions`
+        """
+        rest = reference_of(self)
+        places, normals = posed(rest, lambda: _corners_of(rest), weights, clip, time)
+        stored = self if rest is self else replace(self, parts=rest.parts, bounds=rest.bounds)
+        return moved(stored, places, normals)
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
