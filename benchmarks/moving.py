@@ -20,15 +20,14 @@ import statistics
 import struct
 import sys
 import tempfile
-import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from run import HEAD, HERE, frames_of, in_turns, report, resident, started
 
 import facerender as fr
-from run import HEAD, HERE, frames_of, in_turns, report, resident, started
 
 FPS = 25
 SECONDS = 2.0
