@@ -39,6 +39,7 @@ RIGHT: dict[str, list[Any]] = {
     "MeshFile triangles": [HUGE],  # keeps all triangles
     "simplified triangles": [HUGE],
     "Part source_count": [HUGE],
+    "Pose weights": [{"x": 1}],
     **{f"Mesh.with_positions {name}": [None, {}] for name in ("positions", "normals")},
     **{
         name: [MATRIX]

@@ -137,9 +137,9 @@ _MULTIPLIERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E377
 def number_vertices(data: bytes, pieces: Sequence[Piece]) -> None:
     """Set the sources of the pieces of an OBJ file: the index of each vertex in the file.
 
-    trimesh splits vertices at texture seams and does not return the indices. If several vertices of
-    the file have one position, only the faces of a file with one piece of triangles tell them
-    apart; other pieces then stay without sources.
+    trimesh splits vertices at texture seams and does not return the indices, so that positions
+    identify the vertices. If several vertices of the file share a position, the faces identify
+    them in a file with one piece of triangles; in other files the piece stays without sources.
     """
     try:
         places = np.array(_VERTEX.findall(data), dtype=np.bytes_).astype(np.float64).reshape(-1, 3)

@@ -157,9 +157,9 @@ class Mesh:
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
     regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
         from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
-    rest : the mesh in the reference pose, if this mesh is in another pose, else None. In another
-        pose, bounds, profile and regions are those of the reference pose, so that cameras stay, and
-        the radius may be larger; see :meth:`with_positions` and :func:`facerender.tracked`
+    rest : the mesh in the reference pose, if this mesh is in another pose, else None. Bounds,
+        profile and regions describe the reference pose, so that cameras stay; the radius may be
+        larger. See :meth:`with_positions` and :func:`facerender.tracked`
     """
 
     name: str
