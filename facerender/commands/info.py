@@ -22,9 +22,8 @@ from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh, Part, clips_of
 from facerender.scenes.presets import PRESETS, preset_of
-from facerender.scenes.rig_pose import clips_of
 from facerender.system.data import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
@@ -71,7 +70,6 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
     Lengths of clips are in seconds, or None for a damaged clip."""
     size = mesh.bounds[1] - mesh.bounds[0]
     known, skin = mesh.millimetres, mesh.skin
-    clips = clips_of(part.rig for part in mesh.parts)
     parts = [
         {**_part(number + 1, *pair), "skin": number in skin}
         for number, pair in enumerate(zip(mesh.parts, mesh.materials, strict=True))
@@ -88,8 +86,7 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "parts": parts,
         "shapes": list(mesh.shapes),
         "clips": {
-            each.name: None if each.fault else each.duration
-            for each in clips_of(part.rig for part in mesh.parts)
+            each.name: None if each.fault else each.duration for each in clips_of(mesh.parts)
         },
         "hints": hints.of_mesh(mesh),
     }

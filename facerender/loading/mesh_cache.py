@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,12 @@ from facerender.scenes.framing import find_regions
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, Region
 from facerender.scenes.mips import Kind, Levels
-from facerender.scenes.rig import Clip, Node, Rig, Shape, Skeleton, Skin, Track
 from facerender.scenes.texture import LARGE, Texture, pack
 from facerender.system import cache
 from facerender.system.files import digest_of, read_file
+
+if TYPE_CHECKING:
+    from facerender.scenes.rig import Rig
 
 Chains = dict[Texture, dict[Kind, Future[Levels]]]
 
@@ -49,7 +51,6 @@ _PLAIN_FIELDS = ("name", "skin", "source_count")
 _ARRAYS = tuple(
     each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest", "rig")
 )
-_OF_RIGS = {each.__name__: each for each in (Clip, Node, Rig, Shape, Skeleton, Skin, Track)}
 
 
 @dataclass(frozen=True)
@@ -251,6 +252,12 @@ class _RigWriter:
 
 def _rigs(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> list[Rig | None]:
     """Return the rig of each part."""
+    if not facts["rigs"]:
+        return [None] * len(facts["parts"])
+    from facerender.scenes import rig
+
+    kinds = (rig.Clip, rig.Node, rig.Rig, rig.Shape, rig.Skeleton, rig.Skin, rig.Track)
+    known = {each.__name__: each for each in kinds}
     objects: list[Any] = []
 
     def unpacked(value: Any) -> Any:
@@ -262,7 +269,7 @@ def _rigs(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> list[Rig 
 
     for each in facts["rigs"]:
         own = {name: unpacked(value) for name, value in each["fields"].items()}
-        objects.append(_OF_RIGS[each["type"]](**own))
+        objects.append(known[each["type"]](**own))
     return [unpacked(part["rig"]) for part in facts["parts"]]
 
 

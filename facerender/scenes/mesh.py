@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,10 +28,11 @@ from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
-from facerender.scenes.rig import Rig
-from facerender.scenes.rig_pose import clips_of, posed, shapes_of
 from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
+
+if TYPE_CHECKING:
+    from facerender.scenes.rig import Clip, Rig
 
 Rows = NDArray[np.float64]
 
@@ -87,7 +88,10 @@ class Part:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
         check_type("rest of a part", self.rest, Part | None, "a Part or None")
-        check_type("rig of a part", self.rig, Rig | None, "a facerender.scenes.rig.Rig or None")
+        if self.rig is not None:
+            from facerender.scenes.rig import Rig  # most meshes have none: this saves 5 ms
+
+            check_type("rig of a part", self.rig, Rig, "a facerender.scenes.rig.Rig or None")
         IntegerRange(0, math.inf).check("source_count of a part", self.source_count)
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
@@ -420,14 +424,14 @@ class Mesh:
     @property
     def shapes(self) -> tuple[str, ...]:
         """Names of the morph targets of a glTF file: ``shape1``, ``shape2``... if it has none."""
-        return shapes_of(part.rig for part in self.parts)
+        rigs = (part.rig for part in self.parts)
+        return tuple(dict.fromkeys(shape.name for rig in rigs if rig for shape in rig.shapes))
 
     @property
     def clips(self) -> dict[str, float]:
         """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
         ``clip2``... if they have none. Damaged animations are left out."""
-        clips = clips_of(part.rig for part in self.parts)
-        return {each.name: each.duration for each in clips if not each.fault}
+        return {each.name: each.duration for each in clips_of(self.parts) if not each.fault}
 
     def with_pose(
         self,
@@ -457,10 +461,17 @@ class Mesh:
         FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
             the mesh has baked occlusion, see :meth:`with_positions`
         """
+        from facerender.scenes.rig_pose import posed  # only for poses, as above
+
         rest = reference_of(self)
         places, normals = posed(rest, lambda: _corners_of(rest), weights, clip, time)
         stored = self if rest is self else replace(self, parts=rest.parts, bounds=rest.bounds)
         return moved(stored, places, normals)
+
+
+def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
+    """Return the clips of a mesh's file, also the damaged ones."""
+    return next((part.rig.skeleton.clips for part in parts if part.rig), ())
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:

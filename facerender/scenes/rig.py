@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from facerender.scenes.repair import transformed
 
 Float = NDArray[np.float64]
 Moves = Mapping[int, Mapping[str, Sequence[float]]]
@@ -26,7 +27,7 @@ Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 _AT_ONCE = 1 << 13  # vertices skinned at a time, so that their matrices stay in the CPU's cache
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Node:
     """A node of a scene in its stored pose.
 
@@ -55,7 +56,7 @@ class Node:
         return local_matrix(**known) if known else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Track:
     """Keys of one property of a node.
 
@@ -119,7 +120,7 @@ def _slerp(a: list[float], b: list[float], u: float) -> list[float]:
     return _unit([first * x + second * y for x, y in zip(a, b, strict=True)])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Clip:
     """An animation.
 
@@ -149,7 +150,7 @@ class Clip:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Skeleton:
     """The nodes of a file's scene, parents first, and the clips of the file."""
 
@@ -185,7 +186,7 @@ class Skeleton:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Shape:
     """A morph target of a part. Vertices that do not move are left out.
 
@@ -205,7 +206,7 @@ class Shape:
     fault: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Skin:
     """The joints that move a part.
 
@@ -255,7 +256,7 @@ class Skin:
         return found if self.inverse is None else found @ self.inverse
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rig:
     """The data that move the vertices of a part.
 
@@ -419,23 +420,6 @@ def _add(
         values += step
     else:
         values[rows] += step
-
-
-def transformed(
-    positions: NDArray[Any], normals: NDArray[Any] | None, matrix: Float
-) -> tuple[Float, Float | None, bool]:
-    """Return positions and normals after a transform, and whether the transform mirrors. The
-    normals have any length; they are None if there are none or the matrix is singular.
-
-    matrix : (4, 4), for column vectors
-    """
-    linear = matrix[:3, :3]
-    determinant = float(np.linalg.det(linear)) if np.isfinite(matrix).all() else 0.0
-    turned = None
-    if normals is not None and determinant:
-        with suppress(np.linalg.LinAlgError):
-            turned = np.asarray(normals, dtype=np.float64) @ np.linalg.inv(linear)
-    return positions @ linear.T + matrix[:3, 3], turned, determinant < 0.0
 
 
 def skinned(

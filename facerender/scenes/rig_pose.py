@@ -3,7 +3,7 @@ and complete the normals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -25,16 +25,6 @@ _MOST_WEIGHT = 100.0  # largest absolute weight that a caller may give
 _MOST_NAMES = 300  # characters of the names in a message
 
 
-def shapes_of(rigs: Iterable[Rig | None]) -> tuple[str, ...]:
-    """Return the names of the shapes without repetitions."""
-    return tuple(dict.fromkeys(shape.name for rig in rigs if rig for shape in rig.shapes))
-
-
-def clips_of(rigs: Iterable[Rig | None]) -> tuple[Clip, ...]:
-    """Return the clips of the parts of a file, also the damaged ones."""
-    return next((rig.skeleton.clips for rig in rigs if rig), ())
-
-
 def posed(
     rest: Mesh,
     corners: Callable[[], Corners],
@@ -51,10 +41,11 @@ def posed(
     corners : returns the corners of the mesh
     weights, clip, time : see :meth:`Mesh.with_pose`
     """
-    if all(part.rig is None for part in rest.parts):
+    skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
+    if skeleton is None:
         raise InputError(f"{rest.name} has no shapes and no clips: give a glTF file with a rig")
     given = _checked(rest, weights)
-    chosen = _chosen(rest, clip, time)
+    chosen = _chosen(rest, skeleton.clips, clip, time)
     moves: Moves = {}
     if chosen is not None:
         moves = chosen.at(0.0 if time is None else float(time))
@@ -64,7 +55,7 @@ def posed(
                 "ignored"
             )
     with np.errstate(all="ignore"):
-        return _evaluated(rest, corners, given, moves)
+        return _evaluated(rest, corners, skeleton.worlds(moves), given, moves)
 
 
 def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float]:
@@ -83,12 +74,11 @@ def _known(kind: str, names: Sequence[str]) -> str:
     )
 
 
-def _chosen(mesh: Mesh, name: str | None, time: float | None) -> Clip | None:
+def _chosen(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | None) -> Clip | None:
     """Return the clip of a name, or the first clip if only a time is given."""
     if name is None and time is None:
         return None
     check_type("clip", name, str | None, "the name of a clip")
-    clips = clips_of(part.rig for part in mesh.parts)
     found = [each for each in clips if name in (None, each.name)]
     if not found:
         problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
@@ -106,16 +96,18 @@ def _chosen(mesh: Mesh, name: str | None, time: float | None) -> Clip | None:
 
 
 def _evaluated(
-    rest: Mesh, corners: Callable[[], Corners], given: Mapping[str, float], moves: Moves
+    rest: Mesh,
+    corners: Callable[[], Corners],
+    worlds: Mapping[int, Float],
+    given: Mapping[str, float],
+    moves: Moves,
 ) -> tuple[_Rows, _Rows]:
     positions: _Rows = []
     normals: _Rows = []
     behind: dict[int, Float] = {}
-    worlds: dict[int, Float] = {}
     for number, part in enumerate(rest.parts):
         places = turned = None
         if (rig := part.rig) is not None:
-            worlds = worlds or rig.skeleton.worlds(moves)
             stored, weights = rig.stored_weights, _weights(rig, given, moves)
             if moves or weights != stored:
                 places, turned = _posed(rest, part, rig, worlds, weights)
