@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -62,8 +62,7 @@ class Lens:
     def filtered(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the distorted image (H, W, 4) of an undistorted image.
 
-        Each tap is a Catmull-Rom filter of 4 x 4 pixels. The mean of the taps, evenly distributed
-        over the pixel, is the pixel's value. Coverage and radiance stay in their ranges.
+        A pixel is the mean of its taps, which are evenly distributed over the pixel.
         """
         width, height = self.size
         found = np.empty((width * height, 4), dtype=np.float32)
@@ -71,10 +70,8 @@ class Lens:
             for own in _in_steps(np.flatnonzero(self.taps == count)):
                 total = np.zeros((len(own), 4), dtype=np.float32)
                 for place in self._tap_places(own, int(count)):
-                    total += _cubic(image, place)
+                    total += _interpolated(image, place)
                 found[own] = total / np.float32(count * count)
-        np.maximum(found, 0.0, out=found)
-        np.minimum(found[:, 3], 1.0, out=found[:, 3])
         return found.reshape(height, width, 4)
 
     def nearest(self, gbuffer: GBuffer, view: View) -> GBuffer:
@@ -176,21 +173,36 @@ def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
     return (total - difference) / 2.0, (total + difference) / 2.0
 
 
-def _cubic(image: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float32]:
+def _interpolated(image: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the values (N, 4) of an image (H, W, 4) at positions (N, 2), by Catmull-Rom filters.
+
+    Each value is limited to the range of the nearest 2 x 2 pixels: edges get no halos. If one of
+    these pixels has a coverage below 1/2, the value is their bilinear mean. Otherwise, radiance and
+    coverage could get different limits, so that their ratio, the straight colour, would be wrong.
 
     Source: Keys (1981), "Cubic convolution interpolation for digital image processing".
     """
     first = np.floor(places - 0.5)
-    x, y = (_weights(each) for each in (places - 0.5 - first).T)
+    fractions = places - 0.5 - first
+    x, y = (_weights(each) for each in fractions.T)
     columns, rows = first.astype(np.intp).T - 1
     line, texel = image.strides[:2]
     # Each entry holds four neighbours of a row.
     runs = as_strided(image, (len(image), image.shape[1] - 3, 16), (line, texel, 4))
     total = np.zeros((len(places), 4), dtype=np.float32)
+    near = []
     for number in range(4):
         run = runs[rows + number, columns].reshape(-1, 4, 4)
         total += y[:, number, None] * np.einsum("nk,nkc->nc", x, run)
+        near += [run[:, 1], run[:, 2]] if number in (1, 2) else []
+    low, high = (reduce(limit, near) for limit in (np.minimum, np.maximum))
+    np.clip(total, low, high, out=total)
+    edge = np.flatnonzero((low[:, 3] < 0.5) & (high[:, 3] > 0.0))
+    across, down = fractions[edge].T[..., None]
+    above, below = (
+        left[edge] + across * (right[edge] - left[edge]) for left, right in (near[:2], near[2:])
+    )
+    total[edge] = above + down * (below - above)
     return total
 
 
