@@ -88,7 +88,6 @@ def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
     yield by(files.write_glb, "a.glb", normals=False)
     yield by(files.write_draco, "a.glb")
     yield "a.glb", {"a.glb": featured(head)}
-    yield "a.glb", {"a.glb": animated(head)}
     yield by(files.write_gltf, "a.gltf")
     yield by(files.write_textured_obj, "a.obj")
     yield by(files.write_obj, "a.obj", uv=False, colors=colors)
@@ -97,6 +96,7 @@ def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
     yield "a.ply", {"a.ply": ascii_ply.encode()}
     yield by(files.write_stl, "a.stl")
     yield "a.stl", {"a.stl": ascii_stl.encode()}
+    yield "a.glb", {"a.glb": animated(head)}
 
 
 MTL = b"""newmtl skin
