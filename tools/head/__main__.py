@@ -10,6 +10,7 @@ from .eyes import both_eyes, corneas, eyeballs
 from .glb import CORNEA, EYEBALLS, LASHES, TEAR_LINE, Part, write_glb
 from .lashes import lashes, tear_lines
 from .lids import open_lids, with_open_eyes
+from .mouth import with_mouth
 from .surface import Mesh, build_mesh
 from .texture import paint
 from .unwrap import unwrap
@@ -21,7 +22,9 @@ def write_head(path: Path, closed: Mesh, *, open_eyes: bool, texture_size: int, 
     """Paint the ``closed`` head, open its eyes if wanted, and write the GLB file."""
     eyes = both_eyes() if open_eyes else ()
     openings = [open_lids(eye) for eye in eyes]
-    head = unwrap(*with_open_eyes(closed, openings)) if eyes else unwrap(closed)
+    cut, tucked, rings = with_open_eyes(closed, openings) if eyes else (closed, None, [])
+    shaped, mouth = with_mouth(cut)
+    head = unwrap(shaped, mouth, tucked)
     maps = paint(head, texture_size, seed, closed, eyes)
     parts = []
     if eyes:

@@ -337,11 +337,19 @@ def _fill(mesh: Mesh, opening: Opening) -> tuple[Mesh, Tucked]:
     return Mesh(positions, normals, faces), _tucked(opening, first)
 
 
-def with_open_eyes(closed: Mesh, openings: Sequence[Opening]) -> tuple[Mesh, Tucked]:
-    """Return the head with open lids, and the vertices without texture coordinates of their own."""
+def with_open_eyes(
+    closed: Mesh, openings: Sequence[Opening]
+) -> tuple[Mesh, Tucked, list[NDArray[np.int64]]]:
+    """Return the head with open lids.
+
+    Also returns the vertices without texture coordinates of their own, and the vertices of each
+    opening's rings, (rings, points).
+    """
     mesh = closed
-    tucked = []
+    tucked, rings = [], []
     for opening in openings:
+        shape = opening.rings.shape[:2]
+        rings.append(len(mesh.positions) + np.arange(np.prod(shape)).reshape(shape))
         mesh, found = _fill(mesh, opening)
         tucked.append(found)
     used, faces = np.unique(mesh.faces, return_inverse=True)
@@ -358,6 +366,7 @@ def with_open_eyes(closed: Mesh, openings: Sequence[Opening]) -> tuple[Mesh, Tuc
             np.concatenate([renumbered[each.anchors] for each in tucked]),
             np.concatenate([each.weights for each in tucked]),
         ),
+        [renumbered[rows] for rows in rings],
     )
 
 

@@ -14,6 +14,7 @@ from .fields import Floats, bell, ramp
 from .hairs import brow_cover, lash_cover
 from .landmarks import hairline
 from .lids import Lids, find_lids
+from .mouth import depth_behind_lips
 from .noise import Noise, nearest, scatter
 from .regions import Regions, find_regions
 from .shape import (
@@ -38,6 +39,12 @@ LASHES: Colour = (46, 34, 30)
 LID_MARGIN: Colour = (206, 142, 126)
 CARUNCLE: Colour = (198, 116, 106)
 LID_WHITE: Colour = (204, 158, 146)  # at the border of the corners and the sclera
+INNER_LIPS: Colour = (168, 84, 80)
+MOUTH: Colour = (104, 38, 36)
+THROAT: Colour = (20, 5, 5)
+
+# Depths below the skin at which the colours of the mouth fade in, cm.
+INNER_LIPS_DEPTH, MOUTH_DEPTH, THROAT_DEPTH = (0.025, 0.07), (0.08, 0.7), (0.5, 1.9)
 
 # Absorption of red, green and blue by one unit of a pigment: the exponent of its transmission.
 BLOOD: Colour = (0.03, 0.26, 0.24)
@@ -89,6 +96,7 @@ SLOPE_ADDED = {
     "nostril": 0.15,
 }
 SLOPE_ADDED_WET = -0.07  # on the margins of open lids
+SLOPE_ADDED_MOUTH = -0.12
 SLOPE_RANGE = (0.205, 0.54)  # at least 0.2 after rounding: the plain half vector needs it
 
 
@@ -235,10 +243,11 @@ def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
     return np.asarray(height, np.float32)
 
 
-def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, open_eye: Floats) -> Floats:
+def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, unfolded: Floats) -> Floats:
     """Return tangent-space normals: x along u, z along the mesh normal.
 
     They encode the normals of the surface with its fine folds, tilted by the slope of ``height``.
+    ``unfolded`` is the weight of surfaces that the closed head does not have: they get no folds.
     Inside the nostrils, normals point to the opening. Otherwise a renderer without shadows would
     light their walls through the skin.
     """
@@ -258,7 +267,7 @@ def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, open_eye: 
     slope *= np.minimum(1, STEEPEST / np.maximum(steepness, 1e-6))
 
     folded = unit(gradient(fine_head_distance, texels.positions, 0.018))
-    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole * (1 - open_eye)
+    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole * (1 - unfolded)
     wanted = normals + (folded - normals) * trusted[:, None] - slope
     wanted += (np.array(NOSTRIL_OPENING, np.float32) - wanted) * nostril[:, None]
 
@@ -352,7 +361,13 @@ def _add_hair(
 
 
 def _albedo(
-    points: Floats, regions: Regions, marks: Marks, noise: Noise, occlusion: Floats, lids: Lids
+    points: Floats,
+    regions: Regions,
+    marks: Marks,
+    noise: Noise,
+    occlusion: Floats,
+    lids: Lids,
+    in_mouth: Floats,
 ) -> Floats:
     colour = _skin_colour(points, regions, marks, noise)
     colour = _add_lips(colour, points, regions, noise)
@@ -361,14 +376,23 @@ def _albedo(
     colour = cover(colour, 0.80 * lids.caruncle, CARUNCLE)
     colour = cover(colour, lids.white, LID_WHITE)
     colour = cover(colour, 0.5 * lids.roots, LASHES)
+    for depths, lining in (
+        (INNER_LIPS_DEPTH, INNER_LIPS),
+        (MOUTH_DEPTH, MOUTH),
+        (THROAT_DEPTH, THROAT),
+    ):
+        colour = cover(colour, ramp(*depths, in_mouth), lining)
     # Pits reflect less light, and redder light.
     open_share = 0.60 + 0.40 * occlusion
     open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.36 * regions.mouth_seam)
     return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
 
 
-def _rms_slope(points: Floats, regions: Regions, noise: Noise, lids: Lids) -> Floats:
+def _rms_slope(
+    points: Floats, regions: Regions, noise: Noise, lids: Lids, in_mouth: Floats
+) -> Floats:
     slope = SLOPE_BASE + 0.02 * noise(points, 1.5, 101, layers=3) + SLOPE_ADDED_WET * lids.wet
+    slope = slope + SLOPE_ADDED_MOUTH * ramp(*INNER_LIPS_DEPTH, in_mouth)
     for region, added in SLOPE_ADDED.items():
         slope = slope + added * getattr(regions, region)
     return np.asarray(np.clip(slope, *SLOPE_RANGE), np.float32)
@@ -392,14 +416,15 @@ def paint(unwrapped: Unwrapped, size: int, seed: int, closed: Mesh, eyes: Sequen
     points = texels.positions
     regions = find_regions(points, noise)
     lids = find_lids(points, eyes)
+    in_mouth = depth_behind_lips(points)
     marks = _scatter_marks(closed, points, random)
     marks = replace(marks, lash=marks.lash * (1 - lids.region))
     occlusion = _occlusion(texels, regions, lids)
 
     height = _fine_height(points, regions, marks, noise)
-    normals = _tangent_normals(texels, height, regions.nostril, lids.region)
-    albedo = _albedo(points, regions, marks, noise, occlusion, lids)
-    roughness = np.sqrt(_rms_slope(points, regions, noise, lids))
+    normals = _tangent_normals(texels, height, regions.nostril, lids.region + ramp(*INNER_LIPS_DEPTH, in_mouth))
+    albedo = _albedo(points, regions, marks, noise, occlusion, lids, in_mouth)
+    roughness = np.sqrt(_rms_slope(points, regions, noise, lids, in_mouth))
     combined = np.stack([occlusion, roughness, np.zeros_like(occlusion)], 1)
     half = (size // 2, size // 2)
     return Maps(
