@@ -1,0 +1,242 @@
+"""Blend shapes of the head, with the names of ARKit: displacements of the vertices of each part.
+
+Left and right are the head's own. Shapes of brows, cheeks and lips are smooth fields in space. The
+jaw rotates, with weights that minimise the bending of the skin. The lids slide over the eyeball.
+Lengths are in cm.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from .eyes import Textured
+from .fields import Floats, Spot, ramp
+from .lashes import LOWER, STRAND_VERTICES, UPPER
+from .lids import Opening, closed_lids, raised_lids, skin_places, turned_up
+from .mouth import Mouth, above_line
+from .shape import JAW_BODY, bent
+from .surface import Faces, Mesh, face_normals
+
+Moves = dict[str, Floats]  # the displacement of each vertex, (N, 3), by the name of the shape
+
+
+@dataclass(frozen=True)
+class Push:
+    """A displacement (outward, up, forward) in cm, with the weight of a spot."""
+
+    spot: Spot
+    move: tuple[float, float, float]
+
+
+SMILE = (
+    Push(Spot(2.50, -6.90, 0.95, 0.85), (0.50, 0.60, -0.40)),  # corner of the mouth
+    Push(Spot(1.35, -6.75, 0.75, 0.80), (0.24, 0.06, -0.12)),  # lips
+    Push(Spot(3.55, -3.70, 1.25, 1.05, -25), (0.08, 0.34, 0.34)),  # cheek
+    Push(Spot(2.35, -5.00, 0.55, 0.80, -30), (0.10, 0.14, -0.08)),  # fold from nose to mouth
+)
+BROW_INNER_UP = (
+    Push(Spot(1.15, 1.65, 0.95, 0.80), (-0.05, 0.58, 0.0)),
+    Push(Spot(1.30, 3.20, 1.20, 0.95), (0.0, 0.18, 0.0)),
+)
+BROW_DOWN = (
+    Push(Spot(1.50, 1.70, 0.95, 0.75), (-0.16, -0.40, 0.08)),
+    Push(Spot(3.40, 1.85, 1.20, 0.65), (-0.05, -0.22, 0.02)),
+)
+PUCKER = (
+    Push(Spot(2.30, -6.90, 0.95, 0.80), (-0.75, 0.0, 0.20)),
+    Push(Spot(0.45, -6.85, 0.95, 0.75), (-0.05, 0.0, 0.32)),
+)
+PUFF = (Push(Spot(4.10, -6.10, 1.35, 1.40), (0.75, 0.0, 0.30)),)
+# Shapes of the skin: name, pushes, and sides (1 left, -1 right).
+FIELDS = (
+    ("browDownLeft", BROW_DOWN, (1,)),
+    ("browDownRight", BROW_DOWN, (-1,)),
+    ("browInnerUp", BROW_INNER_UP, (1, -1)),
+    ("cheekPuff", PUFF, (1, -1)),
+    ("mouthPucker", PUCKER, (1, -1)),
+    ("mouthSmileLeft", SMILE, (1,)),
+    ("mouthSmileRight", SMILE, (-1,)),
+)
+FIELD_END = 3.0  # distance from a spot's centre, in its standard deviations, at which its field ends
+FIELD_BACK, FIELD_FRONT = 0.5, 4.0  # range of z in which the fields fade in
+
+JAW_AXIS = (-1.3, 1.0)  # height and z of the axis through the condyles
+JAW_ANGLE = 13.5  # degrees; opens the lips by 25 mm
+JAW_FORWARD = 0.20  # slide of the condyles
+JAW_CORNERS = Push(Spot(2.3, -6.95, 0.9, 0.9), (-0.30, 0.0, 0.0))  # the mouth becomes narrower
+# Skin that follows the jaw, and skin that stays; the skin between them bends.
+JAW_REACH = 1.25  # distance from the bone of the jaw, cm
+JAW_LIP, JAW_CHIN = (0.9, -8.3), (2.0, -11.2)  # half width and lowest height
+STILL_ABOVE, STILL_BEHIND, STILL_BELOW = -2.6, -1.5, -14.5
+STILL_LIP = (1.0, -6.3)  # half width of the still middle of the upper lip, lowest height beside it
+
+LASH_TURN = 50.0  # downward rotation of the upper lashes of closed lids, degrees
+
+
+def _push(points: Floats, push: Push, sides: Sequence[int]) -> Floats:
+    """Return the displacements of points (N, 3) by a push on the given sides."""
+    x, y, z = bent(points)
+    total = np.zeros_like(points)
+    for side in sides:
+        squared = -2 * np.log(np.maximum(push.spot.weight(side * x, y), 1e-9))
+        weight = np.maximum(1 - squared / FIELD_END**2, 0) ** 4 * ramp(FIELD_BACK, FIELD_FRONT, z)
+        total += weight[:, None] * np.array(push.move, np.float32) * (side, 1, 1)
+    return total
+
+
+def _stiffness(positions: Floats, faces: Faces) -> tuple[csr_matrix, Floats]:
+    """Return the Laplacian of a mesh with cotangent weights, and the area of each vertex."""
+    corners = positions[faces].astype(np.float64)
+    double_area = np.maximum(np.linalg.norm(face_normals(positions, faces), axis=1), 1e-6)
+    rows, columns, values = [], [], []
+    for i in range(3):
+        a, b = faces[:, (i + 1) % 3], faces[:, (i + 2) % 3]
+        to_a = corners[:, (i + 1) % 3] - corners[:, i]
+        to_b = corners[:, (i + 2) % 3] - corners[:, i]
+        half = np.clip((to_a * to_b).sum(1) / double_area, 0.02, 20) / 2
+        rows += [a, b, a, b]
+        columns += [b, a, a, b]
+        values += [-half, -half, half, half]
+    count = len(positions)
+    matrix = csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (count, count)
+    )
+    area = np.bincount(faces.ravel(), np.repeat(double_area / 6, 3), count)
+    return matrix, np.maximum(area, 1e-6)
+
+
+def _jaw_weights(mesh: Mesh, mouth: Mouth) -> Floats:
+    """Return the weight of the jaw at each vertex: 1 on chin and lower lip, 0 on the upper face."""
+    points = mesh.positions
+    x, y, z = bent(points)
+    side = np.abs(x)
+    height, _ = above_line(points)
+    lower = np.zeros(len(points), bool)
+    lower[mouth.loop[len(mouth.loop) // 2 + 1 :]] = True
+    below = (height < -0.01) | lower
+    lip = below & (side < JAW_LIP[0]) & (y > JAW_LIP[1]) & (z > 6)
+    chin = (side < JAW_CHIN[0]) & (y < JAW_LIP[1]) & (y > JAW_CHIN[1]) & (z > 6)
+    bone = (JAW_BODY.distance(side, y, z) < JAW_REACH) & (z > 4.5) & (y > JAW_CHIN[1])
+    moving = lip | chin | bone & (y < JAW_LIP[1])
+    still = (y > STILL_ABOVE) | (z < STILL_BEHIND) | (y < STILL_BELOW) | (side > 6.4)
+    middle = ~below & (side < STILL_LIP[0]) & (z > 6)
+    still |= middle | ((side < 1.8) & (y > STILL_LIP[1]) & (z > 6))
+
+    faces = mesh.faces[(mesh.faces < mouth.cavity[0]).all(1)]
+    free = np.flatnonzero(~moving & ~still)
+    free = np.intersect1d(free, faces)
+    laplacian, area = _stiffness(points, faces)
+    bending = (laplacian @ diags(1 / area) @ laplacian).tocsr()
+    weights = moving.astype(np.float64)
+    weights[free] = spsolve(bending[free][:, free].tocsc(), -(bending[free] @ weights))
+    weights[mouth.cavity] = weights[mouth.anchors]
+    weights[mouth.cavity[-1]] = 0.5
+    return np.clip(weights, 0, 1).astype(np.float32)
+
+
+def _jaw_open(mesh: Mesh, mouth: Mouth) -> Floats:
+    weights = _jaw_weights(mesh, mouth)
+    angle = np.radians(JAW_ANGLE) * weights
+    x, y, z = (mesh.positions - (0, *JAW_AXIS)).T
+    moves = np.stack(
+        [
+            np.zeros_like(x),
+            np.cos(angle) * y - np.sin(angle) * z - y,
+            np.cos(angle) * z + np.sin(angle) * y - z + JAW_FORWARD * weights,
+        ],
+        1,
+    )
+    return np.asarray(moves, np.float32)
+
+
+def _with_cavity(moves: Floats, mouth: Mouth) -> Floats:
+    """Return displacements in which the cavity follows the lips, less towards its end."""
+    found = moves.copy()
+    share = (1 - mouth.depth[:, None]) ** 1.5
+    found[mouth.cavity] = moves[mouth.anchors] * share
+    return found
+
+
+def _lid_moves(rings: NDArray[np.int64], opening: Opening, wanted: Floats, count: int) -> Floats:
+    moves = np.zeros((count, 3), np.float32)
+    moves[rings] = (wanted - opening.rings) * (opening.eye.mirror, 1, 1)
+    return moves
+
+
+def skin_moves(
+    mesh: Mesh, mouth: Mouth, openings: Sequence[Opening], rings: Sequence[NDArray[np.int64]]
+) -> Moves:
+    """Return the shapes of the skin.
+
+    Parameters
+    ----------
+    openings : open lids, left and right; the lids' shapes need them
+    rings : vertices of each opening, (rings, points)
+    """
+    # Fields end at the lids' edges, because lashes and tear lines do not follow them.
+    share = np.ones((len(mesh.positions), 1), np.float32)
+    for rows in rings:
+        share[rows, 0] = 0
+        places = skin_places()
+        share[rows[: len(places)], 0] = ramp(0.1, 1.0, places)
+    found = {"jawOpen": _jaw_open(mesh, mouth)}
+    corners = _with_cavity(_push(mesh.positions, JAW_CORNERS, (1, -1)), mouth)
+    found["jawOpen"] += corners
+    for name, pushes, sides in FIELDS:
+        moves = np.sum([_push(mesh.positions, push, sides) for push in pushes], axis=0)
+        found[name] = _with_cavity(moves * share, mouth)
+    for opening, rows in zip(openings, rings, strict=True):
+        for name, wanted in (("eyeBlink", closed_lids), ("eyeWide", raised_lids)):
+            moves = _lid_moves(rows, opening, wanted(opening), len(mesh.positions))
+            found[name + _side(opening)] = moves
+    return dict(sorted(found.items()))
+
+
+def _side(opening: Opening) -> str:
+    return "Left" if opening.eye.mirror > 0 else "Right"
+
+
+def _lash_moves(points: Floats, opening: Opening, wanted: Floats, turn: float) -> Floats:
+    """Return the displacements of the lashes of an eye, local points (N, 3).
+
+    The roots follow the lids, and the upper lashes turn down by up to ``turn`` degrees.
+    """
+    strands = points.reshape(-1, STRAND_VERTICES, 3)
+    ring = opening.edge + 2  # that of the roots
+    moves = []
+    for rows, columns, angle in (
+        (slice(None, UPPER.count), opening.upper, turn),
+        (slice(UPPER.count, None), opening.lower, 0.0),
+    ):
+        line = opening.rings[ring][columns]
+        shift = wanted[ring][columns] - line
+        part = strands[rows]
+        roots = part[:, :3].mean(1, keepdims=True)
+        at = [np.interp(roots[:, 0, 0], line[:, 0], shift[:, axis]) for axis in range(3)]
+        shifts = np.stack(at, -1)[:, None]
+        largest = max(np.abs(shift[:, 1]).max(), 1e-6)
+        bend = -np.radians(angle) * np.sqrt(np.abs(shifts[..., 1]) / largest)
+        moved = roots + shifts + turned_up(part - roots, bend)
+        moves.append(moved - part)
+    return np.concatenate(moves).reshape(-1, 3).astype(np.float32)
+
+
+def lash_moves(lashes: Textured, openings: Sequence[Opening]) -> Moves:
+    """Return the shapes of the lashes of both eyes."""
+    points = lashes.mesh.positions
+    found = {}
+    for opening, rows in zip(openings, np.split(np.arange(len(points)), len(openings)), strict=True):
+        local = opening.eye.local(points[rows])
+        for name, wanted, turn in (
+            ("eyeBlink", closed_lids, LASH_TURN),
+            ("eyeWide", raised_lids, 0.0),
+        ):
+            moves = np.zeros_like(points)
+            moves[rows] = _lash_moves(local, opening, wanted(opening), turn)
+            moves[rows] *= (opening.eye.mirror, 1, 1)
+            found[name + _side(opening)] = moves
+    return dict(sorted(found.items()))
