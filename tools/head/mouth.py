@@ -1,7 +1,7 @@
 """The mouth: a cut between the closed lips, and the cavity behind it.
 
-The cut follows ``landmarks.mouth_line``. The cavity is a tube of rings behind the cut. The lips
-hide it until a shape opens them. Lengths are in cm.
+The cut follows ``landmarks.mouth_line``. The cavity is a tube of rings behind the cut, with
+teeth and a tongue. The lips hide it until a shape opens them. Lengths are in cm.
 """
 
 from dataclasses import dataclass
@@ -20,22 +20,38 @@ CUT_BACK = 6.0  # z behind which no skin is cut
 SNAP = 0.045  # vertices nearer to the line in height move onto it
 # Half the gap between the lips. Without a gap, programs that weld equal positions close the mouth.
 HALF_GAP = 0.0002
-# Rings of the cavity: (distance behind the lips, half height, share of the width) in the middle.
-CAVITY = (
-    (0.05, 0.012, 1.0),
-    (0.13, 0.035, 1.0),
-    (0.26, 0.09, 0.99),
-    (0.45, 0.22, 0.97),
-    (0.80, 0.50, 0.93),
-    (1.40, 0.85, 0.86),
-    (2.40, 1.05, 0.78),
-    (3.60, 0.95, 0.66),
-    (4.60, 0.55, 0.45),
+# Rings of the cavity behind the upper and the lower lip: (distance behind the lips, height above
+# or below the line), in the middle of the mouth. They form the inside of the lips, the teeth, the
+# palate and the tongue.
+UPPER_RINGS = (
+    (0.05, 0.012),
+    (0.13, 0.040),
+    (0.26, 0.20),
+    (0.32, 0.58),
+    (0.40, 0.52),  # gums
+    (0.45, -0.26),  # edges of the teeth
+    (0.53, -0.24),
+    (0.75, 0.45),
+    (1.60, 0.80),  # palate
+    (3.20, 0.75),
 )
-CAVITY_END = 5.0
+LOWER_RINGS = (
+    (0.05, 0.012),
+    (0.13, 0.040),
+    (0.26, 0.22),
+    (0.34, 0.60),
+    (0.46, 0.52),
+    (0.58, 0.10),
+    (0.66, 0.12),
+    (0.85, 0.45),
+    (1.50, 0.16),  # tip of the tongue
+    (3.00, 0.05),
+)
+END = (4.6, 0.1)  # distance and height below the line
+LIPS_RING, GUMS_RING, TEETH_RING, TONGUE_RING = 2, 5, 6, 9  # counted from the lips, which are 0
+ARCH_WIDTH = 0.82  # of the teeth, relative to the mouth
 LIP_ROUNDING = 0.7  # weight of the skin in the normals of the first ring
-CORNER_DEPTH = 0.25  # depth of the rings at the corners of the mouth, relative to the middle
-INTERIOR = ((-2.7, -9.0, 3.0), (2.7, -5.2, 10.4))  # corners of a box around the cavity
+CORNER_DEPTH = (0.25, 1.7)  # depth at the corners, relative to the middle: of the lips, the teeth
 
 
 @dataclass(frozen=True)
@@ -43,16 +59,19 @@ class Mouth:
     """The vertices of the cut and of the cavity, as rows of the mesh.
 
     The loop runs along the upper lip from the left corner to the right one, and back along the
-    lower lip. The first ring of the cavity has the same positions.
+    lower lip. Ring 0 of the cavity has the same positions.
 
     loop : vertices of the lips, (N,)
     cavity : vertices of the rings, and the one that closes the end, (rings * N + 1,)
-    depth : place of each cavity vertex from the lips (0) to the end (1)
     """
 
     loop: NDArray[np.int64]
     cavity: NDArray[np.int64]
-    depth: Floats
+
+    @property
+    def ring(self) -> NDArray[np.int64]:
+        """The ring of each cavity vertex, counted from the lips."""
+        return np.arange(len(self.cavity)) // len(self.loop)
 
     @property
     def anchors(self) -> NDArray[np.int64]:
@@ -62,7 +81,7 @@ class Mouth:
     def chart(self) -> Floats:
         """Return a place in a disc of radius 1 for each cavity vertex; the lips are its border."""
         angle = 2 * np.pi * np.arange(len(self.cavity)) / len(self.loop)
-        flat = np.stack([np.cos(angle), np.sin(angle)], 1) * (1 - self.depth[:, None])
+        flat = np.stack([np.cos(angle), np.sin(angle)], 1) * (1 - self.ring / self.ring[-1])[:, None]
         return np.asarray(flat, np.float32)
 
 
@@ -128,18 +147,18 @@ def _path(mesh: Mesh, height: Floats) -> NDArray[np.int64]:
 
 def _rings(line: Floats, upper: NDArray[np.bool_]) -> Floats:
     """Return the rings of the cavity behind a loop (N, 3), and its end, (rings * N + 1, 3)."""
-    width = np.abs(line[:, 0]).max()
-    x = line[:, 0]
-    taper = np.sqrt(np.clip(1 - (x / width) ** 2, 0, 1))
-    sign = np.where(upper, 1, -1) * taper
+    across = line[:, 0] / np.abs(line[:, 0]).max()
+    taper = np.sqrt(np.clip(1 - across**2, 0, 1))
     level = line[:, 1].mean()
-    rings = []
-    for depth, half_height, share in CAVITY:
-        flat = ramp(0.1, 1.5, np.full(len(line), depth, np.float32))
-        height = line[:, 1] + (level - line[:, 1]) * flat + half_height * sign
-        back = depth * (CORNER_DEPTH + (1 - CORNER_DEPTH) * taper)
-        rings.append(np.stack([x * share, height, line[:, 2] - back], 1))
-    end = np.array([[0, level, line[:, 2].max() - CAVITY_END]])
+    rings = [line]
+    for number, (above, below) in enumerate(zip(UPPER_RINGS, LOWER_RINGS, strict=True), 1):
+        inner = ramp(LIPS_RING, GUMS_RING, np.array(number))
+        depth, height = np.where(upper, *np.array([above, below])[:, :, None])
+        at_corner = CORNER_DEPTH[0] + (CORNER_DEPTH[1] - CORNER_DEPTH[0]) * inner
+        y = line[:, 1] + (level - line[:, 1]) * inner + np.where(upper, 1, -1) * height * taper
+        z = line[:, 2] - depth * (at_corner + (1 - at_corner) * taper)
+        rings.append(np.stack([line[:, 0] * (1 + (ARCH_WIDTH - 1) * inner), y, z], 1))
+    end = np.array([[0, level - END[1], line[:, 2].max() - END[0]]])
     return np.concatenate([*rings, end]).astype(np.float32)
 
 
@@ -166,8 +185,8 @@ def with_mouth(mesh: Mesh) -> tuple[Mesh, Mouth]:
 
     loop = np.concatenate([path, lower[::-1]])
     line = positions[loop]
-    rings = np.concatenate([line, _rings(line, np.arange(len(loop)) < len(path))])
-    start, count, number = len(positions), len(loop), len(CAVITY)
+    rings = _rings(line, np.arange(len(loop)) < len(path))
+    start, count, number = len(positions), len(loop), len(UPPER_RINGS)
     last = number * count + np.arange(count)
     fan = np.stack([last, np.roll(last, -1), np.full(count, len(rings) - 1)], 1)
     cavity = np.concatenate([ring_faces(number + 1, count)[:, ::-1], fan]).astype(np.int32)
@@ -175,20 +194,38 @@ def with_mouth(mesh: Mesh) -> tuple[Mesh, Mouth]:
     wall[:count] = unit(wall[:count] + LIP_ROUNDING * normals[loop])
     for corner, inward in ((0, -1), (len(path) - 1, 1)):  # where upper and lower wall cancel out
         wall[corner:-1:count] = (inward, 0, 0)
-    depth = np.repeat(np.arange(number + 1) / (number + 1), count)
     return (
         Mesh(
             np.concatenate([positions, rings]),
             np.concatenate([normals, wall]),
             np.concatenate([faces, start + cavity]).astype(np.int32),
         ),
-        Mouth(loop, start + np.arange(len(rings)), np.append(depth, 1).astype(np.float32)),
+        Mouth(loop, start + np.arange(len(rings))),
     )
 
 
-def depth_behind_lips(points: Floats) -> Floats:
-    """Return the distance of points (N, 3) below the skin, in cm, if they are in the mouth, or 0."""
-    found = np.zeros(len(points), np.float32)
-    rows = np.flatnonzero(((points > INTERIOR[0]) & (points < INTERIOR[1])).all(1))
-    found[rows] = np.maximum(-in_blocks(head_distance, points[rows]), 0)
-    return found
+@dataclass(frozen=True)
+class Lining:
+    """Places of points in the cavity.
+
+    inside : whether the point is in the cavity; the other values are valid only there
+    upper : whether it is behind the upper lip
+    ring : number of rings from the lips, with fractions
+    across : from -1 at the right corner to 1 at the left corner
+    """
+
+    inside: NDArray[np.bool_]
+    upper: NDArray[np.bool_]
+    ring: Floats
+    across: Floats
+
+
+def find_lining(flat: Floats) -> Lining:
+    """Return the places in the cavity of points (N, 2) of :meth:`Mouth.chart`."""
+    radius = np.linalg.norm(flat, axis=1)
+    angle = np.arctan2(flat[:, 1], flat[:, 0])
+    across = 1 - 2 * np.abs(angle) / np.pi
+    ring = (1 - np.minimum(radius, 1)) * (len(UPPER_RINGS) + 1)
+    return Lining(
+        radius < 1.02, angle > 0, ring.astype(np.float32), np.asarray(across, np.float32)
+    )

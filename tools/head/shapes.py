@@ -17,7 +17,7 @@ from .eyes import Textured
 from .fields import Floats, Spot, ramp
 from .lashes import LOWER, STRAND_VERTICES, UPPER
 from .lids import Opening, closed_lids, raised_lids, skin_places, turned_up
-from .mouth import Mouth, above_line
+from .mouth import GUMS_RING, LIPS_RING, Mouth, above_line
 from .shape import JAW_BODY, bent
 from .surface import Faces, Mesh, face_normals
 
@@ -33,10 +33,10 @@ class Push:
 
 
 SMILE = (
-    Push(Spot(2.50, -6.90, 0.95, 0.85), (0.50, 0.60, -0.40)),  # corner of the mouth
-    Push(Spot(1.35, -6.75, 0.75, 0.80), (0.24, 0.06, -0.12)),  # lips
-    Push(Spot(3.55, -3.70, 1.25, 1.05, -25), (0.08, 0.34, 0.34)),  # cheek
-    Push(Spot(2.35, -5.00, 0.55, 0.80, -30), (0.10, 0.14, -0.08)),  # fold from nose to mouth
+    Push(Spot(2.55, -6.90, 1.05, 0.95), (0.48, 0.54, -0.38)),  # corner of the mouth
+    Push(Spot(1.35, -6.75, 0.85, 0.85), (0.24, 0.13, -0.12)),  # lips
+    Push(Spot(3.55, -3.80, 1.40, 1.20, -25), (0.10, 0.38, 0.42)),  # cheek
+    Push(Spot(2.40, -5.00, 0.60, 0.90, -30), (0.12, 0.14, -0.10)),  # fold from nose to mouth
 )
 BROW_INNER_UP = (
     Push(Spot(1.15, 1.65, 0.95, 0.80), (-0.05, 0.58, 0.0)),
@@ -61,7 +61,7 @@ FIELDS = (
     ("mouthSmileLeft", SMILE, (1,)),
     ("mouthSmileRight", SMILE, (-1,)),
 )
-FIELD_END = 3.0  # distance from a spot's centre, in its standard deviations, at which its field ends
+FIELD_END = 2.6  # distance from a spot's centre, in its standard deviations, at which its field ends
 FIELD_BACK, FIELD_FRONT = 0.5, 4.0  # range of z in which the fields fade in
 
 JAW_AXIS = (-1.3, 1.0)  # height and z of the axis through the condyles
@@ -70,9 +70,9 @@ JAW_FORWARD = 0.20  # slide of the condyles
 JAW_CORNERS = Push(Spot(2.3, -6.95, 0.9, 0.9), (-0.30, 0.0, 0.0))  # the mouth becomes narrower
 # Skin that follows the jaw, and skin that stays; the skin between them bends.
 JAW_REACH = 1.25  # distance from the bone of the jaw, cm
-JAW_LIP, JAW_CHIN = (0.9, -8.3), (2.0, -11.2)  # half width and lowest height
-STILL_ABOVE, STILL_BEHIND, STILL_BELOW = -2.6, -1.5, -14.5
-STILL_LIP = (1.0, -6.3)  # half width of the still middle of the upper lip, lowest height beside it
+JAW_LIP, JAW_CHIN = (0.5, -8.3), (2.0, -11.2)  # half width and lowest height
+STILL_ABOVE, STILL_BEHIND, STILL_BELOW = -2.9, -0.5, -13.8
+STILL_LIP = (0.6, -6.0)  # half width of the still middle of the upper lip, lowest height beside it
 
 LASH_TURN = 50.0  # downward rotation of the upper lashes of closed lids, degrees
 
@@ -83,7 +83,7 @@ def _push(points: Floats, push: Push, sides: Sequence[int]) -> Floats:
     total = np.zeros_like(points)
     for side in sides:
         squared = -2 * np.log(np.maximum(push.spot.weight(side * x, y), 1e-9))
-        weight = np.maximum(1 - squared / FIELD_END**2, 0) ** 4 * ramp(FIELD_BACK, FIELD_FRONT, z)
+        weight = np.maximum(1 - squared / FIELD_END**2, 0) ** 3 * ramp(FIELD_BACK, FIELD_FRONT, z)
         total += weight[:, None] * np.array(push.move, np.float32) * (side, 1, 1)
     return total
 
@@ -133,8 +133,14 @@ def _jaw_weights(mesh: Mesh, mouth: Mouth) -> Floats:
     bending = (laplacian @ diags(1 / area) @ laplacian).tocsr()
     weights = moving.astype(np.float64)
     weights[free] = spsolve(bending[free][:, free].tocsc(), -(bending[free] @ weights))
-    weights[mouth.cavity] = weights[mouth.anchors]
-    weights[mouth.cavity[-1]] = 0.5
+    # The inside of the lips follows them; upper teeth stay, and lower teeth follow the jaw.
+    half = len(mouth.loop) // 2
+    column = np.arange(len(mouth.cavity)) % len(mouth.loop)
+    from_corner = np.abs(column / half % 1 - 0.5) * 2  # 1 at the corners
+    rigid = 0.5 + np.where(column > half, 0.5, -0.5) * ramp(1.0, 0.75, from_corner)
+    rigid[-1] = 0.5
+    share = ramp(LIPS_RING, GUMS_RING - 1, mouth.ring)
+    weights[mouth.cavity] = weights[mouth.anchors] * (1 - share) + rigid * share
     return np.clip(weights, 0, 1).astype(np.float32)
 
 
@@ -154,10 +160,10 @@ def _jaw_open(mesh: Mesh, mouth: Mouth) -> Floats:
 
 
 def _with_cavity(moves: Floats, mouth: Mouth) -> Floats:
-    """Return displacements in which the cavity follows the lips, less towards its end."""
+    """Return displacements in which the inside of the lips follows them, and the teeth stay."""
     found = moves.copy()
-    share = (1 - mouth.depth[:, None]) ** 1.5
-    found[mouth.cavity] = moves[mouth.anchors] * share
+    share = ramp(GUMS_RING, LIPS_RING, mouth.ring)
+    found[mouth.cavity] = moves[mouth.anchors] * share[:, None]
     return found
 
 

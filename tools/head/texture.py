@@ -14,7 +14,7 @@ from .fields import Floats, bell, ramp
 from .hairs import brow_cover, lash_cover
 from .landmarks import hairline
 from .lids import Lids, find_lids
-from .mouth import depth_behind_lips
+from .mouth import GUMS_RING, TEETH_RING, TONGUE_RING, Lining, find_lining
 from .noise import Noise, nearest, scatter
 from .regions import Regions, find_regions
 from .shape import (
@@ -25,7 +25,7 @@ from .shape import (
     unit,
 )
 from .surface import Mesh
-from .unwrap import Texels, Unwrapped, find_texels
+from .unwrap import MOUTH_CENTRE, MOUTH_RADIUS, Texels, Unwrapped, find_texels
 
 Colour = tuple[float, float, float]
 
@@ -39,12 +39,33 @@ LASHES: Colour = (46, 34, 30)
 LID_MARGIN: Colour = (206, 142, 126)
 CARUNCLE: Colour = (198, 116, 106)
 LID_WHITE: Colour = (204, 158, 146)  # at the border of the corners and the sclera
-INNER_LIPS: Colour = (168, 84, 80)
-MOUTH: Colour = (104, 38, 36)
-THROAT: Colour = (20, 5, 5)
 
-# Depths below the skin at which the colours of the mouth fade in, cm.
-INNER_LIPS_DEPTH, MOUTH_DEPTH, THROAT_DEPTH = (0.025, 0.07), (0.08, 0.7), (0.5, 1.9)
+# The lining of the mouth. It is darker towards the throat, because a renderer may draw no shadows.
+INNER_LIPS: Colour = (166, 84, 80)
+VESTIBULE: Colour = (104, 42, 42)
+GUMS: Colour = (150, 74, 74)
+TOOTH: Colour = (214, 202, 182)
+BEHIND_TEETH: Colour = (96, 56, 50)
+CHEEK: Colour = (60, 22, 22)  # at the corners, instead of teeth
+PALATE: Colour = (88, 34, 32)
+TONGUE: Colour = (150, 72, 70)
+THROAT: Colour = (26, 8, 8)
+# (Number of rings from the lips, colour of the upper half, colour of the lower half).
+LINING = (
+    (0.0, INNER_LIPS, INNER_LIPS),
+    (2.0, INNER_LIPS, INNER_LIPS),
+    (GUMS_RING - 1.0, VESTIBULE, VESTIBULE),
+    (GUMS_RING + 0.0, GUMS, GUMS),
+    (GUMS_RING + 0.30, GUMS, GUMS),
+    (GUMS_RING + 0.45, TOOTH, TOOTH),
+    (TEETH_RING + 0.6, TOOTH, TOOTH),
+    (TEETH_RING + 1.4, BEHIND_TEETH, BEHIND_TEETH),
+    (TONGUE_RING + 0.0, PALATE, TONGUE),
+    (TONGUE_RING + 1.2, THROAT, THROAT),
+)
+# Places of the gaps between the teeth, from the middle line (0) to the corner of the mouth (1).
+TOOTH_GAPS = (0.0, 0.30, 0.52, 0.76)
+TOOTH_GAP, TOOTH_GAP_DEPTH = 0.018, 0.45  # width (standard deviation), loss of light
 
 # Absorption of red, green and blue by one unit of a pigment: the exponent of its transmission.
 BLOOD: Colour = (0.03, 0.26, 0.24)
@@ -81,6 +102,7 @@ NOSTRIL_OPENING = (0.0, -0.95, 0.31)  # direction from which light enters the no
 
 OCCLUSION_REACH = (0.12, 0.3, 0.6, 1.1, 1.8)  # distances along the normal of occlusion samples, cm
 OCCLUSION_STRENGTH = 0.62
+MOUTH_OPEN = ((0, 0.9), (4, 0.6), (6, 0.7), (9, 0.45), (11, 0.1))  # (ring of the mouth, open share)
 
 # Roughness m of the skin, the RMS slope: a base value, and the offset of each region.
 SLOPE_BASE = 0.33
@@ -96,7 +118,7 @@ SLOPE_ADDED = {
     "nostril": 0.15,
 }
 SLOPE_ADDED_WET = -0.07  # on the margins of open lids
-SLOPE_ADDED_MOUTH = -0.12
+SLOPE_MOUTH = 0.22
 SLOPE_RANGE = (0.205, 0.54)  # at least 0.2 after rounding: the plain half vector needs it
 
 
@@ -287,7 +309,7 @@ def _open_share(points: Floats, normals: Floats, distance: Callable[[Floats], Fl
     return np.asarray(np.clip(1 - OCCLUSION_STRENGTH * blocked, 0, 1))
 
 
-def _occlusion(texels: Texels, regions: Regions, lids: Lids) -> Floats:
+def _occlusion(texels: Texels, regions: Regions, lids: Lids, lining: Lining) -> Floats:
     """Return the unoccluded fraction of the space around each point, from 0 to 1."""
     open_share = _open_share(texels.positions, texels.normals, head_distance)
     at_eye = np.flatnonzero(lids.region)
@@ -295,6 +317,7 @@ def _occlusion(texels: Texels, regions: Regions, lids: Lids) -> Floats:
         share = lids.region[at_eye]
         wanted = lids.open_share[at_eye]
         open_share[at_eye] += (wanted - open_share[at_eye]) * share
+    open_share[lining.inside] = np.interp(lining.ring[lining.inside], *np.transpose(MOUTH_OPEN))
     return np.asarray(open_share * (1 - 0.4 * regions.nostril), np.float32)
 
 
@@ -367,7 +390,7 @@ def _albedo(
     noise: Noise,
     occlusion: Floats,
     lids: Lids,
-    in_mouth: Floats,
+    lining: Lining,
 ) -> Floats:
     colour = _skin_colour(points, regions, marks, noise)
     colour = _add_lips(colour, points, regions, noise)
@@ -376,25 +399,41 @@ def _albedo(
     colour = cover(colour, 0.80 * lids.caruncle, CARUNCLE)
     colour = cover(colour, lids.white, LID_WHITE)
     colour = cover(colour, 0.5 * lids.roots, LASHES)
-    for depths, lining in (
-        (INNER_LIPS_DEPTH, INNER_LIPS),
-        (MOUTH_DEPTH, MOUTH),
-        (THROAT_DEPTH, THROAT),
-    ):
-        colour = cover(colour, ramp(*depths, in_mouth), lining)
     # Pits reflect less light, and redder light.
     open_share = 0.60 + 0.40 * occlusion
     open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.36 * regions.mouth_seam)
-    return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
+    colour = colour * np.stack([open_share**0.75, open_share, open_share], 1)
+    colour[lining.inside] = _lining_colour(lining)
+    return np.asarray(colour)
+
+
+def _lining_colour(lining: Lining) -> Floats:
+    """Return the colours of the points in the mouth."""
+    upper, ring, across = (
+        values[lining.inside] for values in (lining.upper, lining.ring, lining.across)
+    )
+    side = np.abs(across)
+    rings = [row[0] for row in LINING]
+    halves = []
+    for half in (1, 2):
+        channels = np.transpose([linear(row[half]) for row in LINING])
+        halves.append(np.stack([np.interp(ring, rings, channel) for channel in channels], 1))
+    colour = np.where(upper[:, None], *halves)
+    tooth = ramp(GUMS_RING + 0.2, GUMS_RING + 0.5, ring) * ramp(TEETH_RING + 1, TEETH_RING, ring)
+    gaps = np.sum([bell((side - gap) / TOOTH_GAP) for gap in TOOTH_GAPS], axis=0)
+    light = 1 - TOOTH_GAP_DEPTH * gaps * tooth
+    light *= 1 - 0.5 * ramp(0.4, 0.8, side) * ramp(2, 3, ring)
+    colour = cover(colour * light[:, None], ramp(0.72, 0.82, side) * ramp(2, 3.5, ring), CHEEK)
+    return np.asarray(colour * light[:, None], np.float32)
 
 
 def _rms_slope(
-    points: Floats, regions: Regions, noise: Noise, lids: Lids, in_mouth: Floats
+    points: Floats, regions: Regions, noise: Noise, lids: Lids, lining: Lining
 ) -> Floats:
     slope = SLOPE_BASE + 0.02 * noise(points, 1.5, 101, layers=3) + SLOPE_ADDED_WET * lids.wet
-    slope = slope + SLOPE_ADDED_MOUTH * ramp(*INNER_LIPS_DEPTH, in_mouth)
     for region, added in SLOPE_ADDED.items():
         slope = slope + added * getattr(regions, region)
+    slope[lining.inside] = SLOPE_MOUTH
     return np.asarray(np.clip(slope, *SLOPE_RANGE), np.float32)
 
 
@@ -416,15 +455,18 @@ def paint(unwrapped: Unwrapped, size: int, seed: int, closed: Mesh, eyes: Sequen
     points = texels.positions
     regions = find_regions(points, noise)
     lids = find_lids(points, eyes)
-    in_mouth = depth_behind_lips(points)
+    place = (np.argwhere(texels.covered)[:, ::-1] + 0.5) / size
+    lining = find_lining((place - MOUTH_CENTRE) / MOUTH_RADIUS)
     marks = _scatter_marks(closed, points, random)
     marks = replace(marks, lash=marks.lash * (1 - lids.region))
-    occlusion = _occlusion(texels, regions, lids)
+    occlusion = _occlusion(texels, regions, lids, lining)
 
     height = _fine_height(points, regions, marks, noise)
-    normals = _tangent_normals(texels, height, regions.nostril, lids.region + ramp(*INNER_LIPS_DEPTH, in_mouth))
-    albedo = _albedo(points, regions, marks, noise, occlusion, lids, in_mouth)
-    roughness = np.sqrt(_rms_slope(points, regions, noise, lids, in_mouth))
+    height[lining.inside] = 0
+    unfolded = np.maximum(lids.region, lining.inside)
+    normals = _tangent_normals(texels, height, regions.nostril, unfolded)
+    albedo = _albedo(points, regions, marks, noise, occlusion, lids, lining)
+    roughness = np.sqrt(_rms_slope(points, regions, noise, lids, lining))
     combined = np.stack([occlusion, roughness, np.zeros_like(occlusion)], 1)
     half = (size // 2, size // 2)
     return Maps(
