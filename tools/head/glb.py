@@ -25,7 +25,6 @@ from .unwrap import Unwrapped
 
 GENERATOR = "facerender tools/head"
 METRES_PER_CM = 0.01
-STILL = 0.0005  # cm; smaller displacements are 0
 
 Doc = dict[str, Any]
 
@@ -128,9 +127,8 @@ class _Writer:
         return len(self.accessors) - 1
 
     def sparse(self, moves: Floats) -> int:
-        """Add displacements in cm, of which only those that are not STILL are stored."""
+        """Add displacements in cm, of which only those that are not 0 are stored."""
         values = np.asarray(moves * METRES_PER_CM, "<f4")
-        values[np.abs(moves).max(1) < STILL] = 0
         rows = np.flatnonzero(values.any(1))
         short = len(moves) <= MOST_SHORT
         kind = UNSIGNED_SHORT if short else UNSIGNED_INT

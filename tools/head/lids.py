@@ -67,14 +67,13 @@ GAP = 0.008  # between margin and eyeball
 BACK = ((9.0, 0.03), (26.0, 0.06))  # polar angle behind the margin, degrees; gap
 CARUNCLE = (-1.33, -0.18, 0.11, 0.12)  # x, y, radius, height
 
-# Closed lids: the line between them, as a fraction of the opening's height above the lower edge;
-# half the gap; opening below which the corners stay; distance of the skin above the open lids' one.
-CLOSED_HEIGHT, CLOSED_GAP, CLOSED_CORNER, CLOSED_LIFT = 0.12, 0.004, 0.12, 0.05
+# Closed lids: distance between their edges; opening below which the corners stay; distance of the
+# upper lid's skin above that of the open lid.
+CLOSED_GAP, CLOSED_CORNER, CLOSED_LIFT = 0.012, 0.12, 0.085
 CLOSED_FALLOFF = 2.0  # of the shift, from the edge to the border of the hole
-CLOSED_ON_EYE = (0.90, 0.30)  # places of the upper lid between which it comes to lie on the eyeball
-CLOSED_MARGIN = (1.5, 0.8)  # depths of the first margin rings, in EDGE_ROUNDING
-CLOSED_PART = (1.0, 0.22)  # fractions of their way to these depths
-RAISED_ANGLE, RAISED_FALLOFF = 5.5, 1.5  # rotation of the edge, degrees
+CLOSED_ON_EYE = (0.90, 0.30)  # places between which the upper lid comes to lie on the eyeball
+CLOSED_MARGIN = (1.3, 0.5)  # depths of the first margin rings, in EDGE_ROUNDING
+CLOSED_PART = (1.0, 0.15)  # fractions of their way to these depths
 
 HIGHEST, TRACING_STEPS = 4.5, 100  # start and steps of the search for the face from the front
 
@@ -263,30 +262,19 @@ def skin_places() -> Floats:
 def closed_lids(opening: Opening) -> Floats:
     """Return the rings of an opening whose lids are closed, local, (rings, points, 3).
 
-    The upper lid slides over the eyeball and meets the lower lid, which rises a little. Vertices
-    that touch the eyeball do not move: on a straight line, they would enter it.
+    The upper lid slides over the eyeball down to the lower lid, which does not move. Vertices that
+    touch the eyeball do not move either: on a straight line, they would enter it.
     """
-    base, edge = opening.rings, _edge(opening.eye)
-    rings = base.copy()
+    rings, edge = opening.rings.copy(), _edge(opening.eye)
     lower, upper = edge_heights(opening.eye, edge[:, 0])
-    share = ramp(0.0, CLOSED_CORNER, upper - lower)
-    on_upper = np.arange(len(edge)) <= UPPER_STEPS
-    line = lower + CLOSED_HEIGHT * (upper - lower) + np.where(on_upper, 1, -1) * CLOSED_GAP
-    shift = share * (line - edge[:, 1])
+    share = ramp(0.0, CLOSED_CORNER, upper - lower) * (np.arange(len(edge)) <= UPPER_STEPS)
+    shift = share * (lower + CLOSED_GAP - edge[:, 1])
 
     place = skin_places()
-    skin, before = rings[: opening.edge + 1], base[: opening.edge + 1]
-    near = (1 - place) ** CLOSED_FALLOFF
-    skin[..., 1] += shift * near
-    flat = np.asarray(skin[..., :2].reshape(-1, 2))
-    shell = _shell(flat).reshape(skin.shape[:2]) + CLOSED_LIFT
-    old_shell = _shell(before[..., :2].reshape(-1, 2)).reshape(skin.shape[:2])
-    slid = np.where(
-        on_upper,
-        (shell - before[..., 2]) * ramp(*CLOSED_ON_EYE, place),
-        (shell - old_shell) * near,
-    )
-    skin[..., 2] += share * slid
+    skin = rings[: opening.edge + 1]
+    skin[..., 1] += shift * (1 - place) ** CLOSED_FALLOFF
+    height = _shell(skin[..., :2].reshape(-1, 2)).reshape(skin.shape[:2]) + CLOSED_LIFT
+    skin[..., 2] += share * ramp(*CLOSED_ON_EYE, place) * (height - skin[..., 2])
 
     closed = np.stack([edge[:, 0], edge[:, 1] + shift], 1)
     corner = np.concatenate([closed, (_shell(closed) + CLOSED_LIFT)[:, None]], 1)
@@ -294,36 +282,11 @@ def closed_lids(opening: Opening) -> Floats:
     wanted = []
     for t in np.linspace(0, 1, EDGE_STEPS + 1)[1:]:
         wanted.append((1 - t) ** 2 * skin[-1] + (1 - (1 - t) ** 2) * corner + t * t * inward)
-    for depth in CLOSED_MARGIN:
-        wanted.append(corner + inward * depth)
-    for ring, target, part in zip(
-        rings[opening.edge + 1 :], wanted, (*[1.0] * EDGE_STEPS, *CLOSED_PART), strict=False
-    ):
+    wanted += [corner + inward * depth for depth in CLOSED_MARGIN]
+    parts = (*[1.0] * EDGE_STEPS, *CLOSED_PART)
+    for ring, target, part in zip(rings[opening.edge + 1 :], wanted, parts, strict=False):
         ring += (share * part)[:, None] * (target - ring)
     return rings
-
-
-def raised_lids(opening: Opening) -> Floats:
-    """Return the rings of an opening whose upper lid is raised, local, (rings, points, 3).
-
-    The lid turns around the centre of the eyeball.
-    """
-    rings = opening.rings.copy()
-    edge = _edge(opening.eye)
-    lower, upper = edge_heights(opening.eye, edge[:, 0])
-    on_upper = np.arange(len(edge)) <= UPPER_STEPS
-    share = on_upper * ramp(0.0, 1.0, (upper - lower) / (upper - lower).max())
-    near = np.ones((len(rings), 1), np.float32)
-    near[: opening.edge + 1] = (1 - skin_places()) ** RAISED_FALLOFF
-    angle = np.radians(RAISED_ANGLE) * share * near
-    return turned_up(rings, angle)
-
-
-def turned_up(points: Floats, angle: Floats) -> Floats:
-    """Return local points (..., 3), turned up around the x axis by angles (...) in radians."""
-    x, y, z = np.moveaxis(points, -1, 0)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.stack([x, cosine * y + sine * z, cosine * z - sine * y], -1).astype(np.float32)
 
 
 def _border(faces: Faces, removed: NDArray[np.bool_]) -> NDArray[np.int64]:

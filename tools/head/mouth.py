@@ -24,8 +24,7 @@ HALF_GAP = 0.0002
 # or below the line), in the middle of the mouth. They form the inside of the lips, the teeth, the
 # palate and the tongue.
 UPPER_RINGS = (
-    (0.05, 0.012),
-    (0.13, 0.040),
+    (0.08, 0.020),
     (0.26, 0.20),
     (0.32, 0.58),
     (0.40, 0.52),  # gums
@@ -36,8 +35,7 @@ UPPER_RINGS = (
     (3.20, 0.75),
 )
 LOWER_RINGS = (
-    (0.05, 0.012),
-    (0.13, 0.040),
+    (0.08, 0.020),
     (0.26, 0.22),
     (0.34, 0.60),
     (0.46, 0.52),
@@ -48,7 +46,7 @@ LOWER_RINGS = (
     (3.00, 0.05),
 )
 END = (4.6, 0.1)  # distance and height below the line
-LIPS_RING, GUMS_RING, TEETH_RING, TONGUE_RING = 2, 5, 6, 9  # counted from the lips, which are 0
+LIPS_RING, GUMS_RING, TEETH_RING, TONGUE_RING = 1, 4, 5, 8  # counted from the lips, which are 0
 ARCH_WIDTH = 0.82  # of the teeth, relative to the mouth
 LIP_ROUNDING = 0.7  # weight of the skin in the normals of the first ring
 CORNER_DEPTH = (0.25, 1.7)  # depth at the corners, relative to the middle: of the lips, the teeth

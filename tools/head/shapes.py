@@ -15,8 +15,8 @@ from scipy.sparse.linalg import spsolve
 
 from .eyes import Textured
 from .fields import Floats, Spot, ramp
-from .lashes import LOWER, STRAND_VERTICES, UPPER
-from .lids import Opening, closed_lids, raised_lids, skin_places, turned_up
+from .lashes import STRAND_VERTICES, UPPER
+from .lids import Opening, closed_lids, skin_places
 from .mouth import GUMS_RING, LIPS_RING, Mouth, above_line
 from .shape import JAW_BODY, bent
 from .surface import Faces, Mesh, face_normals
@@ -35,7 +35,7 @@ class Push:
 SMILE = (
     Push(Spot(2.55, -6.90, 1.05, 0.95), (0.48, 0.54, -0.38)),  # corner of the mouth
     Push(Spot(1.35, -6.75, 0.85, 0.85), (0.24, 0.13, -0.12)),  # lips
-    Push(Spot(3.55, -3.80, 1.40, 1.20, -25), (0.10, 0.38, 0.42)),  # cheek
+    Push(Spot(3.55, -3.80, 1.30, 1.10, -25), (0.10, 0.38, 0.42)),  # cheek
     Push(Spot(2.40, -5.00, 0.60, 0.90, -30), (0.12, 0.14, -0.10)),  # fold from nose to mouth
 )
 BROW_INNER_UP = (
@@ -46,18 +46,11 @@ BROW_DOWN = (
     Push(Spot(1.50, 1.70, 0.95, 0.75), (-0.16, -0.40, 0.08)),
     Push(Spot(3.40, 1.85, 1.20, 0.65), (-0.05, -0.22, 0.02)),
 )
-PUCKER = (
-    Push(Spot(2.30, -6.90, 0.95, 0.80), (-0.75, 0.0, 0.20)),
-    Push(Spot(0.45, -6.85, 0.95, 0.75), (-0.05, 0.0, 0.32)),
-)
-PUFF = (Push(Spot(4.10, -6.10, 1.35, 1.40), (0.75, 0.0, 0.30)),)
 # Shapes of the skin: name, pushes, and sides (1 left, -1 right).
 FIELDS = (
     ("browDownLeft", BROW_DOWN, (1,)),
     ("browDownRight", BROW_DOWN, (-1,)),
     ("browInnerUp", BROW_INNER_UP, (1, -1)),
-    ("cheekPuff", PUFF, (1, -1)),
-    ("mouthPucker", PUCKER, (1, -1)),
     ("mouthSmileLeft", SMILE, (1,)),
     ("mouthSmileRight", SMILE, (-1,)),
 )
@@ -71,8 +64,11 @@ JAW_CORNERS = Push(Spot(2.3, -6.95, 0.9, 0.9), (-0.30, 0.0, 0.0))  # the mouth b
 # Skin that follows the jaw, and skin that stays; the skin between them bends.
 JAW_REACH = 1.25  # distance from the bone of the jaw, cm
 JAW_LIP, JAW_CHIN = (0.5, -8.3), (2.0, -11.2)  # half width and lowest height
-STILL_ABOVE, STILL_BEHIND, STILL_BELOW = -2.9, -0.5, -13.8
+STILL_ABOVE, STILL_BEHIND, STILL_BELOW = -2.9, 0.0, -13.4
 STILL_LIP = (0.6, -6.0)  # half width of the still middle of the upper lip, lowest height beside it
+
+# Displacements below this length become 0, and longer ones by little shorter, cm.
+SHORTEST = 0.01
 
 LASH_TURN = 50.0  # downward rotation of the upper lashes of closed lids, degrees
 
@@ -167,12 +163,6 @@ def _with_cavity(moves: Floats, mouth: Mouth) -> Floats:
     return found
 
 
-def _lid_moves(rings: NDArray[np.int64], opening: Opening, wanted: Floats, count: int) -> Floats:
-    moves = np.zeros((count, 3), np.float32)
-    moves[rings] = (wanted - opening.rings) * (opening.eye.mirror, 1, 1)
-    return moves
-
-
 def skin_moves(
     mesh: Mesh, mouth: Mouth, openings: Sequence[Opening], rings: Sequence[NDArray[np.int64]]
 ) -> Moves:
@@ -189,46 +179,44 @@ def skin_moves(
         share[rows, 0] = 0
         places = skin_places()
         share[rows[: len(places)], 0] = ramp(0.1, 1.0, places)
-    found = {"jawOpen": _jaw_open(mesh, mouth)}
     corners = _with_cavity(_push(mesh.positions, JAW_CORNERS, (1, -1)), mouth)
-    found["jawOpen"] += corners
+    found = {"jawOpen": _jaw_open(mesh, mouth) + corners}
     for name, pushes, sides in FIELDS:
         moves = np.sum([_push(mesh.positions, push, sides) for push in pushes], axis=0)
         found[name] = _with_cavity(moves * share, mouth)
     for opening, rows in zip(openings, rings, strict=True):
-        for name, wanted in (("eyeBlink", closed_lids), ("eyeWide", raised_lids)):
-            moves = _lid_moves(rows, opening, wanted(opening), len(mesh.positions))
-            found[name + _side(opening)] = moves
-    return dict(sorted(found.items()))
+        moves = np.zeros_like(mesh.positions)
+        moves[rows] = (closed_lids(opening) - opening.rings) * (opening.eye.mirror, 1, 1)
+        found[_blink(opening)] = moves
+    return {name: _ended(moves) for name, moves in sorted(found.items())}
 
 
-def _side(opening: Opening) -> str:
-    return "Left" if opening.eye.mirror > 0 else "Right"
+def _ended(moves: Floats) -> Floats:
+    """Return displacements without those below SHORTEST; the others decrease to 0 smoothly."""
+    squared = (moves * moves).sum(1, keepdims=True)
+    share = np.maximum(1 - SHORTEST**2 / np.maximum(squared, 1e-12), 0)
+    return np.asarray(moves * share, np.float32)
 
 
-def _lash_moves(points: Floats, opening: Opening, wanted: Floats, turn: float) -> Floats:
-    """Return the displacements of the lashes of an eye, local points (N, 3).
+def _blink(opening: Opening) -> str:
+    return "eyeBlinkLeft" if opening.eye.mirror > 0 else "eyeBlinkRight"
 
-    The roots follow the lids, and the upper lashes turn down by up to ``turn`` degrees.
+
+def _lash_moves(strands: Floats, opening: Opening) -> Floats:
+    """Return the displacements of upper lashes, local (N, STRAND_VERTICES, 3), of closed lids.
+
+    The roots follow the lid, and the lashes turn down around them.
     """
-    strands = points.reshape(-1, STRAND_VERTICES, 3)
     ring = opening.edge + 2  # that of the roots
-    moves = []
-    for rows, columns, angle in (
-        (slice(None, UPPER.count), opening.upper, turn),
-        (slice(UPPER.count, None), opening.lower, 0.0),
-    ):
-        line = opening.rings[ring][columns]
-        shift = wanted[ring][columns] - line
-        part = strands[rows]
-        roots = part[:, :3].mean(1, keepdims=True)
-        at = [np.interp(roots[:, 0, 0], line[:, 0], shift[:, axis]) for axis in range(3)]
-        shifts = np.stack(at, -1)[:, None]
-        largest = max(np.abs(shift[:, 1]).max(), 1e-6)
-        bend = -np.radians(angle) * np.sqrt(np.abs(shifts[..., 1]) / largest)
-        moved = roots + shifts + turned_up(part - roots, bend)
-        moves.append(moved - part)
-    return np.concatenate(moves).reshape(-1, 3).astype(np.float32)
+    line, closed = (rings[ring][opening.upper] for rings in (opening.rings, closed_lids(opening)))
+    shift = closed - line
+    roots = strands[:, :3].mean(1, keepdims=True)
+    at = [np.interp(roots[:, 0, 0], line[:, 0], shift[:, axis]) for axis in range(3)]
+    shifts = np.stack(at, -1)[:, None]
+    angle = np.radians(LASH_TURN) * np.sqrt(shifts[..., 1] / shift[:, 1].min())
+    x, y, z = np.moveaxis(strands - roots, -1, 0)
+    turned = [x, np.cos(angle) * y - np.sin(angle) * z, np.cos(angle) * z + np.sin(angle) * y]
+    return np.asarray(roots + shifts + np.stack(turned, -1) - strands, np.float32)
 
 
 def lash_moves(lashes: Textured, openings: Sequence[Opening]) -> Moves:
@@ -236,13 +224,9 @@ def lash_moves(lashes: Textured, openings: Sequence[Opening]) -> Moves:
     points = lashes.mesh.positions
     found = {}
     for opening, rows in zip(openings, np.split(np.arange(len(points)), len(openings)), strict=True):
-        local = opening.eye.local(points[rows])
-        for name, wanted, turn in (
-            ("eyeBlink", closed_lids, LASH_TURN),
-            ("eyeWide", raised_lids, 0.0),
-        ):
-            moves = np.zeros_like(points)
-            moves[rows] = _lash_moves(local, opening, wanted(opening), turn)
-            moves[rows] *= (opening.eye.mirror, 1, 1)
-            found[name + _side(opening)] = moves
-    return dict(sorted(found.items()))
+        upper = rows[: UPPER.count * STRAND_VERTICES]
+        strands = opening.eye.local(points[upper]).reshape(-1, STRAND_VERTICES, 3)
+        moves = np.zeros_like(points)
+        moves[upper] = _lash_moves(strands, opening).reshape(-1, 3) * (opening.eye.mirror, 1, 1)
+        found[_blink(opening)] = moves
+    return found

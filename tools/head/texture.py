@@ -53,7 +53,7 @@ THROAT: Colour = (26, 8, 8)
 # (Number of rings from the lips, colour of the upper half, colour of the lower half).
 LINING = (
     (0.0, INNER_LIPS, INNER_LIPS),
-    (2.0, INNER_LIPS, INNER_LIPS),
+    (1.0, INNER_LIPS, INNER_LIPS),
     (GUMS_RING - 1.0, VESTIBULE, VESTIBULE),
     (GUMS_RING + 0.0, GUMS, GUMS),
     (GUMS_RING + 0.30, GUMS, GUMS),
@@ -102,7 +102,7 @@ NOSTRIL_OPENING = (0.0, -0.95, 0.31)  # direction from which light enters the no
 
 OCCLUSION_REACH = (0.12, 0.3, 0.6, 1.1, 1.8)  # distances along the normal of occlusion samples, cm
 OCCLUSION_STRENGTH = 0.62
-MOUTH_OPEN = ((0, 0.9), (4, 0.6), (6, 0.7), (9, 0.45), (11, 0.1))  # (ring of the mouth, open share)
+MOUTH_OPEN = ((0, 0.9), (3, 0.6), (5, 0.7), (8, 0.45), (10, 0.1))  # (ring of the mouth, open share)
 
 # Roughness m of the skin, the RMS slope: a base value, and the offset of each region.
 SLOPE_BASE = 0.33
@@ -422,8 +422,8 @@ def _lining_colour(lining: Lining) -> Floats:
     tooth = ramp(GUMS_RING + 0.2, GUMS_RING + 0.5, ring) * ramp(TEETH_RING + 1, TEETH_RING, ring)
     gaps = np.sum([bell((side - gap) / TOOTH_GAP) for gap in TOOTH_GAPS], axis=0)
     light = 1 - TOOTH_GAP_DEPTH * gaps * tooth
-    light *= 1 - 0.5 * ramp(0.4, 0.8, side) * ramp(2, 3, ring)
-    colour = cover(colour * light[:, None], ramp(0.72, 0.82, side) * ramp(2, 3.5, ring), CHEEK)
+    light *= 1 - 0.5 * ramp(0.4, 0.8, side) * ramp(1, 2, ring)
+    colour = cover(colour * light[:, None], ramp(0.72, 0.82, side) * ramp(1, 2.5, ring), CHEEK)
     return np.asarray(colour * light[:, None], np.float32)
 
 
