@@ -67,13 +67,14 @@ GAP = 0.008  # between margin and eyeball
 BACK = ((9.0, 0.03), (26.0, 0.06))  # polar angle behind the margin, degrees; gap
 CARUNCLE = (-1.33, -0.18, 0.11, 0.12)  # x, y, radius, height
 
-# Closed lids: distance between their edges; opening below which the corners stay; distance of the
-# upper lid's skin above that of the open lid.
-CLOSED_GAP, CLOSED_CORNER, CLOSED_LIFT = 0.012, 0.12, 0.085
+# Closed lids: distance between their edges, and of the upper lid's skin above that of the open lid;
+# openings above which the upper lid moves the whole way down, and the whole way forward.
+CLOSED_GAP, CLOSED_LIFT = 0.012, 0.09
+CLOSED_CORNER = (0.10, 0.50)
 CLOSED_FALLOFF = 2.0  # of the shift, from the edge to the border of the hole
 CLOSED_ON_EYE = (0.90, 0.30)  # places between which the upper lid comes to lie on the eyeball
-CLOSED_MARGIN = (1.3, 0.5)  # depths of the first margin rings, in EDGE_ROUNDING
-CLOSED_PART = (1.0, 0.15)  # fractions of their way to these depths
+CLOSED_MARGIN = (1.2, 0.5)  # depths of the first margin rings, in EDGE_ROUNDING
+CLOSED_PART = (1.0, 0.13)  # fractions of their way to these depths
 
 HIGHEST, TRACING_STEPS = 4.5, 100  # start and steps of the search for the face from the front
 
@@ -267,14 +268,15 @@ def closed_lids(opening: Opening) -> Floats:
     """
     rings, edge = opening.rings.copy(), _edge(opening.eye)
     lower, upper = edge_heights(opening.eye, edge[:, 0])
-    share = ramp(0.0, CLOSED_CORNER, upper - lower) * (np.arange(len(edge)) <= UPPER_STEPS)
+    on_upper = np.arange(len(edge)) <= UPPER_STEPS
+    share, lifted = (ramp(0.0, end, upper - lower) * on_upper for end in CLOSED_CORNER)
     shift = share * (lower + CLOSED_GAP - edge[:, 1])
 
     place = skin_places()
     skin = rings[: opening.edge + 1]
     skin[..., 1] += shift * (1 - place) ** CLOSED_FALLOFF
     height = _shell(skin[..., :2].reshape(-1, 2)).reshape(skin.shape[:2]) + CLOSED_LIFT
-    skin[..., 2] += share * ramp(*CLOSED_ON_EYE, place) * (height - skin[..., 2])
+    skin[..., 2] += lifted * ramp(*CLOSED_ON_EYE, place) * (height - skin[..., 2])
 
     closed = np.stack([edge[:, 0], edge[:, 1] + shift], 1)
     corner = np.concatenate([closed, (_shell(closed) + CLOSED_LIFT)[:, None]], 1)
@@ -285,7 +287,7 @@ def closed_lids(opening: Opening) -> Floats:
     wanted += [corner + inward * depth for depth in CLOSED_MARGIN]
     parts = (*[1.0] * EDGE_STEPS, *CLOSED_PART)
     for ring, target, part in zip(rings[opening.edge + 1 :], wanted, parts, strict=False):
-        ring += (share * part)[:, None] * (target - ring)
+        ring += part * np.stack([share, share, lifted], 1) * (target - ring)
     return rings
 
 

@@ -47,6 +47,7 @@ LOWER_RINGS = (
 )
 END = (4.6, 0.1)  # distance and height below the line
 LIPS_RING, GUMS_RING, TEETH_RING, TONGUE_RING = 1, 4, 5, 8  # counted from the lips, which are 0
+CHART_END = 1.02  # radius of the texels of the cavity
 ARCH_WIDTH = 0.82  # of the teeth, relative to the mouth
 LIP_ROUNDING = 0.7  # weight of the skin in the normals of the first ring
 CORNER_DEPTH = (0.25, 1.7)  # depth at the corners, relative to the middle: of the lips, the teeth
@@ -67,9 +68,9 @@ class Mouth:
     cavity: NDArray[np.int64]
 
     @property
-    def ring(self) -> NDArray[np.int64]:
+    def ring(self) -> Floats:
         """The ring of each cavity vertex, counted from the lips."""
-        return np.arange(len(self.cavity)) // len(self.loop)
+        return np.asarray(np.arange(len(self.cavity)) // len(self.loop), np.float32)
 
     @property
     def anchors(self) -> NDArray[np.int64]:
@@ -79,7 +80,9 @@ class Mouth:
     def chart(self) -> Floats:
         """Return a place in a disc of radius 1 for each cavity vertex; the lips are its border."""
         angle = 2 * np.pi * np.arange(len(self.cavity)) / len(self.loop)
-        flat = np.stack([np.cos(angle), np.sin(angle)], 1) * (1 - self.ring / self.ring[-1])[:, None]
+        flat = (
+            np.stack([np.cos(angle), np.sin(angle)], 1) * (1 - self.ring / self.ring[-1])[:, None]
+        )
         return np.asarray(flat, np.float32)
 
 
@@ -93,7 +96,9 @@ def above_line(points: Floats) -> tuple[Floats, Floats]:
 def _aligned(mesh: Mesh) -> tuple[Mesh, Floats]:
     """Move vertices close to the line onto it; return all heights above the line, 0 on it."""
     height, x = above_line(mesh.positions)
-    near = (np.abs(height) < SNAP) & (np.abs(x) < CUT_HALF_WIDTH) & (mesh.positions[:, 2] > CUT_BACK)
+    near = (
+        (np.abs(height) < SNAP) & (np.abs(x) < CUT_HALF_WIDTH) & (mesh.positions[:, 2] > CUT_BACK)
+    )
     points = mesh.positions[near]
     for _ in range(4):
         points[:, 1] -= above_line(points)[0]
@@ -206,24 +211,22 @@ def with_mouth(mesh: Mesh) -> tuple[Mesh, Mouth]:
 class Lining:
     """Places of points in the cavity.
 
-    inside : whether the point is in the cavity; the other values are valid only there
-    upper : whether it is behind the upper lip
+    inside : whether the point is in the cavity; the other values are those of points inside
+    upper : whether the point is behind the upper lip
     ring : number of rings from the lips, with fractions
-    across : from -1 at the right corner to 1 at the left corner
+    side : 0 on the middle line, 1 at the corners
     """
 
     inside: NDArray[np.bool_]
     upper: NDArray[np.bool_]
     ring: Floats
-    across: Floats
+    side: Floats
 
 
 def find_lining(flat: Floats) -> Lining:
     """Return the places in the cavity of points (N, 2) of :meth:`Mouth.chart`."""
-    radius = np.linalg.norm(flat, axis=1)
-    angle = np.arctan2(flat[:, 1], flat[:, 0])
-    across = 1 - 2 * np.abs(angle) / np.pi
-    ring = (1 - np.minimum(radius, 1)) * (len(UPPER_RINGS) + 1)
-    return Lining(
-        radius < 1.02, angle > 0, ring.astype(np.float32), np.asarray(across, np.float32)
-    )
+    inside = np.linalg.norm(flat, axis=1) < CHART_END
+    x, y = flat[inside].T
+    ring = (1 - np.minimum(np.hypot(x, y), 1)) * (len(UPPER_RINGS) + 1)
+    side = np.abs(1 - 2 / np.pi * np.abs(np.arctan2(y, x)))
+    return Lining(inside, y > 0, ring.astype(np.float32), side.astype(np.float32))

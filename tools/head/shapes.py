@@ -54,21 +54,25 @@ FIELDS = (
     ("mouthSmileLeft", SMILE, (1,)),
     ("mouthSmileRight", SMILE, (-1,)),
 )
-FIELD_END = 2.6  # distance from a spot's centre, in its standard deviations, at which its field ends
+FIELD_END = (
+    2.6  # distance from a spot's centre, in its standard deviations, at which its field ends
+)
 FIELD_BACK, FIELD_FRONT = 0.5, 4.0  # range of z in which the fields fade in
 
 JAW_AXIS = (-1.3, 1.0)  # height and z of the axis through the condyles
 JAW_ANGLE = 13.5  # degrees; opens the lips by 25 mm
 JAW_FORWARD = 0.20  # slide of the condyles
 JAW_CORNERS = Push(Spot(2.3, -6.95, 0.9, 0.9), (-0.30, 0.0, 0.0))  # the mouth becomes narrower
-# Skin that follows the jaw, and skin that stays; the skin between them bends.
-JAW_REACH = 1.25  # distance from the bone of the jaw, cm
-JAW_LIP, JAW_CHIN = (0.5, -8.3), (2.0, -11.2)  # half width and lowest height
-STILL_ABOVE, STILL_BEHIND, STILL_BELOW = -2.9, 0.0, -13.4
-STILL_LIP = (0.6, -6.0)  # half width of the still middle of the upper lip, lowest height beside it
+# Skin that follows the jaw: within a distance of the bone, on the chin, and on the lower lip.
+JAW_REACH, JAW_BACK = 1.25, 4.5  # largest distance, smallest z
+CHIN_TOP, CHIN_END = -8.3, -11.2
+JAW_CHIN, JAW_LIP = 2.0, 0.5  # half widths
+# Skin that stays: around these heights and depths, and in the middle of upper lip and nose.
+STILL_ABOVE, STILL_BELOW, STILL_BEHIND, STILL_BESIDE = -2.9, -13.4, 0.0, 6.4
+STILL_LIP, STILL_NOSE, STILL_NOSE_END = 0.6, 1.8, -6.0  # half widths, lowest height
+MOUTH_BACK = 6.0  # z in front of which lips and chin lie
 
-# Displacements below this length become 0, and longer ones by little shorter, cm.
-SHORTEST = 0.01
+SHORTEST = 0.01  # displacements below this length become 0, and longer ones a little shorter, cm
 
 LASH_TURN = 50.0  # downward rotation of the upper lashes of closed lids, degrees
 
@@ -111,20 +115,17 @@ def _jaw_weights(mesh: Mesh, mouth: Mouth) -> Floats:
     x, y, z = bent(points)
     side = np.abs(x)
     height, _ = above_line(points)
-    lower = np.zeros(len(points), bool)
-    lower[mouth.loop[len(mouth.loop) // 2 + 1 :]] = True
-    below = (height < -0.01) | lower
-    lip = below & (side < JAW_LIP[0]) & (y > JAW_LIP[1]) & (z > 6)
-    chin = (side < JAW_CHIN[0]) & (y < JAW_LIP[1]) & (y > JAW_CHIN[1]) & (z > 6)
-    bone = (JAW_BODY.distance(side, y, z) < JAW_REACH) & (z > 4.5) & (y > JAW_CHIN[1])
-    moving = lip | chin | bone & (y < JAW_LIP[1])
-    still = (y > STILL_ABOVE) | (z < STILL_BEHIND) | (y < STILL_BELOW) | (side > 6.4)
-    middle = ~below & (side < STILL_LIP[0]) & (z > 6)
-    still |= middle | ((side < 1.8) & (y > STILL_LIP[1]) & (z > 6))
+    below = height < 0
+    below[mouth.loop] = np.arange(len(mouth.loop)) > len(mouth.loop) // 2
+    bone = (JAW_BODY.distance(side, y, z) < JAW_REACH) & (z > JAW_BACK)
+    chin = (bone | ((side < JAW_CHIN) & (z > MOUTH_BACK))) & (y < CHIN_TOP) & (y > CHIN_END)
+    moving = chin | (below & (side < JAW_LIP) & (y > CHIN_TOP) & (z > MOUTH_BACK))
+    still = (y > STILL_ABOVE) | (y < STILL_BELOW) | (z < STILL_BEHIND) | (side > STILL_BESIDE)
+    in_middle = (side < STILL_LIP) | ((side < STILL_NOSE) & (y > STILL_NOSE_END))
+    still |= ~below & in_middle & (z > MOUTH_BACK)
 
     faces = mesh.faces[(mesh.faces < mouth.cavity[0]).all(1)]
-    free = np.flatnonzero(~moving & ~still)
-    free = np.intersect1d(free, faces)
+    free = np.intersect1d(np.flatnonzero(~moving & ~still), faces)
     laplacian, area = _stiffness(points, faces)
     bending = (laplacian @ diags(1 / area) @ laplacian).tocsr()
     weights = moving.astype(np.float64)
@@ -132,8 +133,8 @@ def _jaw_weights(mesh: Mesh, mouth: Mouth) -> Floats:
     # The inside of the lips follows them; upper teeth stay, and lower teeth follow the jaw.
     half = len(mouth.loop) // 2
     column = np.arange(len(mouth.cavity)) % len(mouth.loop)
-    from_corner = np.abs(column / half % 1 - 0.5) * 2  # 1 at the corners
-    rigid = 0.5 + np.where(column > half, 0.5, -0.5) * ramp(1.0, 0.75, from_corner)
+    outer = np.abs(column / half % 1 - 0.5).astype(np.float32)  # 0.5 at the corners
+    rigid = 0.5 + np.where(column > half, 0.5, -0.5) * ramp(0.5, 0.375, outer)
     rigid[-1] = 0.5
     share = ramp(LIPS_RING, GUMS_RING - 1, mouth.ring)
     weights[mouth.cavity] = weights[mouth.anchors] * (1 - share) + rigid * share
@@ -223,7 +224,9 @@ def lash_moves(lashes: Textured, openings: Sequence[Opening]) -> Moves:
     """Return the shapes of the lashes of both eyes."""
     points = lashes.mesh.positions
     found = {}
-    for opening, rows in zip(openings, np.split(np.arange(len(points)), len(openings)), strict=True):
+    for opening, rows in zip(
+        openings, np.split(np.arange(len(points)), len(openings)), strict=True
+    ):
         upper = rows[: UPPER.count * STRAND_VERTICES]
         strands = opening.eye.local(points[upper]).reshape(-1, STRAND_VERTICES, 3)
         moves = np.zeros_like(points)

@@ -317,7 +317,7 @@ def _occlusion(texels: Texels, regions: Regions, lids: Lids, lining: Lining) -> 
         share = lids.region[at_eye]
         wanted = lids.open_share[at_eye]
         open_share[at_eye] += (wanted - open_share[at_eye]) * share
-    open_share[lining.inside] = np.interp(lining.ring[lining.inside], *np.transpose(MOUTH_OPEN))
+    open_share[lining.inside] = np.interp(lining.ring, *np.transpose(MOUTH_OPEN))
     return np.asarray(open_share * (1 - 0.4 * regions.nostril), np.float32)
 
 
@@ -409,18 +409,15 @@ def _albedo(
 
 def _lining_colour(lining: Lining) -> Floats:
     """Return the colours of the points in the mouth."""
-    upper, ring, across = (
-        values[lining.inside] for values in (lining.upper, lining.ring, lining.across)
-    )
-    side = np.abs(across)
+    ring, side = lining.ring, lining.side
     rings = [row[0] for row in LINING]
     halves = []
-    for half in (1, 2):
-        channels = np.transpose([linear(row[half]) for row in LINING])
+    for colours in ([row[1] for row in LINING], [row[2] for row in LINING]):
+        channels = np.transpose([linear(each) for each in colours])
         halves.append(np.stack([np.interp(ring, rings, channel) for channel in channels], 1))
-    colour = np.where(upper[:, None], *halves)
+    colour = np.where(lining.upper[:, None], *halves)
     tooth = ramp(GUMS_RING + 0.2, GUMS_RING + 0.5, ring) * ramp(TEETH_RING + 1, TEETH_RING, ring)
-    gaps = np.sum([bell((side - gap) / TOOTH_GAP) for gap in TOOTH_GAPS], axis=0)
+    gaps = np.sum([bell((side - np.float32(gap)) / TOOTH_GAP) for gap in TOOTH_GAPS], axis=0)
     light = 1 - TOOTH_GAP_DEPTH * gaps * tooth
     light *= 1 - 0.5 * ramp(0.4, 0.8, side) * ramp(1, 2, ring)
     colour = cover(colour * light[:, None], ramp(0.72, 0.82, side) * ramp(1, 2.5, ring), CHEEK)
@@ -456,7 +453,7 @@ def paint(unwrapped: Unwrapped, size: int, seed: int, closed: Mesh, eyes: Sequen
     regions = find_regions(points, noise)
     lids = find_lids(points, eyes)
     place = (np.argwhere(texels.covered)[:, ::-1] + 0.5) / size
-    lining = find_lining((place - MOUTH_CENTRE) / MOUTH_RADIUS)
+    lining = find_lining(np.asarray((place - MOUTH_CENTRE) / MOUTH_RADIUS, np.float32))
     marks = _scatter_marks(closed, points, random)
     marks = replace(marks, lash=marks.lash * (1 - lids.region))
     occlusion = _occlusion(texels, regions, lids, lining)
