@@ -157,8 +157,13 @@ def _rings(line: Floats, upper: NDArray[np.bool_]) -> Floats:
     for number, (above, below) in enumerate(zip(UPPER_RINGS, LOWER_RINGS, strict=True), 1):
         inner = ramp(LIPS_RING, GUMS_RING, np.array(number))
         depth, height = np.where(upper, *np.array([above, below])[:, :, None])
+        overbite = np.where(height < 0, ramp(0.95, 0.65, np.abs(across)), 1)  # none at the corners
         at_corner = CORNER_DEPTH[0] + (CORNER_DEPTH[1] - CORNER_DEPTH[0]) * inner
-        y = line[:, 1] + (level - line[:, 1]) * inner + np.where(upper, 1, -1) * height * taper
+        y = (
+            line[:, 1]
+            + (level - line[:, 1]) * inner
+            + np.where(upper, 1, -1) * height * overbite * taper
+        )
         z = line[:, 2] - depth * (at_corner + (1 - at_corner) * taper)
         rings.append(np.stack([line[:, 0] * (1 + (ARCH_WIDTH - 1) * inner), y, z], 1))
     end = np.array([[0, level - END[1], line[:, 2].max() - END[0]]])
@@ -195,8 +200,8 @@ def with_mouth(mesh: Mesh) -> tuple[Mesh, Mouth]:
     cavity = np.concatenate([ring_faces(number + 1, count)[:, ::-1], fan]).astype(np.int32)
     wall = vertex_normals(rings, cavity)
     wall[:count] = unit(wall[:count] + LIP_ROUNDING * normals[loop])
-    for corner, inward in ((0, -1), (len(path) - 1, 1)):  # where upper and lower wall cancel out
-        wall[corner:-1:count] = (inward, 0, 0)
+    for corner, inward in ((0, -1), (len(path) - 1, 1)):  # where upper and lower lip cancel out
+        wall[corner : (GUMS_RING + 1) * count : count] = (inward, 0, 0)
     return (
         Mesh(
             np.concatenate([positions, rings]),
