@@ -67,14 +67,14 @@ GAP = 0.008  # between margin and eyeball
 BACK = ((9.0, 0.03), (26.0, 0.06))  # polar angle behind the margin, degrees; gap
 CARUNCLE = (-1.33, -0.18, 0.11, 0.12)  # x, y, radius, height
 
-# Closed lids: distance between their edges, and of the upper lid's skin above that of the open lid;
-# openings above which the upper lid moves the whole way down, and the whole way forward.
-CLOSED_GAP, CLOSED_LIFT = 0.012, 0.09
+# Closed lids: the upper lid overlaps the lower one, and its skin lies above that of the open lid.
+# Openings above which it moves the whole way down, and the whole way forward.
+CLOSED_OVERLAP, CLOSED_LIFT = 0.04, 0.105
 CLOSED_CORNER = (0.10, 0.50)
 CLOSED_FALLOFF = 2.0  # of the shift, from the edge to the border of the hole
 CLOSED_ON_EYE = (0.90, 0.30)  # places between which the upper lid comes to lie on the eyeball
-CLOSED_MARGIN = (1.2, 0.5)  # depths of the first margin rings, in EDGE_ROUNDING
-CLOSED_PART = (1.0, 0.13)  # fractions of their way to these depths
+CLOSED_MARGIN = (0.7, 0.4)  # depths of the first margin rings, in EDGE_ROUNDING
+CLOSED_PART = (1.0, 0.12)  # fractions of their way to these depths
 
 HIGHEST, TRACING_STEPS = 4.5, 100  # start and steps of the search for the face from the front
 
@@ -263,14 +263,14 @@ def skin_places() -> Floats:
 def closed_lids(opening: Opening) -> Floats:
     """Return the rings of an opening whose lids are closed, local, (rings, points, 3).
 
-    The upper lid slides over the eyeball down to the lower lid, which does not move. Vertices that
-    touch the eyeball do not move either: on a straight line, they would enter it.
+    The upper lid slides over the eyeball, a little beyond the edge of the lower lid, which does not
+    move. Vertices that touch the eyeball do not move either: on a straight line, they would enter it.
     """
     rings, edge = opening.rings.copy(), _edge(opening.eye)
     lower, upper = edge_heights(opening.eye, edge[:, 0])
     on_upper = np.arange(len(edge)) <= UPPER_STEPS
     share, lifted = (ramp(0.0, end, upper - lower) * on_upper for end in CLOSED_CORNER)
-    shift = share * (lower + CLOSED_GAP - edge[:, 1])
+    shift = share * (lower - CLOSED_OVERLAP - edge[:, 1])
 
     place = skin_places()
     skin = rings[: opening.edge + 1]
