@@ -18,6 +18,7 @@ Job             a scene with its outputs as plain data, for files and other mach
 Frame, GBuffer  results of a renderer
 compare         returns whether two images match, and why not; shifted moves the image of a scene
 plan            finds the cheapest Shading within an error budget
+Landmarks       points on a mesh; load_landmarks reads a file, Renderer.landmarks finds their pixels
 load_cameras    reads cameras from a file; turntable returns cameras around a mesh
 save_animation  writes .gif, .webp or .mp4
 brdf, lobes     the reference functions in float64
@@ -66,6 +67,8 @@ if TYPE_CHECKING:
     from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
     from facerender.scenes.framing import tracked as tracked
+    from facerender.scenes.landmarks import Landmarks as Landmarks
+    from facerender.scenes.landmarks import load_landmarks as load_landmarks
     from facerender.scenes.light import Light as Light
     from facerender.scenes.lod import simplified as simplified
     from facerender.scenes.material import Material as Material
@@ -98,6 +101,7 @@ _HOMES = {
     "scenes.file": ("EnvironmentFile", "Pose", "load_scene"),
     "scenes.framing": ("tracked",),
     "scenes.lod": ("simplified",),
+    "scenes.landmarks": ("Landmarks", "load_landmarks"),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),
     "scenes.mesh": ("Mesh",),

@@ -174,6 +174,7 @@ class Job:
     planned : images for which the shading was planned, with their level of detail; or None
     image : settings of the renderer
     outputs : image files
+    landmarks : path of a landmark file, or None; see :func:`facerender.load_landmarks`
 
     Raises
     ------
@@ -194,6 +195,7 @@ class Job:
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     pose: Pose = Pose()
     before: Pose = Pose()
+    landmarks: str | None = None
 
     def __post_init__(self) -> None:
         check_type("mesh", self.mesh, MeshFile, "a MeshFile")
@@ -209,6 +211,9 @@ class Job:
             values, remedy = getattr(self, name), f"a list of {each.__name__}"
             check_type(name, values, list | tuple, remedy)
             object.__setattr__(self, name, each_of(name, values, each, remedy))
+        if self.landmarks is not None:
+            check_path("landmarks", self.landmarks)
+            object.__setattr__(self, "landmarks", os.fspath(self.landmarks))
         from_table(Material, "material", self.material, without=MAPS)  # only to validate
         material = {
             name: tuple(value) if isinstance(value, list | tuple) else value
@@ -218,21 +223,24 @@ class Job:
         object.__setattr__(self, "parts", part_tables("parts", self.parts))
         check_fields(self)
 
-    def scene(self, mesh: Mesh | None = None) -> Scene:
+    def scene(self, mesh: Mesh | None = None, moves: bool = False) -> Scene:
         """Return the scene.
 
         Parameters
         ----------
         mesh : result of ``self.mesh.load()``, which several jobs may share; None to load the mesh
+        moves : whether the scene has the frame before (:attr:`Scene.before`), for motion vectors
 
         Raises
         ------
         InputError : a file cannot be used; warnings as in :func:`facerender.load_mesh`
         """
         loaded = self.mesh.load() if mesh is None else mesh
-        if self.pose != Pose():
+        before = None
+        if moves or self.pose != Pose():
             from facerender.loading.vertices import posed
 
+            before = Scene(posed(loaded, self.before), self.camera) if moves else None
             loaded = posed(loaded, self.pose)
         environment = None
         if self.environment is not None:
@@ -252,6 +260,7 @@ class Job:
             self.ambient,
             self.background,
             environment,
+            before,
         )
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
@@ -289,6 +298,7 @@ class Job:
             **{n: _plain(own) for n in ("pose", "before") if (own := getattr(self, n)) != Pose()},
             **({"planned": _plain(self.planned)} if self.planned else {}),
             "image": _plain(self.image),
+            **({"landmarks": self.landmarks} if self.landmarks else {}),
             "outputs": [_plain(output) for output in self.outputs],
         }
 
@@ -307,7 +317,13 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs"]
+        known = [
+            *(each for each in KEYS if each != "cameras"),
+            "mesh",
+            "image",
+            "outputs",
+            "landmarks",
+        ]
         values: dict[str, Any] = {}
         for key, value in tables.items():
             if key not in known:
@@ -318,6 +334,8 @@ class Job:
             elif key == "outputs":
                 check_type(key, value, list, "a list of tables")
                 values[key] = tuple(from_table(Output, key, each) for each in value)
+            elif key == "landmarks":
+                values[key] = value
             else:
                 values[key] = scene_value(key, value)
         if "shading" in values:
@@ -327,7 +345,8 @@ class Job:
     def toml(self) -> str:
         """Return the job as the text of a TOML file."""
         tables = self.as_dict()
-        head = {key: tables.pop(key) for key in ("ambient", "background")}
+        plain = ("ambient", "background", "landmarks")
+        head = {key: tables.pop(key) for key in plain if key in tables}
         blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]
         for key, table in tables.items():
             if isinstance(table, list):

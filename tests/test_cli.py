@@ -209,7 +209,7 @@ def test_existing_image_is_replaced(cli: Cli) -> None:
 
 def test_only(cli: Cli) -> None:
     whole = cli.render("--background", "0,0,0")
-    for only in ONLY:
+    for only in (each for each in ONLY if each != "motion"):  # motion needs the frame before
         rgb = cli.render("--only", only)[..., :3].astype(int)
         assert rgb[20:28, 20:28].max() > 0, only
         assert not rgb[0].any(), only

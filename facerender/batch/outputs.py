@@ -5,7 +5,7 @@ This module does not use OpenGL directly: the caller passes a renderer.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
 from facerender.job import Job
+from facerender.scenes.landmarks import load_landmarks, located
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import DATA, Only, Scene
@@ -26,7 +27,7 @@ from facerender.scenes.view import View, view_of
 if TYPE_CHECKING:
     from facerender.drawing.renderer import Renderer
 
-# Each of these outputs takes one draw; all other outputs come from one G-buffer.
+# Each of these outputs and motion take one draw; all other outputs come from one G-buffer.
 _SHADED: dict[str, Only | None] = {"image": None, "specular": "specular", "diffuse": "diffuse"}
 # Channel names in layers.exr. The last letter of a name selects how compositing programs show the
 # channel: Y is grey. mask.A is the name of Nuke's own mask layer.
@@ -41,6 +42,7 @@ _CHANNELS = {
     "visibility": ("visibility.Y",),
     "mask": ("mask.A",),
     "parts": ("part.Y",),
+    "motion": ("motion.X", "motion.Y"),
 }
 _MOST = 65535  # Largest 16-bit value.
 
@@ -55,7 +57,8 @@ class Drawn:
     facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" from
         :func:`camera_facts`. With output depth, "depth_scale": mesh units per step of the 16-bit
         depth. With output parts or layers, "parts": the number of parts. For a planned scene,
-        "planned": whether the plan covers this size and number of samples, and was therefore used
+        "planned": whether the plan covers this size and number of samples, and was therefore used.
+        For a job with landmarks, "landmarks": a list from :func:`landmark_facts`
     """
 
     files: dict[str, bytes]
@@ -67,8 +70,9 @@ def draw(
 ) -> Drawn:
     """Draw the outputs of a job; docs/batch.md describes their files.
 
-    The image, the specular term and the diffuse term take one draw each; all other outputs share
-    one draw. On the same OpenGL driver, the same job gives the same bytes.
+    The image, the specular term, the diffuse term and motion take one draw each; all other outputs
+    share one draw. layers.exr has motion if the poses of the job and of the frame before differ. On
+    the same OpenGL driver, the same job gives the same bytes.
 
     Parameters
     ----------
@@ -80,8 +84,9 @@ def draw(
     Raises
     ------
     InputError : :func:`check_outputs`, :meth:`facerender.Job.scene` or
-        :meth:`facerender.Renderer.render` raises this error; the mesh has more than 65535 parts,
-        the maximum of parts.png; OpenEXR is missing, which layers.exr needs
+        :meth:`facerender.Renderer.render` raises this error; the landmarks cannot be read or do
+        not fit the mesh; the mesh has more than 65535 parts, the maximum of parts.png; OpenEXR is
+        missing, which layers.exr needs
     """
     check_outputs(outputs)
     if "layers" in outputs:
@@ -97,10 +102,19 @@ def draw(
     }
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
-    scene = detail.of(job.scene(mesh))
+    moves = "motion" in outputs or ("layers" in outputs and job.pose != job.before)
+    whole = job.scene(mesh, moves)
+    scene = detail.of(whole)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
     facts["camera"] = camera_facts(view, mesh, renderer.size)
-    frames = _frames(job, scene, detail, renderer, OUTPUTS if "layers" in outputs else outputs)
+    needed = set(outputs)
+    if "layers" in outputs:
+        needed |= {*OUTPUTS} - ({"motion"} if scene.before is None else set())
+    needed |= {"depth"} if job.landmarks else set()
+    frames = _frames(job, scene, detail, renderer, needed)
+    if job.landmarks:
+        # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
+        facts["landmarks"] = landmark_facts(job.landmarks, view, whole.mesh, frames["depth"])
     if "depth" in outputs:
         facts["depth_scale"] = _depth_scale(view, mesh)
     files = {}
@@ -117,7 +131,7 @@ def draw(
 
 
 def _frames(
-    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Sequence[str]
+    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Set[str]
 ) -> dict[str, Frame]:
     """Return the frames that the outputs need, keyed by the name of the output."""
     values = replace(detail, samples=min(detail.samples, renderer.samples)).values
@@ -126,11 +140,13 @@ def _frames(
         for name, only in _SHADED.items()
         if name in outputs
     }
-    if not _SHADED.keys() >= set(outputs):
+    if "motion" in outputs:
+        frames["motion"] = renderer.render(scene, job.shading, "motion")
+    if outputs - _SHADED.keys() - {"motion"}:
         gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
         metadata = {**renderer.metadata, "samples": "1"}
         for only in DATA:
-            if only in outputs:
+            if only in outputs and only != "motion":
                 linear = data_view(gbuffer, scene, only)
                 frames[only] = Frame(linear, only, scene.background is None, metadata)
     return frames
@@ -145,7 +161,44 @@ def _pixels(frame: Frame, name: str, exposure: float, depth_scale: float) -> NDA
     if name == "depth":
         depth = frame.linear[..., 0].astype(np.float64)
         return np.round(depth / depth_scale).astype(np.uint16)
+    if name == "motion":
+        return _flow(frame.linear)
     return frame.srgb8(exposure)
+
+
+def _flow(linear: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return motion vectors in KITTI's 16-bit encoding of optical flow: 64 x + 2^15 in red, 64 y +
+    2^15 in green, and in blue 1 where the values are valid. Values beyond the range, about 512
+    pixels, are clamped and not valid. Source: Geiger et al. (2013), "Vision meets robotics", and
+    its development kit."""
+    steps = np.round(64.0 * linear[..., :2].astype(np.float64) + 32768.0)
+    valid = linear[..., 3:] > 0.0
+    pixels = np.zeros((*linear.shape[:2], 3), dtype=np.uint16)
+    pixels[..., :2] = np.clip(steps, 0.0, _MOST) * valid
+    within = ((steps >= 0.0) & (steps <= _MOST)).all(axis=-1, keepdims=True)
+    pixels[..., 2:] = valid & within
+    return pixels
+
+
+def landmark_facts(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dict[str, Any]]:
+    """Return the landmarks of a file as plain data.
+
+    Parameters
+    ----------
+    mesh : mesh with all vertices, in its pose
+    depth : frame of the term depth
+
+    Returns
+    -------
+    for each landmark "name"; "x" and "y" in pixels, as of :meth:`facerender.Renderer.landmarks`, or
+    None behind the camera; "depth" in mesh units; and "visible"
+    """
+    landmarks = load_landmarks(path)
+    points = landmarks.positions(mesh)
+    pixels, depths, visible = located(view, mesh, points, depth.linear)
+    places = np.where(np.isfinite(pixels), pixels, None).tolist()
+    rows = zip(landmarks.names, places, depths.tolist(), visible.tolist(), strict=True)
+    return [{"name": n, "x": x, "y": y, "depth": d, "visible": v} for n, (x, y), d, v in rows]
 
 
 def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any]:
@@ -225,5 +278,6 @@ def _layers(frames: Mapping[str, Frame]) -> dict[str, NDArray[Any]]:
     return {
         channel: frames[name].linear[..., index]
         for name, channels in _CHANNELS.items()
+        if name in frames
         for index, channel in enumerate(channels)
     }

@@ -44,6 +44,10 @@ class Frame:
         - visibility: visible fraction of the first light that casts shadows, in all three channels
         - mask: 1 where the mesh is visible, in all three channels
         - parts: index of the part plus 1, in all three channels
+        - motion: displacement, in pixels, of the surface point at the pixel's centre from the frame
+          before to this frame: x (right) in red, y (down) in green, 0 in blue. The point may be
+          hidden in the frame before. Points behind the camera of the frame before have no motion;
+          there coverage is 0
     only : the term that the image shows; None for the whole image
     transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
     metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, format of albedo maps; for
@@ -69,7 +73,8 @@ class Frame:
 
         Radiance and albedo are encoded as sRGB, normals as 0.5 n + 0.5. Cosines, visibility and
         mask are clamped to [0, 1]. Depth is white at the nearest point and dark at the farthest.
-        The colour of a part depends on the part's index.
+        The colour of a part depends on the part's index. For motion, the hue is the direction, red
+        to the right, and the brightness is the length relative to the longest in the image.
 
         exposure : exposure of radiance and albedo, in stops; default 0
         """
@@ -81,6 +86,8 @@ class Frame:
             pixels = _bytes(color)
         elif self.only == "parts":
             pixels = _bytes(_part_colors(color[..., 0]))
+        elif self.only == "motion":
+            pixels = _bytes(_motion_colors(color))
         elif self.only == "depth":
             pixels = _bytes(_depth_as_brightness(color, coverage))
         elif self.transparent:
@@ -158,11 +165,24 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a colour (..., 3) for each number (part index plus 1); 0 is black. The hue advances by
     the golden ratio, so that consecutive numbers have very different hues."""
-    thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
-    hue = numbers[..., None] * np.float32(0.618034) + thirds
-    wave = np.abs(6.0 * (hue % 1.0) - 3.0) - 1.0
+    hue = _hue(numbers * np.float32(0.618034))
     level = 1.0 - 0.2 * (numbers[..., None] % 3.0)
-    return np.asarray(level * (0.25 + 0.75 * np.clip(wave, 0.0, 1.0)) * (numbers[..., None] > 0.0))
+    return np.asarray(level * (0.25 + 0.75 * hue) * (numbers[..., None] > 0.0))
+
+
+def _motion_colors(motion: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a colour (..., 3) for each motion vector; see :meth:`Frame.srgb8`."""
+    x, y = motion[..., 0], motion[..., 1]
+    length = np.hypot(x, y)
+    level = length / max(float(length.max()), 1e-30)
+    return np.asarray(level[..., None] * _hue(np.arctan2(y, x) / np.float32(2.0 * np.pi)))
+
+
+def _hue(turns: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the pure colour (..., 3) of each hue: red at 0, green at 1/3, blue at 2/3."""
+    thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
+    wave = np.abs(6.0 * ((turns[..., None] + thirds) % 1.0) - 3.0) - 1.0
+    return np.asarray(np.clip(wave, 0.0, 1.0))
 
 
 def _depth_as_brightness(

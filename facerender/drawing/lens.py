@@ -80,19 +80,21 @@ class Lens:
 
         view : view with the distortion
         """
-        columns, rows = self.places.astype(np.intp).T
-        index = rows * self.wide[0] + columns
-
-        def taken(value: Any) -> Any:
-            if not isinstance(value, np.ndarray):
-                return value
-            flat = value.reshape(-1, *value.shape[2:])
-            return flat[index].reshape(*self.size[::-1], *value.shape[2:])
-
         values = {each.name: getattr(gbuffer, each.name) for each in fields(gbuffer)}
         layers = tuple(self.nearest(each, view) for each in gbuffer.transparent_layers)
-        own = {"view": view, "transparent_layers": layers}
-        return GBuffer(**{name: taken(value) for name, value in values.items()} | own)
+        arrays = {
+            name: self.nearest_values(value)
+            for name, value in values.items()
+            if isinstance(value, np.ndarray)
+        }
+        return GBuffer(**values | arrays | {"view": view, "transparent_layers": layers})
+
+    def nearest_values(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Return the value of the nearest pixel of an undistorted image for each pixel."""
+        columns, rows = self.places.astype(np.intp).T
+        flat = image.reshape(-1, *image.shape[2:])
+        found = flat[rows * self.wide[0] + columns]
+        return np.asarray(found.reshape(*self.size[::-1], *image.shape[2:]))
 
     def _tap_places(self, pixels: NDArray[np.intp], count: int) -> Iterator[NDArray[np.float32]]:
         """Yield positions (N, 2) in the undistorted image: count x count per pixel."""

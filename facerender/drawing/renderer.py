@@ -19,6 +19,13 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
+from facerender.drawing.motion import (
+    Rays,
+    check_before,
+    motion_vectors,
+    pixel_centres,
+    triangle_pass,
+)
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
@@ -46,6 +53,7 @@ from facerender.job import ImageSettings, Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.hints import emit_all
+from facerender.scenes.landmarks import Landmarks, located
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
@@ -216,7 +224,8 @@ class Renderer:
         Parameters
         ----------
         only : term to draw instead of the whole image. All terms except specular and diffuse are
-            drawn with one sample per pixel and without blended parts
+            drawn with one sample per pixel and without blended parts. "motion" needs
+            ``scene.before``
         samples : samples per pixel; default: the renderer's samples
         shading_rate : "sample" (default) shades each triangle that covers a sample of the pixel.
             "pixel" shades each part once per pixel, at the triangle that covers most of the part's
@@ -227,7 +236,8 @@ class Renderer:
         Raises
         ------
         InputError : a map is damaged; m lies outside the lobe's domain and ``shading.outside`` is
-            "error"; the term ``only`` is unknown; a pixel is not finite
+            "error"; the term ``only`` is unknown; a pixel is not finite; the frame before is
+            missing or has other triangles, for motion
 
         Warns
         -----
@@ -275,14 +285,56 @@ class Renderer:
         return linear, resolved
 
     def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
-        """Return the frame of a G-buffer term, with one sample per pixel."""
+        """Return the frame of a G-buffer term or of motion, with one sample per pixel."""
         drawn = shading if only == "visibility" else shading.replace(shadow_lights=())
-        linear = data_view(self.gbuffer(scene, drawn, blended=False), scene, only)
+        if only == "motion":
+            linear = self._motion(scene, drawn)
+        else:
+            linear = data_view(self.gbuffer(scene, drawn, blended=False), scene, only)
         _check(linear, scene)
         metadata = {**self.metadata, "samples": "1"}
         if only == "parts":
             metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
         return Frame(linear, only, scene.background is None, metadata)
+
+    def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:
+        """Return the motion vectors of a scene; see ``Frame.linear``."""
+        before, aspect = check_before(scene), self.size[0] / self.size[1]
+        views = view_of(scene, aspect), view_of(before, aspect)
+        lens, own, flat = _lens(scene, self.size), self, scene
+        if lens:
+            own, flat = self._of_size(lens.wide), lens.undistorted(scene)
+        view = view_of(flat, own.size[0] / own.size[1])
+        resolved = own._resolved(flat, shading, view, 1)
+        drawn = triangle_pass(resolved, view)
+        (triangles,) = own._draw([drawn], resolved.scene)
+        places = pixel_centres(self.size)
+        if lens:
+            triangles, places = lens.nearest_values(triangles), lens.places
+        rays = Rays(view, own.size, places)
+        return motion_vectors(scene, before, views, drawn, triangles, rays)
+
+    def landmarks(
+        self, scene: Scene, landmarks: Landmarks
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the pixels, depths and visibility of landmarks in the image of a scene.
+
+        Returns
+        -------
+        pixels : (N, 2), x to the right and y down; the image's top left corner is (0, 0), its first
+            pixel's centre (0.5, 0.5). NaN behind the camera
+        depth : (N,), distance from the camera along the viewing direction, in mesh units
+        visible : (N,), whether the landmark is in the image, with no surface in front of it; see
+            :func:`facerender.scenes.landmarks.located`. Blended parts hide nothing
+
+        Raises
+        ------
+        InputError : :meth:`Landmarks.positions` or :meth:`render` raises this error
+        """
+        check_type("landmarks", landmarks, Landmarks, "the result of load_landmarks")
+        depth = self.render(scene, only="depth").linear
+        view = view_of(scene, self.size[0] / self.size[1])
+        return located(view, scene.mesh, landmarks.positions(scene.mesh), depth)
 
     def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
         """Return whether a frame with `samples` per pixel can have ``shading_rate="pixel"``.

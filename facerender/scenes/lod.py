@@ -201,8 +201,8 @@ class LevelOfDetail:
         return {"samples": self.samples, "shading_rate": self.shading_rate}
 
     def of(self, scene: Scene) -> Scene:
-        """Return the scene with its mesh simplified, and without back faces if they are culled.
-        Raises the errors of :func:`simplified`."""
+        """Return the scene with its mesh simplified, and without back faces if they are culled. The
+        frame before changes alike. Raises the errors of :func:`simplified`."""
         mesh = scene.mesh
         if self.triangles is not None:
             mesh = simplified(mesh, self.triangles)
@@ -210,7 +210,9 @@ class LevelOfDetail:
             if mesh not in _single_sided:
                 _single_sided[mesh] = mesh.with_material(double_sided=False)
             mesh = _single_sided[mesh]
-        return scene if mesh is scene.mesh else replace(scene, mesh=mesh)
+        if mesh is scene.mesh:
+            return scene
+        return replace(scene, mesh=mesh, before=scene.before and self.of(scene.before))
 
 
 @dataclass(frozen=True)

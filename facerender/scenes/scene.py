@@ -20,7 +20,16 @@ if TYPE_CHECKING:
     from facerender.scenes.sources import MeshSource
 
 Only = Literal[
-    "specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility", "mask", "parts"
+    "specular",
+    "diffuse",
+    "albedo",
+    "normal",
+    "depth",
+    "cosines",
+    "visibility",
+    "mask",
+    "parts",
+    "motion",
 ]
 
 # A pixel is shaded at each of its samples ("sample"), or once for each part in it ("pixel").
@@ -49,6 +58,8 @@ class Scene:
     ambient : irradiance of uniform ambient light, one number or linear RGB
     background : linear RGB behind the mesh, or None for a transparent background
     environment : environment map that lights the mesh but is not visible behind it, or None
+    before : the scene in the frame before, for motion vectors, or None. Its mesh has the same
+        triangles, usually in another pose, and its camera may differ
     """
 
     mesh: Mesh
@@ -57,6 +68,7 @@ class Scene:
     ambient: float | Vector = ranged(COLORS, (0.26, 0.28, 0.31))
     background: Vector | None = ranged(COLORS, (0.012, 0.013, 0.016))
     environment: Environment | None = None
+    before: Scene | None = None
 
     if TYPE_CHECKING:
 
@@ -68,6 +80,7 @@ class Scene:
             ambient: float | Vector = ...,
             background: Vector | None = ...,
             environment: Environment | None = ...,
+            before: Scene | None = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -78,6 +91,7 @@ class Scene:
         lights = each_of("lights", self.lights, Light, "several facerender.Light")
         object.__setattr__(self, "lights", lights)
         check_fields(self)
+        check_type("before", self.before, Scene | None, "the facerender.Scene of the frame before")
         if self.environment is not None:
             from facerender.scenes.environment import Environment
 

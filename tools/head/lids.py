@@ -264,7 +264,7 @@ def closed_lids(opening: Opening) -> Floats:
     """Return the rings of an opening whose lids are closed, local, (rings, points, 3).
 
     The upper lid slides over the eyeball, a little beyond the edge of the lower lid, which does not
-    move. Vertices that touch the eyeball do not move either: on a straight line, they would enter it.
+    move. Vertices that touch the eyeball do not move either: on a straight line they would enter.
     """
     rings, edge = opening.rings.copy(), _edge(opening.eye)
     lower, upper = edge_heights(opening.eye, edge[:, 0])

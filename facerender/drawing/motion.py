@@ -1,0 +1,183 @@
+"""Motion vectors: the displacement of the visible surface points since the frame before. The driver
+only finds the visible triangles; the displacements are computed in float64."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.transparency import mask_features, unblended
+from facerender.drawing.program import Program, part_uniforms, surface_features
+from facerender.drawing.resolve import ResolvedScene
+from facerender.drawing.triangle_setup import triangle_setup_of
+from facerender.errors import InputError
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View
+
+Float = NDArray[np.float64]
+
+_IN_ROW = 4096  # triangles per unit of the second channel that depth.frag writes
+# Displacements are rounded to 1e-6 pixels, because two poses of one mesh may use renderer's spaces
+# of different radius. Rounding errors of float64 then leave static points at 0.
+_DIGITS = 6
+_XYW = [0, 1, 3]  # indices of clip x, y and w
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays from the camera through the centres of an image's pixels.
+
+    Attributes
+    ----------
+    view, size : camera without lens distortion, and width and height of its image
+    places : (H * W, 2), positions in this image at which the rays meet it, in pixels
+    """
+
+    view: View
+    size: tuple[int, int]
+    places: NDArray[np.floating[Any]]
+
+
+def pixel_centres(size: tuple[int, int]) -> Float:
+    """Return the centre (H * W, 2) of each pixel of an image, row by row."""
+    width, height = size
+    row, column = np.divmod(np.arange(width * height), width)
+    return np.stack([column, row], axis=-1) + 0.5
+
+
+def check_before(scene: Scene) -> Scene:
+    """Return the scene in the frame before.
+
+    Raises
+    ------
+    InputError : there is none, or its mesh has other triangles
+    """
+    if (before := scene.before) is None:
+        raise InputError(
+            f"motion of {scene.mesh.name} needs the frame before: give the scene of that frame as "
+            "Scene(..., before=SCENE)"
+        )
+    own, other = ([part.faces for part in each.mesh.parts] for each in (scene, before))
+    pairs = zip(own, other, strict=False)
+    if len(own) != len(other) or not all(a is b or np.array_equal(a, b) for a, b in pairs):
+        raise InputError(
+            f"{scene.mesh.name} and {before.mesh.name} of the frame before have different "
+            "triangles: give two poses of one mesh, from Mesh.with_positions"
+        )
+    return before
+
+
+def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
+    """Return the pass that draws the visible triangle at the centre of each pixel: the index of the
+    part plus 1, and two channels with the index of the triangle in drawing order."""
+    scene, shading = resolved.scene, resolved.shading
+    draws = []
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    for number, (part, material) in enumerate(parts, 1):
+        features = mask_features(surface_features(part, material, shading))
+        program = Program("depth.frag", features=(*features, "TRIANGLE"))
+        uniforms, order = {**part_uniforms(part, material), "part": number}, None
+        if material.double_sided is False:
+            order = triangle_setup_of(part, scene.mesh).facing(view.position)
+        sided = material.double_sided
+        draws.append(Draw(program, uniforms, part, material, order=order, double_sided=sided))
+    uniforms = {"view_projection": view.matrix}
+    return Pass("triangles", Target(), unblended(scene, draws), uniforms=uniforms)
+
+
+def motion_vectors(
+    scene: Scene,
+    before: Scene,
+    views: tuple[View, View],
+    drawn: Pass,
+    triangles: NDArray[np.float32],
+    rays: Rays,
+) -> NDArray[np.float32]:
+    """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
+
+    Parameters
+    ----------
+    before : the result of :func:`check_before`
+    views : the camera of this frame, and that of the frame before
+    drawn, triangles : the result of :func:`triangle_pass`, and the values at the image's pixels,
+        (H, W, 4)
+    rays : rays through the centres of the pixels
+    """
+    height, width = triangles.shape[:2]
+    size = width, height
+    seen = triangles.reshape(-1, 4)
+    image = np.zeros_like(seen)
+    shown = np.flatnonzero(seen[:, 0])
+    owners = seen[shown, 0]
+    for draw in drawn.draws:
+        number = draw.uniforms["part"]
+        pixels = shown[owners == number]
+        if not len(pixels):
+            continue
+        index = (seen[pixels, 1] * _IN_ROW + seen[pixels, 2]).astype(np.int64)
+        index = index if draw.order is None else draw.order[index]
+        own, other = (each.mesh.parts[number - 1] for each in (scene, before))
+        visible, index = _unique(index, len(own.faces))
+        corners, old = (each.positions[own.faces[visible]] for each in (own, other))
+        weights = _weights(rays, scene.mesh, corners, index, pixels)
+        now, _ = views[0].project(scene.mesh, _mean(corners, index, weights), size)
+        then, _ = views[1].project(before.mesh, _mean(old, index, weights), size)
+        moved = np.round(now - then, _DIGITS) + 0.0  # no -0
+        known = np.isfinite(moved).all(axis=1)
+        image[pixels[known], :2] = moved[known]
+        image[pixels[known], 3] = 1.0
+    return image.reshape(triangles.shape)
+
+
+def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the different values of indices below `count`, and the indices into these values.
+    np.unique takes ten times as long."""
+    place = np.zeros(count, dtype=np.int64)
+    place[index] = 1
+    found = np.flatnonzero(place)
+    place[found] = np.arange(len(found))
+    return found, place[index]
+
+
+def _weights(
+    rays: Rays, mesh: Mesh, corners: Float, index: NDArray[np.int64], pixels: NDArray[np.int64]
+) -> Float:
+    """Return the barycentric coordinates (3, N) of the triangles' points at the centres of pixels.
+
+    The ray of a pixel meets a triangle at the weights det(p, b, c), det(p, c, a) and det(p, a, b),
+    divided by their sum, for homogeneous image points p of the pixel and a, b, c of the corners
+    (Olano and Greer 1997). A driver rounds corners to 1/256 pixel, so that the ray may miss the
+    triangle: negative weights become 0.
+
+    Parameters
+    ----------
+    corners : (T, 3, 3), corners of triangles in mesh space
+    index : (N,), triangle of each pixel
+    pixels : (N,), indices of pixels in the image
+    """
+    view, size = rays.view, rays.size
+    places = mesh.normalised(corners)
+    a, b, c = np.moveaxis(places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
+    x, y = (2.0 * rays.places[pixels] / size - 1.0).T
+    weights = np.empty((3, len(pixels)))
+    for own, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
+        np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=own)
+        own += (p[2] * q[0] - p[0] * q[2])[index] * y
+        own += (p[0] * q[1] - p[1] * q[0])[index]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.maximum(weights / weights.sum(axis=0), 0.0)
+    weights[:, ~np.isfinite(weights).all(axis=0)] = 1.0  # exactly edge-on
+    return np.asarray(weights / weights.sum(axis=0))
+
+
+def _mean(corners: Float, index: NDArray[np.int64], weights: Float) -> Float:
+    """Return the weighted means (N, 3) of the corners of triangles."""
+    means = np.zeros((len(index), 3))
+    for own, weight in enumerate(weights):
+        means += np.take(corners[:, own], index, axis=0) * weight[:, None]
+    return means
