@@ -713,10 +713,10 @@ def test_normals_of_a_mesh_that_is_inside_out():
 
 
 def test_normals_that_are_not_finite_keep_their_stored_direction():
-    file = Glb({"mesh": 0})
+    file = Glb({"mesh": 0, "rotation": around("xyz", 20, 30, 40)[0].tolist()})
     primitive = file.primitive(*cube())
     turns = np.zeros((24, 3))
-    turns[5] = math.nan
+    turns[5], turns[6, 0] = math.nan, math.inf
     primitive["targets"] = [{"NORMAL": file.add(turns)}]
     file.mesh(primitive)
     mesh = file.load()
