@@ -20,15 +20,15 @@ import statistics
 import struct
 import sys
 import tempfile
-import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from run import HEAD, HERE, frames_of, in_turns, report, resident, started
 
 import facerender as fr
-from run import HEAD, HERE, frames_of, in_turns, report, resident, started
 
 FPS = 25
 SECONDS = 2.0
@@ -41,24 +41,31 @@ def clip(path: Path) -> None:
     (length,) = struct.unpack_from("<I", content, 12)
     document = json.loads(content[20 : 20 + length])
     binary = bytearray(content[28 + length :])
-    names = document["meshes"][0]["extras"]["targetNames"]
-    times = np.linspace(0.0, SECONDS, 9, dtype=np.float32)
-    weights = np.zeros((len(times), len(names)), dtype=np.float32)
-    for name, most in SHAPES.items():
-        weights[:, names.index(name)] = most * (0.5 - 0.5 * np.cos(np.pi * np.arange(len(times))))
-    channels = []
     accessors, views = document["accessors"], document["bufferViews"]
-    for values, extra in ((times, {"min": [0.0], "max": [SECONDS]}), (weights, {})):
-        binary += bytes(-len(binary) % 4)
+
+    def added(values: np.ndarray, **bounds: list[float]) -> int:
+        """Append an accessor of scalars and return its index."""
+        binary.extend(bytes(-len(binary) % 4))
         views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
-        binary += values.tobytes()
-        accessor = {"bufferView": len(views) - 1, "componentType": 5126, "count": values.size}
-        accessors.append({**accessor, "type": "SCALAR", **extra})
-    sampler = {"input": len(accessors) - 2, "output": len(accessors) - 1}
+        binary.extend(values.astype(np.float32).tobytes())
+        kind = {"componentType": 5126, "type": "SCALAR", "count": values.size}
+        accessors.append({"bufferView": len(views) - 1, **kind, **bounds})
+        return len(accessors) - 1
+
+    times = np.linspace(0.0, SECONDS, 9, dtype=np.float32)
+    start = added(times, min=[0.0], max=[SECONDS])
+    samplers, channels = [], []
     for number, node in enumerate(document["nodes"]):
-        if "mesh" in node and "targets" in document["meshes"][node["mesh"]]["primitives"][0]:
-            channels.append({"sampler": 0, "target": {"node": number, "path": "weights"}})
-    document["animations"] = [{"name": "talk", "samplers": [sampler], "channels": channels}]
+        names = _names(document, node)
+        weights = np.zeros((len(times), len(names)), dtype=np.float32)
+        for name in SHAPES.keys() & set(names):
+            wave = 0.5 - 0.5 * np.cos(np.pi * np.arange(len(times)))
+            weights[:, names.index(name)] = SHAPES[name] * wave
+        if names:
+            target = {"node": number, "path": "weights"}
+            channels.append({"sampler": len(samplers), "target": target})
+            samplers.append({"input": start, "output": added(weights)})
+    document["animations"] = [{"name": "talk", "samplers": samplers, "channels": channels}]
     binary += bytes(-len(binary) % 4)
     document["buffers"][0]["byteLength"] = len(binary)
     text = json.dumps(document).encode()
@@ -68,6 +75,13 @@ def clip(path: Path) -> None:
         file.write(struct.pack("<4sII", b"glTF", 2, size))
         file.write(struct.pack("<I4s", len(text), b"JSON") + text)
         file.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+
+
+def _names(document: dict[str, Any], node: dict[str, Any]) -> list[str]:
+    """Return the names of the shapes of a node's mesh."""
+    mesh = document["meshes"][node["mesh"]] if "mesh" in node else {}
+    names: list[str] = mesh.get("extras", {}).get("targetNames", [])
+    return names
 
 
 def waves(mesh: fr.Mesh, count: int) -> list[list[np.ndarray]]:

@@ -159,6 +159,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
         (x right, y down, z forward)
     "transform_matrix" : 4 x 4 matrix from the camera space of OpenGL and NeRF (x right, y up,
         z backward) to mesh space
+    "distortion" : see :class:`facerender.Camera`; only if the camera has a lens distortion
     """
     pose = view.extrinsics(mesh)
     turn = pose[:, :3].T
@@ -171,6 +172,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
         "K": view.intrinsics(size).tolist(),
         "Rt": pose.tolist(),
         "transform_matrix": to_world.tolist(),
+        **({"distortion": list(view.distortion)} if view.distortion else {}),
     }
 
 
@@ -181,7 +183,19 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
     ----------
     camera : the result of :func:`camera_facts`
     file_path : path of the image, relative to the folder of transforms.json
+
+    Raises
+    ------
+    InputError : the distortion has k4, k5 or k6, which the format lacks: its k4 has another meaning
     """
+    numbers: list[float] = [*camera.get("distortion", [0.0] * 4), 0.0]
+    k1, k2, p1, p2, k3, *rational = numbers
+    if any(rational):
+        raise InputError(
+            f"{file_path}: its camera has the distortion coefficients k4 to k6, which "
+            "transforms.json cannot store: run the batch again without --transforms"
+        )
+    lens = {"k1": k1, "k2": k2, "k3": k3, "p1": p1, "p2": p2} if "distortion" in camera else {}
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
     return {
         "file_path": file_path,
@@ -191,6 +205,7 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         "fl_y": fy,
         "cx": cx,
         "cy": cy,
+        **lens,
         "transform_matrix": camera["transform_matrix"],
     }
 

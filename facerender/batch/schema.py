@@ -12,6 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
+from facerender.scenes.camera import DISTORTIONS
 from facerender.scenes.file import WEIGHTS
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
@@ -224,6 +225,7 @@ _SPECIAL: dict[str, Schema] = {
     "mesh.normal_map_y": _enum(NORMAL_MAP_Y),
     "camera.extrinsics": _array(_ROW_OF_4, 3),
     "camera.intrinsics": _array(_ROW_OF_3, 3),
+    "camera.distortion": {"anyOf": [_array({"type": "number"}, count) for count in DISTORTIONS]},
     "material.second_uv": _array(_enum(MAPS)),
     "material.scattering": {
         "anyOf": [

@@ -182,8 +182,8 @@ class RigReader:
         rows, moves = self.rows[index]
         if isinstance(kept, slice):
             return rows, moves
-        places = np.searchsorted(kept, rows).clip(max=len(kept) - 1)
-        own = kept[places] == rows
+        places = np.searchsorted(kept, rows)
+        own = np.isin(rows, kept)
         return places[own].astype(np.uint32), moves[own]
 
 

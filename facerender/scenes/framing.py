@@ -140,14 +140,16 @@ def tracked(mesh: Mesh) -> Mesh:
     if rest is None:
         return mesh
     head = find_regions(rest)["head"]
-    steps = []
+    assert head is not None
+    of_head, steps = [], []
     for part, own in zip(mesh.parts, rest.parts, strict=True):
-        places = rest.normalised(own.positions)
-        if head is not None:
-            away = np.abs(places - head.center)
-            inside = (np.hypot(away[:, 0], away[:, 2]) <= head.radius) & (away[:, 1] <= head.height)
-            steps.append((part.positions - own.positions)[inside & used(places, own.faces)])
-    step = np.median(np.concatenate(steps), axis=0)
+        drawn = used(own.positions, own.faces)
+        away = np.abs(rest.normalised(own.positions[drawn]) - head.center)
+        across = np.hypot(away[:, 0], away[:, 2])
+        of_head.append((across <= head.radius) & (away[:, 1] <= head.height))
+        steps.append((part.positions - own.positions)[drawn])
+    step, inside = np.concatenate(steps), np.concatenate(of_head)
+    step = np.median(step[inside] if inside.any() else step, axis=0)
     return in_space(replace(mesh, bounds=rest.bounds + step))
 
 

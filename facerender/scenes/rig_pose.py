@@ -105,15 +105,16 @@ def _evaluated(
     positions: _Rows = []
     normals: _Rows = []
     behind: dict[int, Float] = {}
+    turned_nodes = any(own.keys() - {"weights"} for own in moves.values())
     for number, part in enumerate(rest.parts):
         places = turned = None
         if (rig := part.rig) is not None:
             stored, weights = rig.stored_weights, _weights(rig, given, moves)
-            if moves or weights != stored:
+            if turned_nodes or weights != stored:
                 places, turned = _posed(rest, part, rig, worlds, weights)
             if (lagging := rig.lagging(weights)) != weights:
                 behind[number] = part.positions
-                if moves or lagging != stored:
+                if turned_nodes or lagging != stored:
                     behind[number], _ = replace(rig, normals=None).posed(worlds, lagging)
         positions.append(places)
         normals.append(turned)
