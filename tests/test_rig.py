@@ -1116,7 +1116,7 @@ def test_parts_that_do_not_move_have_no_rig():
     assert [part.rig is None for part in mesh.parts] == [True, False]
     pose = mesh.with_pose(time=1.0)
     assert_equal(pose.parts[0].positions, mesh.parts[0].positions, "part without rig")
-    assert all(part.rig is None for part in fr.load_mesh().parts)
+    assert fr.load_mesh(files.MINI_HEAD).parts[0].rig is None
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
