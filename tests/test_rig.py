@@ -158,7 +158,8 @@ def animated_cube():
     file.mesh(file.primitive(*cube()))
     keys = around("y", 0, 180, 360)
     keys[2] *= -1.0  # the same rotation, and the longer arc without the change of sign
-    file.clip((0, "rotation", [0, 1, 2], 1.5 * keys), name="animation_AnimatedCube")
+    keys *= [[0.7], [1.5], [3.0]]
+    file.clip((0, "rotation", [0, 1, 2], keys), name="animation_AnimatedCube")
     return file
 
 
@@ -711,6 +712,18 @@ def test_normals_of_a_mesh_that_is_inside_out():
     np.testing.assert_allclose(part.normals, turned, atol=1e-6)
 
 
+def test_normals_that_are_not_finite_keep_their_stored_direction():
+    file = Glb({"mesh": 0, "rotation": around("xyz", 20, 30, 40)[0].tolist()})
+    primitive = file.primitive(*cube())
+    turns = np.zeros((24, 3))
+    turns[5], turns[6, 0] = math.nan, math.inf
+    primitive["targets"] = [{"NORMAL": file.add(turns)}]
+    file.mesh(primitive)
+    mesh = file.load()
+    pose = mesh.with_pose({"shape1": 1.0})
+    np.testing.assert_allclose(pose.parts[0].normals, mesh.parts[0].normals, atol=1e-12)
+
+
 def test_normals_of_a_part_without_extent_are_unit_vectors():
     file = Glb({"mesh": 0})
     file.mesh(file.primitive(*cube()))
@@ -1034,6 +1047,31 @@ def test_shapes_of_primitives_that_share_vertices():
     np.testing.assert_allclose(pose.parts[0].positions, expected, atol=1e-6)
 
 
+def test_vertices_without_weights_follow_their_first_joint():
+    file = Glb({"children": [1, 2, 3]}, {"mesh": 0, "skin": 0}, {}, {})
+    joints, weights = np.zeros((2, len(tube()[0]), 4))
+    joints[:, 0] = tube()[0][:, 1] > 1.0
+    skinned_tube(file, joints, weights)
+    file.document["skins"] = [{"joints": [2, 3]}]
+    file.clip((3, "translation", [0, 1], [(0, 0, 0), (2, 0, 0)]))
+    mesh = file.load()
+    step = mesh.with_pose(time=1.0).parts[0].positions - mesh.parts[0].positions
+    np.testing.assert_allclose(step, joints[:, :1] * (2.0, 0.0, 0.0), atol=1e-12)
+
+
+def test_a_skinned_node_does_not_place_a_mesh_without_joints():
+    """The specification forbids such files; they are drawn in mesh space, also in a pose."""
+    file = Glb({"children": [1, 2]}, {"mesh": 0, "skin": 0, "translation": [5, 0, 0]}, {})
+    primitive = file.primitive(*cube())
+    primitive["targets"] = [{"POSITION": file.add(np.ones((24, 3)))}]
+    file.mesh(primitive)
+    file.document["skins"] = [{"joints": [2]}]
+    mesh = file.load()
+    np.testing.assert_allclose(mesh.parts[0].positions, cube()[0], atol=1e-6)
+    pose = mesh.with_pose({"shape1": 1.0})
+    np.testing.assert_allclose(pose.parts[0].positions, np.add(cube()[0], 1.0), atol=1e-6)
+
+
 # --- storage -------------------------------------------------------------------------------------
 
 
@@ -1078,7 +1116,7 @@ def test_parts_that_do_not_move_have_no_rig():
     assert [part.rig is None for part in mesh.parts] == [True, False]
     pose = mesh.with_pose(time=1.0)
     assert_equal(pose.parts[0].positions, mesh.parts[0].positions, "part without rig")
-    assert all(part.rig is None for part in fr.load_mesh().parts)
+    assert fr.load_mesh(files.MINI_HEAD).parts[0].rig is None
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
