@@ -70,11 +70,13 @@ CARUNCLE = (-1.33, -0.18, 0.11, 0.12)  # x, y, radius, height
 # Closed lids: the upper lid overlaps the lower one, and its skin lies above that of the open lid.
 # Openings above which it moves the whole way down, and the whole way forward.
 CLOSED_OVERLAP, CLOSED_LIFT = 0.04, 0.105
-CLOSED_CORNER = (0.10, 0.50)
+CLOSED_CORNER = (0.20, 0.50)
 CLOSED_FALLOFF = 2.0  # of the shift, from the edge to the border of the hole
 CLOSED_ON_EYE = (0.90, 0.30)  # places between which the upper lid comes to lie on the eyeball
-CLOSED_MARGIN = (0.7, 0.4)  # depths of the first margin rings, in EDGE_ROUNDING
-CLOSED_PART = (1.0, 0.12)  # fractions of their way to these depths
+# Depths behind the skin of the rounded edge and of the first margin rings; fractions of the way to
+# these places that the margin rings move.
+CLOSED_DEPTHS = (0.016, 0.036, 0.018)
+CLOSED_PART = (1.0, 0.12)
 
 HIGHEST, TRACING_STEPS = 4.5, 100  # start and steps of the search for the face from the front
 
@@ -263,8 +265,8 @@ def skin_places() -> Floats:
 def closed_lids(opening: Opening) -> Floats:
     """Return the rings of an opening whose lids are closed, local, (rings, points, 3).
 
-    The upper lid slides over the eyeball, a little beyond the edge of the lower lid, which does not
-    move. Vertices that touch the eyeball do not move either: on a straight line they would enter.
+    The upper lid slides over the eyeball and overlaps the lower lid, which does not move. Vertices
+    that touch the eyeball do not move either: on a straight line, they would enter it.
     """
     rings, edge = opening.rings.copy(), _edge(opening.eye)
     lower, upper = edge_heights(opening.eye, edge[:, 0])
@@ -280,11 +282,12 @@ def closed_lids(opening: Opening) -> Floats:
 
     closed = np.stack([edge[:, 0], edge[:, 1] + shift], 1)
     corner = np.concatenate([closed, (_shell(closed) + CLOSED_LIFT)[:, None]], 1)
-    inward = np.array([0, 0, -EDGE_ROUNDING], np.float32)
+    inward = np.array([0, 0, -1], np.float32)
     wanted = []
     for t in np.linspace(0, 1, EDGE_STEPS + 1)[1:]:
-        wanted.append((1 - t) ** 2 * skin[-1] + (1 - (1 - t) ** 2) * corner + t * t * inward)
-    wanted += [corner + inward * depth for depth in CLOSED_MARGIN]
+        on_edge = (1 - t) ** 2 * skin[-1] + (1 - (1 - t) ** 2) * corner
+        wanted.append(on_edge + t * t * CLOSED_DEPTHS[0] * inward)
+    wanted += [corner + depth * inward for depth in CLOSED_DEPTHS[1:]]
     parts = (*[1.0] * EDGE_STEPS, *CLOSED_PART)
     for ring, target, part in zip(rings[opening.edge + 1 :], wanted, parts, strict=False):
         ring += part * np.stack([share, share, lifted], 1) * (target - ring)
