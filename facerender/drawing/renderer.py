@@ -134,7 +134,7 @@ class Renderer:
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         # Samples that the driver draws at once, for each mesh that the memory suffices for.
         self._fitting: weakref.WeakKeyDictionary[Mesh, int] = weakref.WeakKeyDictionary()
-        # A renderer of another size for the undistorted image of a lens, and the sizes with targets.
+        # A renderer of another size, for undistorted images, and the other sizes with targets.
         self._resized: Renderer | None = None
         self._sizes: set[tuple[int, int]] = set()
         self.context = create_context(backend)
@@ -562,7 +562,6 @@ def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction |
     """Return the refraction of a scene, or None. The module is imported only if needed."""
     if not any(material.refracts for material in scene.mesh.materials):
         return None
-    from facerender.drawing.lens import Lens
     from facerender.drawing.passes.refraction import Refraction
 
     return Refraction.of(scene, view, size)

@@ -131,8 +131,8 @@ class Camera:
             numbers = numbers if all(each in _ZERO for each in rest) else ()
         if not isinstance(numbers, tuple | list) or len(numbers) not in DISTORTIONS:
             raise InputError(
-                f"camera distortion = {shown(value)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, k3 to "
-                "k6, without thin prism and tilt"
+                f"camera distortion = {shown(value)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, k3 "
+                "to k6, without thin prism and tilt"
             )
         if not all(each in _COEFFICIENTS for each in numbers):
             raise InputError(

@@ -52,13 +52,17 @@ def undistort(points: Float, coefficients: Coefficients) -> Float:
         for _ in range(_STEPS):
             at, slopes = _distorted(found, coefficients)
             off = at - points
-            found = found - np.stack(
-                [
-                    slopes[:, 1, 1] * off[:, 0] - slopes[:, 0, 1] * off[:, 1],
-                    slopes[:, 0, 0] * off[:, 1] - slopes[:, 1, 0] * off[:, 0],
-                ],
-                axis=-1,
-            ) / _determinant(slopes)[:, None]
+            found = (
+                found
+                - np.stack(
+                    [
+                        slopes[:, 1, 1] * off[:, 0] - slopes[:, 0, 1] * off[:, 1],
+                        slopes[:, 0, 0] * off[:, 1] - slopes[:, 1, 0] * off[:, 0],
+                    ],
+                    axis=-1,
+                )
+                / _determinant(slopes)[:, None]
+            )
             if np.nanmax(np.abs(off), initial=0.0) < 1e-15:
                 break
         off = np.abs(distort(found, coefficients) - points).max(axis=-1)

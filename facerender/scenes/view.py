@@ -180,9 +180,7 @@ def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
         check_range(name, value, -1e6, 1e6)
     view = view_of(scene, width / height).shifted((x, y), size)
     pose, lens = view.extrinsics(scene.mesh).tolist(), view.intrinsics(size).tolist()
-    camera = Camera(
-        extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion
-    )
+    camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion)
     return replace(scene, camera=camera)
 
 
