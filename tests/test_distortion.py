@@ -467,6 +467,13 @@ def test_images_that_show_nothing(drawing, mini):
         drawing.render(fr.Scene(mini, beside))
 
 
+def test_images_of_another_shape_are_refused(renderer, mini):
+    scene = fr.Scene(mini, camera_of(mini, STRONG))
+    for only in (None, "depth"):
+        with pytest.raises(fr.InputError, match="are for images of 160 x 120 pixels"):
+            renderer.render(scene, only=only)
+
+
 def test_undistorted_images_have_a_limit(egl, mini):
     size = (16384, 2)
     k = ((9000.0, 0.0, 8192.0), (0.0, 9000.0, 1.0), (0.0, 0.0, 1.0))
