@@ -241,14 +241,12 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
     ------
     InputError : the distortion has k4, k5 or k6, which the format lacks: its k4 has another meaning
     """
-    numbers: list[float] = [*camera.get("distortion", [0.0] * 4), 0.0]
-    k1, k2, p1, p2, k3, *rational = numbers
-    if any(rational):
+    values: list[float] = camera.get("distortion", [])
+    if any(values[5:]):
         raise InputError(
             f"{file_path}: its camera has the distortion coefficients k4 to k6, which "
             "transforms.json cannot store: run the batch again without --transforms"
         )
-    lens = {"k1": k1, "k2": k2, "k3": k3, "p1": p1, "p2": p2} if "distortion" in camera else {}
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
     return {
         "file_path": file_path,
@@ -258,7 +256,7 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         "fl_y": fy,
         "cx": cx,
         "cy": cy,
-        **lens,
+        **dict(zip(("k1", "k2", "p1", "p2", "k3"), values, strict=False)),
         "transform_matrix": camera["transform_matrix"],
     }
 

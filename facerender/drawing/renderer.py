@@ -142,7 +142,7 @@ class Renderer:
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         # Samples that the driver draws at once, for each mesh that the memory suffices for.
         self._fitting: weakref.WeakKeyDictionary[Mesh, int] = weakref.WeakKeyDictionary()
-        # A renderer of another size, for the undistorted image of a lens, and sizes with targets.
+        # A renderer of another size, for undistorted images, and the other sizes with targets.
         self._resized: Renderer | None = None
         self._sizes: set[tuple[int, int]] = set()
         self.context = create_context(backend)
@@ -269,11 +269,11 @@ class Renderer:
         self, scene: Scene, shading: Shading, image: _Image
     ) -> tuple[NDArray[np.float32], ResolvedScene]:
         """Return the linear image of a scene, (H, W, 4), and the resolved scene."""
+        view = view_of(scene, self.size[0] / self.size[1])
         if lens := _lens(scene, self.size):
             wide, drawn = self._of_size(lens.wide), lens.undistorted(scene)
             linear, resolved = wide._radiance(drawn, shading, image)
             return lens.filtered(linear), resolved
-        view = view_of(scene, self.size[0] / self.size[1])
         resolved = self._resolved(scene, shading, view, image.samples)
         if image.samples <= self.context.most_samples:
             return self._shaded(resolved, view, image), resolved
