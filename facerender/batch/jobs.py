@@ -31,7 +31,7 @@ from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
-TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image")
+TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image", "landmarks")
 OWN = ("id", "outputs", "exposure", "scene")  # Keys of a row that are not in TABLES.
 TABLE_KINDS: dict[str, Any] = {
     "mesh": MeshFile,
@@ -214,6 +214,8 @@ def _row(number: int, values: Table, folder: str) -> Row:
         if type(own := tables.get(key)) is dict and "vertices" in own:
             file = _absolute(own["vertices"], f"{key} vertices", folder)
             tables[key] = {**own, "vertices": file}
+    if "landmarks" in tables:
+        tables["landmarks"] = _absolute(tables["landmarks"], "landmarks", folder)
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     environment = tables.get("environment")
@@ -365,6 +367,8 @@ def _check(row: Row, position: str, good: set[int]) -> None:
                 if (name := hash(f"{key} {_without_valid(key, each)!r}")) not in good:
                     if key in ("mesh", "image"):
                         from_table(TABLE_KINDS[key], key, each)
+                    elif key == "landmarks":
+                        check_path(key, each)
                     else:
                         scene_value(key, each if each is value else [each])
                     good.add(name)

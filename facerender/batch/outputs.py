@@ -106,7 +106,7 @@ def draw(
     whole = job.scene(mesh, moves)
     scene = detail.of(whole)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
-    facts["camera"] = camera_facts(view, mesh, renderer.size)
+    facts["camera"] = camera_facts(view, scene.mesh, renderer.size)
     needed = set(outputs)
     if "layers" in outputs:
         needed |= {*OUTPUTS} - ({"motion"} if scene.before is None else set())
@@ -116,7 +116,7 @@ def draw(
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
         facts["landmarks"] = landmark_facts(job.landmarks, view, whole.mesh, frames["depth"])
     if "depth" in outputs:
-        facts["depth_scale"] = _depth_scale(view, mesh)
+        facts["depth_scale"] = _depth_scale(view, scene.mesh)
     files = {}
     for name in filter(outputs.__contains__, OUTPUTS):
         file = file_name(name)

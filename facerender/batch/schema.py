@@ -47,6 +47,7 @@ def schema() -> Schema:
         tables[name] = _default(_of_range(range_of(Scene, name)), getattr(Scene, name))
     tables["background"]["anyOf"].insert(0, {"const": "none"})
     tables |= {"lights": _lights(lights), "parts": _parts(), "shading": _shading()}
+    tables["landmarks"] = {"type": "string", "description": "JSON file of landmarks"}
     outputs = {"type": "array", "items": _enum(OUTPUTS), "minItems": 1, "uniqueItems": True}
     own: dict[str, Schema] = {
         "id": {

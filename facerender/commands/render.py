@@ -124,11 +124,20 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError("-o - and --json both write to standard output: leave one of them out")
 
 
-def _scenes(scene: Scene, poses: Sequence[Pose], cameras: Sequence[Camera]) -> Iterator[Scene]:
-    """Yield the scene in each pose, for each camera."""
+def _scenes(
+    scene: Scene, poses: Sequence[Pose], cameras: Sequence[Camera], before: Pose | None
+) -> Iterator[Scene]:
+    """Yield the scene in each pose, for each camera.
+
+    before : pose before the first pose if motion is drawn, else None
+    """
+    last = None if before is None else replace(scene, mesh=posed(scene.mesh, before))
     for pose in poses:
-        moved = replace(scene, mesh=posed(scene.mesh, pose))
-        yield from (replace(moved, camera=camera) for camera in cameras)
+        now = replace(scene, mesh=posed(scene.mesh, pose))
+        for camera in cameras:
+            then = last and replace(last, camera=camera)
+            yield replace(now, camera=camera, before=then)
+        last = last and now
 
 
 def run(options: argparse.Namespace) -> int:
@@ -186,7 +195,10 @@ def run(options: argparse.Namespace) -> int:
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)
         values = replace(detail, samples=min(detail.samples, renderer.samples)).values
-        scenes = (detail.of(each) for each in _scenes(scene, poses, [*cameras.values()]))
+        before = None
+        if options.only == "motion":  # the first frame of a sequence has no motion
+            before = poses[0] if playing else job.before
+        scenes = (detail.of(each) for each in _scenes(scene, poses, [*cameras.values()], before))
         frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
         frame = target.write(frames, options.exposure, scene.background)
     if options.json:
