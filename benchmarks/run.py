@@ -96,12 +96,11 @@ def resident(pid: int) -> float:
     return pages * resource.getpagesize() / 2**20
 
 
-def start(stack: ExitStack, python: str, peer: str, samples: int) -> subprocess.Popen[str]:
+def started(stack: ExitStack, command: list[str]) -> subprocess.Popen[str]:
     """Start the process of a peer, which renders a frame per line of its standard input.
 
     VTK and a context of facerender cannot share a process.
     """
-    command = [python, str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), str(samples)]
     own = stack.enter_context(
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     )
@@ -139,7 +138,9 @@ def steady(frames: int, samples: int, peers: Mapping[str, str]) -> None:
 
         actions = {"minimal script": by_script, "facerender": by_facerender}
         processes = {
-            f"{peer}, own process": start(stack, python, peer, samples)
+            f"{peer}, own process": started(
+                stack, [python, str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), str(samples)]
+            )
             for peer, python in {"facerender": sys.executable, **peers}.items()
             if samples in STEADY.get(peer, ())
         }

@@ -8,11 +8,13 @@ render          draws one image in one call; a Renderer keeps uploaded meshes an
 load_mesh       loads a mesh file with its materials, or converts a trimesh object
 Mesh            from_arrays creates a mesh; with_material changes materials, select picks parts
 Material        reflectance of a part; a Texture is a map from a file, an array or a Pillow image
-simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion
+simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion, and
+                tracked makes cameras follow a moving head
 Scene           mesh, Camera, Light, ambient light, background and environment
 Environment     environment map from a Panorama; load_environment reads an EnvironmentFile
 Shading         the specular Term of each light, and the terms to omit
-Job             a scene with its outputs as plain data, for files and other machines
+Job             a scene with its outputs as plain data, for files and other machines; a Pose
+                moves its mesh
 Frame, GBuffer  results of a renderer
 compare         returns whether two images match, and why not; shifted moves the image of a scene
 plan            finds the cheapest Shading within an error budget
@@ -62,7 +64,9 @@ if TYPE_CHECKING:
     from facerender.scenes.environment import Environment as Environment
     from facerender.scenes.environment import Panorama as Panorama
     from facerender.scenes.file import EnvironmentFile as EnvironmentFile
+    from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
+    from facerender.scenes.framing import tracked as tracked
     from facerender.scenes.landmarks import Landmarks as Landmarks
     from facerender.scenes.landmarks import load_landmarks as load_landmarks
     from facerender.scenes.light import Light as Light
@@ -94,7 +98,8 @@ _HOMES = {
     "planning.plan": ("Plan", "plan"),
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
-    "scenes.file": ("EnvironmentFile", "load_scene"),
+    "scenes.file": ("EnvironmentFile", "Pose", "load_scene"),
+    "scenes.framing": ("tracked",),
     "scenes.lod": ("simplified",),
     "scenes.landmarks": ("Landmarks", "load_landmarks"),
     "scenes.light": ("Light",),

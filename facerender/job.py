@@ -17,6 +17,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.file import (
     KEYS,
     EnvironmentFile,
+    Pose,
     from_table,
     part_tables,
     scene_value,
@@ -168,6 +169,8 @@ class Job:
     camera, lights, ambient, background : see :class:`facerender.Scene`
     environment : file of the environment map, or None
     shading : see :class:`facerender.Shading`
+    pose : pose of the mesh
+    before : pose of the mesh in the frame before, from which motion vectors start
     planned : images for which the shading was planned, with their level of detail; or None
     image : settings of the renderer
     outputs : image files
@@ -190,6 +193,8 @@ class Job:
     outputs: tuple[Output, ...] = ()
     environment: EnvironmentFile | None = None
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    pose: Pose = Pose()
+    before: Pose = Pose()
     landmarks: str | None = None
 
     def __post_init__(self) -> None:
@@ -197,6 +202,8 @@ class Job:
         check_type("camera", self.camera, Camera, "a Camera")
         check_type("shading", self.shading, Shading, "a Shading")
         check_type("image", self.image, ImageSettings, "an ImageSettings")
+        for name in ("pose", "before"):
+            check_type(name, getattr(self, name), Pose, "a facerender.Pose")
         check_type("planned", self.planned, Planned | None, "a facerender.scenes.lod.Planned")
         remedy = "a facerender.EnvironmentFile"
         check_type("environment", self.environment, EnvironmentFile | None, remedy)
@@ -216,18 +223,25 @@ class Job:
         object.__setattr__(self, "parts", part_tables("parts", self.parts))
         check_fields(self)
 
-    def scene(self, mesh: Mesh | None = None) -> Scene:
+    def scene(self, mesh: Mesh | None = None, moves: bool = False) -> Scene:
         """Return the scene.
 
         Parameters
         ----------
         mesh : result of ``self.mesh.load()``, which several jobs may share; None to load the mesh
+        moves : whether the scene has the frame before (:attr:`Scene.before`), for motion vectors
 
         Raises
         ------
         InputError : a file cannot be used; warnings as in :func:`facerender.load_mesh`
         """
         loaded = self.mesh.load() if mesh is None else mesh
+        before = None
+        if moves or self.pose != Pose():
+            from facerender.loading.vertices import posed
+
+            before = Scene(posed(loaded, self.before), self.camera) if moves else None
+            loaded = posed(loaded, self.pose)
         environment = None
         if self.environment is not None:
             from facerender.loading.environment import load_environment
@@ -246,6 +260,7 @@ class Job:
             self.ambient,
             self.background,
             environment,
+            before,
         )
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
@@ -280,6 +295,7 @@ class Job:
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),
+            **{n: _plain(own) for n in ("pose", "before") if (own := getattr(self, n)) != Pose()},
             **({"planned": _plain(self.planned)} if self.planned else {}),
             "image": _plain(self.image),
             **({"landmarks": self.landmarks} if self.landmarks else {}),
@@ -301,8 +317,13 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        known = [each for each in KEYS if each != "cameras"]
-        known += ["mesh", "image", "landmarks", "outputs"]
+        known = [
+            *(each for each in KEYS if each != "cameras"),
+            "mesh",
+            "image",
+            "outputs",
+            "landmarks",
+        ]
         values: dict[str, Any] = {}
         for key, value in tables.items():
             if key not in known:

@@ -222,7 +222,7 @@ def _(folder):
     file = File()
     file.document["animations"] = [{"channels": [], "samplers": []}]
     file.document["extensionsUsed"] = ["KHR_animation_pointer"]
-    assert file.load(folder)[1] == ["a.glb has animations: drawn in the stored pose"]
+    same_shape(file.quiet(folder), plain())
 
 
 @case("cameras", "KHR_xmp_json_ld", "MSFT_lod", "KHR_materials_variants")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,40 @@ HEAD = ROOT / "assets" / "head.glb"
 
 
 PARTS = ("head", "eyeballs", "lash-strands", "tear-line", "cornea")
+BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+SMILES = ("mouthSmileLeft", "mouthSmileRight")
+FROWNS = ("browDownLeft", "browDownRight")
+SHAPES = {
+    "head": tuple(sorted((*BLINKS, *SMILES, *FROWNS, "browInnerUp", "jawOpen"))),
+    "lash-strands": BLINKS,
+}
 
 
 @dataclass(frozen=True)
 class Head:
-    """A head read by trimesh, and the JSON of its file."""
+    """A head read by trimesh, the JSON of its file, and its blend shapes.
+
+    ``moves`` holds the displacement of each vertex, in m, by part and shape.
+    """
 
     description: dict[str, Any]
     parts: dict[str, Any]
+    moves: dict[str, dict[str, np.ndarray]]
+
+    def posed(self, **weights: float) -> Head:
+        """The head with blend shapes applied."""
+        parts = {name: mesh.copy() for name, mesh in self.parts.items()}
+        for name, shapes in self.moves.items():
+            for shape, weight in weights.items():
+                if shape in shapes:
+                    parts[name].vertices = parts[name].vertices + weight * shapes[shape]
+        return replace(self, parts=parts)
+
+    @property
+    def in_mouth(self) -> np.ndarray:
+        """Whether each face of the skin is in the mouth, which has a chart of its own."""
+        middle = self.mesh.visual.uv[self.mesh.faces].mean(1)
+        return np.linalg.norm(middle - (2 / 9, 0.0375), axis=1) < 0.034
 
     @property
     def mesh(self) -> Any:
@@ -58,8 +84,32 @@ def read_head(path: Path) -> Head:
 
     content = path.read_bytes()
     (length,) = struct.unpack_from("<I", content, 12)
+    description = json.loads(content[20 : 20 + length])
+    moves = {}
+    for mesh in description["meshes"]:
+        targets = mesh["primitives"][0].get("targets", ())
+        names = mesh.get("extras", {}).get("targetNames", ())
+        moves[mesh["name"]] = {
+            name: read_sparse(description, content[28 + length :], target["POSITION"])
+            for name, target in zip(names, targets, strict=True)
+        }
     scene = trimesh.load_scene(path, process=False)
-    return Head(json.loads(content[20 : 20 + length]), dict(scene.geometry))
+    return Head(description, dict(scene.geometry), {k: v for k, v in moves.items() if v})
+
+
+def read_sparse(description: dict[str, Any], binary: bytes, index: int) -> np.ndarray:
+    """The vectors of a sparse accessor of 32-bit floats that is 0 elsewhere."""
+    accessor = description["accessors"][index]
+    found = np.zeros((accessor["count"], 3), np.float32)
+
+    def stored(source: dict[str, Any], kind: str, count: int) -> np.ndarray:
+        view = description["bufferViews"][source["bufferView"]]
+        return np.frombuffer(binary, kind, count, view["byteOffset"])
+
+    sparse = accessor["sparse"]
+    rows = stored(sparse["indices"], "<u2", sparse["count"])
+    found[rows] = stored(sparse["values"], "<f4", 3 * sparse["count"]).reshape(-1, 3)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +118,7 @@ def head() -> Head:
 
 
 def test_file_is_small_and_suits_strict_readers(head: Head):
-    assert HEAD.stat().st_size < 3_400_000
+    assert HEAD.stat().st_size < 3_640_000
     description = head.description
     assert description["asset"] == {"version": "2.0", "generator": "facerender tools/head"}
     assert all(view["byteOffset"] % 4 == 0 for view in description["bufferViews"])
@@ -226,23 +276,23 @@ def test_eyes_have_anatomical_dimensions(eye: MeasuredEye):
 
 
 def test_lids_touch_the_eyeball_and_do_not_enter_it(eye: MeasuredEye):
-    """Distances in mm to the union of sclera and cornea."""
-    apex = eye.vertices("cornea")[:, 2].max()
-
-    def distance(points: np.ndarray) -> np.ndarray:
-        sclera = np.linalg.norm(points, axis=1) - 11.75
-        return np.minimum(sclera, np.linalg.norm(points - (0, 0, apex - 7.8), axis=1) - 7.8)
-
     mesh = eye.head.mesh
     corners = 1000 * mesh.vertices[mesh.faces]
     corners = corners[(corners[:, :, 0] * eye.side > 0).all(1)]
     corners = (corners - eye.centre) * (eye.side, 1, 1)
     for place in (*np.eye(3), np.full(3, 1 / 3), (0.5, 0.5, 0), (0, 0.5, 0.5), (0.5, 0, 0.5)):
-        assert distance(np.einsum("ijk,j->ik", corners, place)).min() > 0.0
+        assert eye_distance(eye, np.einsum("ijk,j->ik", corners, place)).min() > 0.0
     skin = eye.vertices("head")
-    margin = skin[(distance(skin) < 0.12) & (skin[:, 2] > 2.5)]
+    margin = skin[(eye_distance(eye, skin) < 0.12) & (skin[:, 2] > 2.5)]
     around = np.sort(np.degrees(np.arctan2(margin[:, 1], margin[:, 0])))
     assert np.diff(around, append=around[0] + 360).max() < 15, "degrees around the eye"
+
+
+def eye_distance(eye: MeasuredEye, points: np.ndarray) -> np.ndarray:
+    """Distances in mm to the union of sclera and cornea."""
+    apex = eye.vertices("cornea")[:, 2].max()
+    sclera = np.linalg.norm(points, axis=-1) - 11.75
+    return np.minimum(sclera, np.linalg.norm(points - (0, 0, apex - 7.8), axis=-1) - 7.8)
 
 
 def test_lids_are_open_naturally(eye: MeasuredEye):
@@ -258,8 +308,15 @@ def test_lids_are_open_naturally(eye: MeasuredEye):
     assert 9.5 < upper - edge < 11.0
 
 
-def visible(head: Head, names: tuple[str, ...], azimuth: float, elevation: float) -> list[Any]:
-    """Draw parts in a parallel projection around the left eye: what each ray meets first.
+def visible(
+    head: Head,
+    names: tuple[str, ...],
+    azimuth: float,
+    elevation: float,
+    middle: np.ndarray | None = None,
+) -> list[Any]:
+    """Draw parts in a parallel projection around the left eye, or around ``middle``: what each ray
+    meets first.
 
     Returns the index of the part, or -1, and whether the ray meets the front of a face, (M,).
     """
@@ -270,8 +327,9 @@ def visible(head: Head, names: tuple[str, ...], azimuth: float, elevation: float
     right = np.array([np.cos(a), 0, -np.sin(a)])
     up = np.cross(ahead, right)
     size, width = 1200, 0.60  # pixels, m: the whole head
-    eye = head.parts["eyeballs"].vertices
-    middle = eye[eye[:, 0] > 0].mean(0)
+    if middle is None:
+        eye = head.parts["eyeballs"].vertices
+        middle = eye[eye[:, 0] > 0].mean(0)
     part, front, depth = np.full(size**2, -1), np.zeros(size**2, bool), np.full(size**2, -np.inf)
     for index, name in enumerate(names):
         mesh = head.parts[name]
@@ -322,6 +380,194 @@ def test_lashes_grow_out_of_the_lids(eye: MeasuredEye):
     outward = ((lashes - skin[nearest]) * normals[nearest]).sum(2)
     assert (outward[:, 3:] > 0).all()
     assert (np.linalg.norm(lashes[:, 3:], axis=2) > 12.5).all(), "not in the eyeball"
+
+
+def test_shapes_are_named_and_stored_sparsely(head: Head):
+    assert {part: tuple(shapes) for part, shapes in head.moves.items()} == SHAPES
+    for mesh in head.description["meshes"]:
+        (primitive,) = mesh["primitives"]
+        assert "weights" not in mesh, "the weights are 0"
+        for name, target in zip(
+            SHAPES.get(mesh["name"], ()), primitive.get("targets", ()), strict=True
+        ):
+            assert set(target) == {"POSITION"}, "renderers compute the normals"
+            accessor = head.description["accessors"][target["POSITION"]]
+            moves = head.moves[mesh["name"]][name]
+            assert accessor["count"] == len(head.parts[mesh["name"]].vertices) == len(moves)
+            assert accessor["sparse"]["count"] == moves.any(1).sum() < 0.2 * len(moves) + 1000
+            assert accessor["min"] == pytest.approx(moves.min(0).tolist())
+            assert accessor["max"] == pytest.approx(moves.max(0).tolist())
+            assert 0.003 < np.abs(moves).max() < 0.03, "m"
+
+
+@pytest.mark.parametrize(("left", "right"), [BLINKS, SMILES, FROWNS])
+@pytest.mark.parametrize("part", ["head", "lash-strands"])
+def test_left_and_right_shapes_are_mirrored(head: Head, part: str, left: str, right: str):
+    from scipy.spatial import cKDTree
+
+    if left not in head.moves.get(part, {}):
+        assert (part, left) != ("lash-strands", BLINKS[0])
+        return
+    vertices = head.parts[part].vertices
+    moves, others = (head.moves[part][name] for name in (left, right))
+    at = moves.any(1)
+    assert np.average(vertices[:, 0], weights=np.linalg.norm(moves, axis=1)) > 0.015, "its own left"
+    distance, nearest = cKDTree(vertices * (-1, 1, 1)).query(vertices[at])
+    # The head is asymmetric by up to 1.5 mm, and so are the right eye's lids.
+    assert np.median(distance) < 0.0012
+    difference = np.linalg.norm(moves[at] - others[nearest] * (-1, 1, 1), axis=1)
+    assert np.percentile(difference, 90) < 0.25 * np.linalg.norm(moves, axis=1).max()
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.25, 0.5, 0.75, 1.0])
+def test_blinking_lids_do_not_enter_the_eyeball(eye: MeasuredEye, weight: float):
+    blink = BLINKS[0] if eye.side > 0 else BLINKS[1]
+    skin = replace(eye, head=eye.head.posed(**{blink: weight})).vertices("head")
+    assert eye_distance(eye, skin).min() > 0.0
+    # The skin of the lid, outside its edge, hides the eyeball while the lid moves.
+    corners = skin_faces(eye.head.posed(**{blink: weight}), eye)
+    at_rest = skin_faces(eye.head, eye)
+    outer = (eye_distance(eye, at_rest) > 1.25).all(1)
+    assert outer.sum() > 500
+    assert eye_distance(eye, corners[outer].mean(1)).min() > 0.1
+
+
+def skin_faces(head: Head, eye: MeasuredEye) -> np.ndarray:
+    """The corners of the skin's faces around an eye, in mm, relative to it: (N, 3, 3)."""
+    corners = (1000 * head.mesh.vertices - eye.centre)[head.mesh.faces] * (eye.side, 1, 1)
+    at = (eye.head.mesh.vertices[eye.head.mesh.faces].mean(1) * 1000 - eye.centre) * (
+        eye.side,
+        1,
+        1,
+    )
+    return corners[(np.linalg.norm(at, axis=1) < 18) & (at[:, 2] > 0)]
+
+
+@pytest.mark.parametrize("elevation", [-25, 0, 25])
+@pytest.mark.parametrize("azimuth", [-25, 0, 40])
+def test_blink_closes_the_eye(head: Head, azimuth: int, elevation: int):
+    require_module("skimage")
+    names = ("head", "eyeballs")
+    counts = []
+    for weight in (0.0, 0.5, 1.0):
+        part, _ = visible(head.posed(eyeBlinkLeft=weight), names, azimuth, elevation)
+        counts.append(int((part == 1).sum()))
+    assert counts[0] > 300, "rays, 0.5 mm apart"
+    assert 0.1 * counts[0] < counts[1] < 0.8 * counts[0]
+    assert counts[2] == 0
+    part, _ = visible(head.posed(eyeBlinkRight=1.0), names, azimuth, elevation)
+    assert (part == 1).sum() == counts[0], "the other eye stays open"
+
+
+def test_lashes_follow_the_lids(eye: MeasuredEye):
+    """In mm, as in :func:`test_lashes_grow_out_of_the_lids`."""
+    from scipy.spatial import cKDTree
+
+    blink = BLINKS[0] if eye.side > 0 else BLINKS[1]
+    for weight in (0.5, 1.0):
+        posed = replace(eye, head=eye.head.posed(**{blink: weight}))
+        lashes = posed.vertices("lash-strands").reshape(-1, 13, 3)
+        distance = cKDTree(posed.vertices("head")).query(lashes[:, :3].mean(1))[0]
+        assert distance.max() < 0.7, "roots"
+        assert eye_distance(eye, lashes).min() > 0.2
+    opened = eye.vertices("lash-strands").reshape(-1, 13, 3)
+    upper = opened[:, 0, 1] > 0
+    assert ((opened[:, 12] - opened[:, 0])[upper, 1] > 0).mean() > 0.9, "they point up"
+    turned = (lashes[:, 12] - lashes[:, 0]) - (opened[:, 12] - opened[:, 0])
+    assert np.percentile(turned[upper, 1], 90) < -1.5, "they turn down"
+
+
+def lips(head: Head) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of the upper and the lower lip at the cut, from right to left: pairs 4 um apart."""
+    from scipy.spatial import cKDTree
+
+    vertices = head.mesh.vertices
+    at = np.flatnonzero((np.abs(vertices[:, 1] + 0.069) < 0.004) & (vertices[:, 2] > 0.08))
+    pairs = at[cKDTree(vertices[at]).query_pairs(5e-6, output_type="ndarray")]
+    height = vertices[pairs][:, :, 1]
+    pairs = np.where((height[:, 0] > height[:, 1])[:, None], pairs, pairs[:, ::-1])
+    apart = np.abs(np.diff(height, axis=1)[:, 0]) > 3e-6
+    pairs = pairs[apart]
+    return tuple(pairs[np.argsort(vertices[pairs[:, 0], 0])].T)
+
+
+def test_jaw_opens_the_mouth(head: Head):
+    vertices, moves = head.mesh.vertices, head.moves["head"]["jawOpen"]
+    upper, lower = lips(head)
+    assert np.ptp(vertices[upper, 0]) > 0.044, "m, the width of the cut"
+    gap = np.linalg.norm((vertices + moves)[upper] - (vertices + moves)[lower], axis=1)
+    assert 0.022 < gap.max() < 0.028, "m, between the lips"
+    assert abs(vertices[upper][gap.argmax(), 0]) < 0.01, "in the middle"
+    middle = np.abs(vertices[upper, 0]) < 0.006
+    assert np.linalg.norm(moves[upper[middle]], axis=1).max() < 0.001, "the upper lip stays"
+    chin = vertices[:, 1] < -0.09
+    chin &= (vertices[:, 2] > 0.075) & (np.abs(vertices[:, 0]) < 0.01)
+    assert (moves[chin, 1] < -0.012).all(), "down"
+    assert (moves[chin, 2] < -0.01).all(), "and back: the jaw rotates"
+    upper_face = vertices[:, 1] > -0.028
+    assert upper_face.mean() > 0.3
+    assert not moves[upper_face | (vertices[:, 1] < -0.14) | (vertices[:, 2] < -0.01)].any()
+
+
+def test_mouth_is_closed_at_rest_and_has_a_lining(head: Head):
+    require_module("skimage")
+    for weight in (0.0, 1.0):
+        posed = head.posed(jawOpen=weight)
+        parts = {}
+        for name, faces in (("head", ~head.in_mouth), ("mouth", head.in_mouth)):
+            parts[name] = posed.mesh.copy()
+            parts[name].update_faces(faces)
+        upper, _ = lips(head)
+        middle = posed.mesh.vertices[upper].mean(0)
+        for azimuth, elevation in ((0, 0), (35, 0), (-35, 10), (0, -30), (0, 25)):
+            split = replace(posed, parts=parts)
+            part, front = visible(split, ("head", "mouth"), azimuth, elevation, middle)
+            assert (front | (part < 0)).all(), "no ray meets the inside of the skin"
+            count = (part == 1).sum()
+            assert count > 300 if weight else count <= 3, (azimuth, elevation)
+
+
+def test_smile_lifts_the_corner_of_the_mouth(head: Head):
+    upper, _ = lips(head)
+    for name, corner, side in zip(SMILES, upper[[-1, 0]], (1, -1), strict=True):
+        moves = head.moves["head"][name]
+        out, up, ahead = moves[corner] * (side, 1, 1)
+        assert 0.003 < out < 0.008
+        assert 0.003 < up < 0.008
+        assert -0.006 < ahead < -0.002
+        away = head.mesh.vertices - (side * 0.036, -0.036, 0.08)
+        cheek = np.linalg.norm(away, axis=1) < 0.015
+        assert moves[cheek].mean(0)[1:].min() > 0.001, "the cheek moves up and forward"
+        both = np.abs(moves[upper[np.abs(head.mesh.vertices[upper, 0]) < 0.003]])
+        assert both.max() < 0.002, "the middle of the lips stays"
+
+
+def test_inner_brows_go_up(head: Head):
+    vertices, moves = head.mesh.vertices, head.moves["head"]["browInnerUp"]
+    at_brow = (np.abs(vertices[:, 1] - 0.0165) < 0.003) & (vertices[:, 2] > 0.06)
+    side = np.abs(vertices[:, 0])
+    assert moves[at_brow & (np.abs(side - 0.012) < 0.003), 1].mean() > 0.004
+    assert np.abs(moves[side > 0.045]).max() < 0.001
+    for name in FROWNS:
+        assert head.moves["head"][name][at_brow, 1].min() < -0.003
+
+
+@pytest.mark.parametrize("name", SHAPES["head"])
+def test_shapes_do_not_fold_the_skin(head: Head, name: str):
+    """No face turns over or collapses. Creases and margins of the lids may fold."""
+    mesh, posed = head.mesh, head.posed(**{name: 1.0})
+    areas = (np.linalg.norm(each.face_normals, axis=1) for each in (head, posed))
+    before, after = areas
+    assert (after / before).min() > 0.05
+    turn = (head.face_normals * posed.face_normals).sum(1) / (before * after)
+    centre = 100 * mesh.vertices[mesh.faces].mean(1)
+    lids = np.hypot((np.abs(centre[:, 0]) - 3.22) / 2.2, centre[:, 1] / 1.35) < 1
+    skin = ~head.in_mouth & ~(lids & (centre[:, 2] > 6))
+    assert turn[skin].min() > 0.2
+    unit = posed.face_normals / after[:, None]
+    pairs = mesh.face_adjacency[skin[mesh.face_adjacency].all(1)]
+    at_rest = (head.face_normals / before[:, None])[pairs].prod(1).sum(1)
+    assert (unit[pairs].prod(1).sum(1) > np.minimum(at_rest, 0.5) - 0.5).all()
 
 
 def one_sided_distance(points: np.ndarray, others: np.ndarray) -> float:

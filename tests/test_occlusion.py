@@ -12,7 +12,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.drawing.program import Program, part_columns, surface_features
+from facerender.drawing.program import Program, fixed_attributes, surface_features
 from facerender.planning.cache import _digest
 from facerender.scenes import occlusion
 from facerender.scenes.mesh import Part
@@ -164,7 +164,7 @@ def test_occlusion_is_compiled_only_if_present(bare, baked):
         sources = Program("gbuffer.frag", features=features).sources("330 core")
         assert ("VERTEX_OCCLUSION" in features) == on
         assert ("#define VERTEX_OCCLUSION" in "".join(sources.values())) == on
-        assert ("in_occlusion" in part_columns(part, mesh)) == on
+        assert ("in_occlusion" in fixed_attributes(part)) == on
 
 
 def test_parts_with_occlusion_maps_are_not_baked(head, ring):

@@ -38,6 +38,9 @@ ALLOWED = {
 RIGHT: dict[str, list[Any]] = {
     "MeshFile triangles": [HUGE],  # keeps all triangles
     "simplified triangles": [HUGE],
+    "Part source_count": [HUGE],
+    "Pose weights": [{"x": 1}],
+    **{f"Mesh.with_positions {name}": [None, {}] for name in ("positions", "normals")},
     **{
         name: [MATRIX]
         for name in ("Mesh bounds", "Texture.from_array texels", "Mesh.from_arrays faces")
@@ -48,7 +51,13 @@ UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for internal
 METHODS = [
     *("Shading.from_dict", "Job.from_dict", "Renderer.of", "Renderer.render", "Renderer.gbuffer"),
     *("Renderer.can_shade_per_pixel", "Frame.srgb8", "Frame.save", "Mesh.from_arrays"),
-    *("Mesh.select", "Texture.open", "Texture.from_array", "Texture.from_image"),
+    *(
+        "Mesh.select",
+        "Mesh.with_positions",
+        "Texture.open",
+        "Texture.from_array",
+        "Texture.from_image",
+    ),
     *("View.intrinsics", "View.extrinsics"),
 ]
 GIVEN = ("renderer", "backend", "size", "samples", "mesh", "source")  # replace expensive defaults
@@ -93,7 +102,7 @@ def right(call: str, name: str, annotation: str) -> list[Any]:
         value for words, some in ALLOWED.items() if re.search(words, annotation) for value in some
     ]
     any_text = name in ("name", "file", "text") or (
-        call == "MeshFile" and annotation == "str | None"
+        call in ("MeshFile", "Pose") and annotation == "str | None"
     )
     return [*values, *["nonsense"] * any_text, *RIGHT.get(f"{call} {name}", [])]
 

@@ -26,7 +26,8 @@ class Head:
         self.scene = self.renderer.create_scene()
         self.scene.msaa = samples
         self.scene.background = (1, 1, 1, 1)
-        low, high = np.array(self.scene.load(path).bounds)
+        self.model = self.scene.load(path)
+        low, high = np.array(self.model.bounds)
         self.center, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
         self.distance, self.azimuth = radius / np.sin(np.radians(15)), 0.0
         near, far = self.distance - radius, self.distance + radius

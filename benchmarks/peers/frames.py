@@ -15,3 +15,13 @@ def run(Head) -> None:
             print(head.frame(2.0).shape, flush=True)
     else:
         Head(mesh).save(last)
+
+
+def play(Clip) -> None:
+    """Render a frame of a clip, at 25 frames per second, per line of standard input.
+
+    Clip : class of a renderer with the method show(turn), made of CLIP.glb, FRAMES.npy and SAMPLES
+    """
+    clip = Clip(*sys.argv[1:3], int(sys.argv[3]))
+    for turn, _ in enumerate(sys.stdin):
+        print(clip.show(turn).shape, flush=True)

@@ -170,6 +170,11 @@ def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
     tables["mesh"] = _mesh_facts(json.dumps(tables.get("mesh", {})))
     if isinstance(environment := tables.get("environment"), dict):
         tables["environment"] = environment | {"file": _content(environment["file"])}
+    if isinstance(landmarks := tables.get("landmarks"), str):
+        tables["landmarks"] = _content(landmarks)
+    for key in ("pose", "before"):
+        if isinstance(pose := tables.get(key), dict) and pose.get("vertices"):
+            tables[key] = pose | {"vertices": _content(pose["vertices"])}
     return tables
 
 

@@ -22,7 +22,7 @@ from facerender.batch.tables import Table, listed, merged, nested
 from facerender.errors import InputError, check_path, clipped, shown
 from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, from_table, scene_value
+from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, Pose, from_table, scene_value
 from facerender.scenes.light import Light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import Material
@@ -31,7 +31,7 @@ from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
-TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image")
+TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image", "landmarks")
 OWN = ("id", "outputs", "exposure", "scene")  # Keys of a row that are not in TABLES.
 TABLE_KINDS: dict[str, Any] = {
     "mesh": MeshFile,
@@ -39,6 +39,8 @@ TABLE_KINDS: dict[str, Any] = {
     "lights": Light,
     "environment": EnvironmentFile,
     "material": Material,
+    "pose": Pose,
+    "before": Pose,
     "planned": Planned,
     "image": ImageSettings,
 }
@@ -208,6 +210,12 @@ def _row(number: int, values: Table, folder: str) -> Row:
             if name in mesh
         }
         tables["mesh"] = {**mesh, **paths}
+    for key in ("pose", "before"):
+        if type(own := tables.get(key)) is dict and "vertices" in own:
+            file = _absolute(own["vertices"], f"{key} vertices", folder)
+            tables[key] = {**own, "vertices": file}
+    if "landmarks" in tables:
+        tables["landmarks"] = _absolute(tables["landmarks"], "landmarks", folder)
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     environment = tables.get("environment")
@@ -359,6 +367,8 @@ def _check(row: Row, position: str, good: set[int]) -> None:
                 if (name := hash(f"{key} {_without_valid(key, each)!r}")) not in good:
                     if key in ("mesh", "image"):
                         from_table(TABLE_KINDS[key], key, each)
+                    elif key == "landmarks":
+                        check_path(key, each)
                     else:
                         scene_value(key, each if each is value else [each])
                     good.add(name)

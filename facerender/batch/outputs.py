@@ -19,7 +19,7 @@ from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
 from facerender.job import Job
 from facerender.scenes.landmarks import load_landmarks, located
-from facerender.scenes.lod import LevelOfDetail, simplified
+from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.view import View, view_of
@@ -71,8 +71,8 @@ def draw(
     """Draw the outputs of a job; docs/batch.md describes their files.
 
     The image, the specular term, the diffuse term and motion take one draw each; all other outputs
-    share one draw. layers.exr has motion if the scene has a frame before. On the same OpenGL
-    driver, the same job gives the same bytes.
+    share one draw. layers.exr has motion if the poses of the job and of the frame before differ. On
+    the same OpenGL driver, the same job gives the same bytes.
 
     Parameters
     ----------
@@ -102,12 +102,11 @@ def draw(
     }
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
-    # Simplify before job.scene() replaces the mesh by a copy with the job's material: the cache of
-    # simplified meshes is keyed by the original mesh, which all jobs share.
-    drawn = mesh if detail.triangles is None else simplified(mesh, detail.triangles)
-    scene = replace(detail, triangles=None).of(job.scene(drawn))
+    moves = "motion" in outputs or ("layers" in outputs and job.pose != job.before)
+    whole = job.scene(mesh, moves)
+    scene = detail.of(whole)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
-    facts["camera"] = camera_facts(view, mesh, renderer.size)
+    facts["camera"] = camera_facts(view, scene.mesh, renderer.size)
     needed = set(outputs)
     if "layers" in outputs:
         needed |= {*OUTPUTS} - ({"motion"} if scene.before is None else set())
@@ -115,10 +114,9 @@ def draw(
     frames = _frames(job, scene, detail, renderer, needed)
     if job.landmarks:
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
-        whole = scene.mesh if drawn is mesh else job.scene(mesh).mesh
-        facts["landmarks"] = landmark_facts(job.landmarks, view, whole, frames["depth"])
+        facts["landmarks"] = landmark_facts(job.landmarks, view, whole.mesh, frames["depth"])
     if "depth" in outputs:
-        facts["depth_scale"] = _depth_scale(view, mesh)
+        facts["depth_scale"] = _depth_scale(view, scene.mesh)
     files = {}
     for name in filter(outputs.__contains__, OUTPUTS):
         file = file_name(name)
@@ -214,6 +212,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
         (x right, y down, z forward)
     "transform_matrix" : 4 x 4 matrix from the camera space of OpenGL and NeRF (x right, y up,
         z backward) to mesh space
+    "distortion" : see :class:`facerender.Camera`; only if the camera has a lens distortion
     """
     pose = view.extrinsics(mesh)
     turn = pose[:, :3].T
@@ -226,6 +225,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
         "K": view.intrinsics(size).tolist(),
         "Rt": pose.tolist(),
         "transform_matrix": to_world.tolist(),
+        **({"distortion": list(view.distortion)} if view.distortion else {}),
     }
 
 
@@ -236,7 +236,17 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
     ----------
     camera : the result of :func:`camera_facts`
     file_path : path of the image, relative to the folder of transforms.json
+
+    Raises
+    ------
+    InputError : the distortion has k4, k5 or k6, which the format lacks: its k4 has another meaning
     """
+    values: list[float] = camera.get("distortion", [])
+    if any(values[5:]):
+        raise InputError(
+            f"{file_path}: its camera has the distortion coefficients k4 to k6, which "
+            "transforms.json cannot store: run the batch again without --transforms"
+        )
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
     return {
         "file_path": file_path,
@@ -246,6 +256,7 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         "fl_y": fy,
         "cx": cx,
         "cy": cy,
+        **dict(zip(("k1", "k2", "p1", "p2", "k3"), values, strict=False)),
         "transform_matrix": camera["transform_matrix"],
     }
 

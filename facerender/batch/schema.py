@@ -12,6 +12,8 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
+from facerender.scenes.camera import DISTORTIONS
+from facerender.scenes.file import WEIGHTS
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS
@@ -45,6 +47,7 @@ def schema() -> Schema:
         tables[name] = _default(_of_range(range_of(Scene, name)), getattr(Scene, name))
     tables["background"]["anyOf"].insert(0, {"const": "none"})
     tables |= {"lights": _lights(lights), "parts": _parts(), "shading": _shading()}
+    tables["landmarks"] = {"type": "string", "description": "JSON file of landmarks"}
     outputs = {"type": "array", "items": _enum(OUTPUTS), "minItems": 1, "uniqueItems": True}
     own: dict[str, Schema] = {
         "id": {
@@ -223,6 +226,7 @@ _SPECIAL: dict[str, Schema] = {
     "mesh.normal_map_y": _enum(NORMAL_MAP_Y),
     "camera.extrinsics": _array(_ROW_OF_4, 3),
     "camera.intrinsics": _array(_ROW_OF_3, 3),
+    "camera.distortion": {"anyOf": [_array({"type": "number"}, count) for count in DISTORTIONS]},
     "material.second_uv": _array(_enum(MAPS)),
     "material.scattering": {
         "anyOf": [
@@ -244,6 +248,14 @@ _SPECIAL: dict[str, Schema] = {
     "shading.specular_lights": _INDICES,
     "shading.shadow_lights": _INDICES,
     "shading.frontal_lights": _INDICES,
+    **{
+        f"{table}.weights": {
+            "type": "object",
+            "patternProperties": {"^[^.]+$": _of_range(WEIGHTS)},
+            "additionalProperties": _of_range(WEIGHTS),
+        }
+        for table in ("pose", "before")
+    },
     "planned.sizes": _array(_SIZE) | {"minItems": 1},
     "planned.samples": {"type": "integer", "minimum": 1},
     "image.size": {

@@ -22,12 +22,13 @@ from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh, Part, clips_of
 from facerender.scenes.presets import PRESETS, preset_of
 from facerender.system.data import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
+_NAMES_PER_LINE, _MOST_NAMES = 8, 64  # names of shapes and of clips in the text output
 _HEAD_OF_TABLE = ("part", "triangles", "skin", "preset", "maps", "material")
 
 
@@ -35,9 +36,9 @@ def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
         "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
-        "of a unit, and for each part triangles, preset, maps and factors; repairs,\n"
-        "omissions, and hints on probable mistakes. Factors and maps of other commands\n"
-        "apply to the parts that are skin. The command draws nothing."
+        "of a unit, and for each part triangles, preset, maps and factors; shapes and clips\n"
+        "of its rig, repairs, omissions, and hints on probable mistakes. Factors and maps of\n"
+        "other commands apply to the parts that are skin. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
@@ -65,7 +66,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def facts_of(mesh: Mesh) -> dict[str, Any]:
-    """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm."""
+    """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm.
+    Lengths of clips are in seconds, or None for a damaged clip."""
     size = mesh.bounds[1] - mesh.bounds[0]
     known, skin = mesh.millimetres, mesh.skin
     parts = [
@@ -82,6 +84,10 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "size_mm": None if known is None else (size * known).tolist(),
         "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
+        "shapes": list(mesh.shapes),
+        "clips": {
+            each.name: None if each.fault else each.duration for each in clips_of(mesh.parts)
+        },
         "hints": hints.of_mesh(mesh),
     }
 
@@ -124,8 +130,27 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         _size(facts),
     ]
     lines += _table([_HEAD_OF_TABLE, *map(_row, parts)])
+    lines += _list("shapes", facts["shapes"])
+    lines += _list("clips", [f"{name} {_seconds(own)}" for name, own in facts["clips"].items()])
     lines += [f"warning: {each}" for each in facts["warnings"]]
     return lines + [f"hint: {each}" for each in facts["hints"]]
+
+
+def _list(kind: str, names: Sequence[str]) -> list[str]:
+    """Return indented lines of names below their number."""
+    if not names:
+        return []
+    lines = [f"{len(names)} {kind[:-1] if len(names) == 1 else kind}:"]
+    lines += [
+        "  " + ", ".join(names[i : i + _NAMES_PER_LINE])
+        for i in range(0, min(len(names), _MOST_NAMES), _NAMES_PER_LINE)
+    ]
+    more = len(names) - _MOST_NAMES
+    return [*lines, f"  and {more} more: --json lists all"] if more > 0 else lines
+
+
+def _seconds(length: float | None) -> str:
+    return "damaged" if length is None else f"{length:.4g} s"
 
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,18 +27,29 @@ from facerender.commands.scene import (
     files_read,
     job_of,
     load,
+    plays,
+    sequence,
 )
 from facerender.commands.streams import print_message, print_result
-from facerender.commands.views import FPS, STANDARD_OUTPUT, Destination, check_sheet
+from facerender.commands.views import (
+    CLIP_FPS,
+    FPS,
+    STANDARD_OUTPUT,
+    Destination,
+    check_sheet,
+    is_several,
+)
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.write import FRAME_RATES
 from facerender.job import MeshFile, Output, parse_size
+from facerender.loading.vertices import posed
 from facerender.scenes.camera import Camera
+from facerender.scenes.file import Pose
 from facerender.scenes.lod import LevelOfDetail
-from facerender.scenes.scene import ONLY
+from facerender.scenes.scene import ONLY, Scene
 from facerender.scenes.view import view_of
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
@@ -47,8 +59,9 @@ from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 def add(render: argparse.ArgumentParser) -> None:
     render.set_defaults(command=run)
     render.description = (
-        "Render a mesh file, or the built-in head, to an image. Several cameras give\n"
-        "several files, an animation or a sheet. Options override a scene file."
+        "Render a mesh file, or the built-in head, to an image. Several cameras, or the\n"
+        "frames of a clip, give several files, an animation or a sheet. Options override\n"
+        "a scene file."
     )
     kinds = ".png, .jpg or .webp (8-bit sRGB), .exr (linear float32), or - for standard output"
     views = (
@@ -88,8 +101,11 @@ def add(render: argparse.ArgumentParser) -> None:
     image.add_argument("--only", choices=ONLY, help=only)
     image.add_argument("--format", choices=FORMATS, help=Help("format of -o -", "png"))
     add_flag(image, "sheet", "arrange all views in one image")
-    rate = "views per second of a .gif, .webp or .mp4"
-    add_number(image, "fps", rate, Range(*FRAME_RATES), f"{FPS:g}", metavar="N")
+    rate, default = (
+        "images per second of an animation, or of a clip",
+        f"{FPS:g}; {CLIP_FPS:g} of a clip",
+    )
+    add_number(image, "fps", rate, Range(*FRAME_RATES), default, metavar="N")
     add_backend(image, BACKENDS)
     add_flag(image, "no-cache", "do not use the cache in ~/.cache/facerender")
     memory, note = "limit of the estimated memory", "A scene that needs more is refused"
@@ -108,24 +124,57 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError("-o - and --json both write to standard output: leave one of them out")
 
 
+def _scenes(
+    scene: Scene, poses: Sequence[Pose], cameras: Sequence[Camera], before: Pose | None
+) -> Iterator[Scene]:
+    """Yield the scene in each pose, for each camera.
+
+    before : pose before the first pose if motion is drawn, else None
+    """
+    last = None if before is None else replace(scene, mesh=posed(scene.mesh, before))
+    for pose in poses:
+        now = replace(scene, mesh=posed(scene.mesh, pose))
+        for camera in cameras:
+            then = last and replace(last, camera=camera)
+            yield replace(now, camera=camera, before=then)
+        last = last and now
+
+
 def run(options: argparse.Namespace) -> int:
     _check(options)
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
-    if options.budget is not None and len(cameras) > 1:
+    playing = plays(options, job.pose)
+    if playing and options.fps is None and not (is_several(options.output) or options.sheet):
         raise InputError(
-            f"--budget plans one view, and there are {len(cameras)}: give one --camera, or run "
+            f"-o {options.output} holds one image of the clip: give --time SECONDS (or --vertices "
+            "FILE,FRAME), or for all frames a .gif, an .mp4 or {index} in the name"
+        )
+    if playing and len(cameras) > 1:
+        raise InputError(f"a clip has one view, and there are {len(cameras)}: give one --camera")
+    if options.budget is not None and (playing or len(cameras) > 1):
+        count = "a clip" if playing else len(cameras)
+        raise InputError(
+            f"--budget plans one view, and there are {count}: give one --camera, or run "
             "facerender plan with all cameras and render its scene with --scene"
         )
     EXPOSURES.check("exposure", options.exposure)
-    transparent = job.background is None
+    step = step_log(options)
+    still = replace(job, pose=Pose(), before=Pose())
+    poses = [job.pose]
+    if playing:
+        step("mesh")
+        scene = load(still, not options.no_cache, ahead=options.memory is None)
+        poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
+    names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
     target = Destination.of(
-        *(options.output, [*cameras], options.sheet, options.format, options.fps, transparent)
+        *(options.output, names, options.sheet, options.format, options.fps),
+        *(job.background is None, playing),
     )
     written = [] if options.output == STANDARD_OUTPUT else target.files
     check_outputs(written, files_read(options, job))
-    step = step_log(options)
-    step("mesh")
-    scene = load(job, not options.no_cache, ahead=options.memory is None)
+    if not playing:
+        step("mesh")
+        scene = load(still, not options.no_cache, ahead=options.memory is None)
     step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size
     if target.kind == "sheet":
@@ -139,14 +188,17 @@ def run(options: argparse.Namespace) -> int:
             from facerender.planning.cache import cached_plan
 
             within = options.within or 1.0
-            asked = scene, options.budget, job.shading, options.exposure, within, renderer
+            first = replace(scene, mesh=posed(scene.mesh, job.pose))
+            asked = first, options.budget, job.shading, options.exposure, within, renderer
             plan = cached_plan(*asked, cache=not options.no_cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)
-        simplified = detail.of(scene)
         values = replace(detail, samples=min(detail.samples, renderer.samples)).values
-        scenes = (replace(simplified, camera=camera) for camera in cameras.values())
+        before = None
+        if options.only == "motion":  # the first frame of a sequence has no motion
+            before = poses[0] if playing else job.before
+        scenes = (detail.of(each) for each in _scenes(scene, poses, [*cameras.values()], before))
         frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
         frame = target.write(frames, options.exposure, scene.background)
     if options.json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -33,14 +34,25 @@ from facerender.scenes.camera import (
     AZIMUTHS_BY_NAME,
     CAMERA_FILES,
     FRAMES,
+    MOST_CAMERAS,
     Camera,
     orbiting,
     turntable,
 )
-from facerender.scenes.file import STUDIO, EnvironmentFile, load_scene, parse_environment
+from facerender.scenes.file import (
+    STUDIO,
+    WEIGHTS,
+    EnvironmentFile,
+    Pose,
+    load_scene,
+    parse_environment,
+    parse_vertices,
+    parse_weight,
+)
 from facerender.scenes.hints import no_shadows
 from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
@@ -85,6 +97,7 @@ def add_scene(
     framed = Help("region of the mesh that an orbiting camera frames", Camera.frame, note=note)
     scene.add_argument("--frame", choices=FRAMES, help=framed)
     add_field(scene, Camera, "fov", "vertical angle of view", metavar="DEGREES")
+    _add_pose(scene)
     _add_lighting(scene)
     text = "linear background colour R,G,B, or none for transparent"
     limits, note = (
@@ -94,6 +107,22 @@ def add_scene(
     behind = Help(text, _numbers(Scene.background), **limits, note=note)
     scene.add_argument("--background", metavar="R,G,B", help=behind)
     return terms, scene
+
+
+def _add_pose(scene: argparse._ArgumentGroup) -> None:
+    text, note = "weight of a shape; repeat for others", "facerender info lists the names"
+    weight = Help(text, "the mesh file's", **bounds_of(WEIGHTS), note=note)
+    scene.add_argument("--weight", action="append", metavar="NAME=WEIGHT", help=weight)
+    clip = Help("animation of the mesh file", "none; the first with --time")
+    scene.add_argument("--clip", metavar="NAME", help=clip)
+    add_field(scene, Pose, "time", "time in the clip", "the whole clip", metavar="SECONDS")
+    note = (
+        "The file is .npy of shape (frames, vertices, 3), or .npz with such an array for each part"
+    )
+    moved = Help("vertex positions, all frames or one", "the mesh file's", note=note)
+    scene.add_argument("--vertices", metavar="FILE[,FRAME]", help=moved)
+    note = "By default, cameras frame the stored pose and stay"
+    add_flag(scene, "track", "orbiting cameras follow the head of a moving mesh", note)
 
 
 def add_budget(
@@ -229,6 +258,7 @@ def job_of(
     if options.roughness_map is not None:
         material.pop("m", None)
     settings |= _scene_settings(options)
+    settings["pose"] = _pose(options, settings.get("pose", Pose()))
     if "environment" in settings:
         settings.setdefault("lights", ())
         settings.setdefault("ambient", 0.0)
@@ -253,6 +283,47 @@ def job_of(
     return job, cameras
 
 
+def _pose(options: argparse.Namespace, known: Pose) -> Pose:
+    """Return the pose of the scene file, changed by the options."""
+    changes = values_of(options, "clip", "time")
+    if options.weight:
+        changes["weights"] = {**known.weights, **dict(map(parse_weight, options.weight))}
+    if options.vertices is not None:
+        file, frame = parse_vertices(options.vertices)
+        changes |= {"vertices": file, "frame": frame or 0}
+    return replace(known, **changes, track=options.track or known.track)
+
+
+def plays(options: argparse.Namespace, pose: Pose) -> bool:
+    """Return whether the options name a sequence: a clip without a time, or a file of vertices
+    without a frame."""
+    if options.vertices is not None:
+        return parse_vertices(options.vertices)[1] is None
+    return pose.clip is not None and pose.time is None
+
+
+def sequence(pose: Pose, mesh: Mesh, fps: float) -> list[Pose]:
+    """Return the poses of a clip at a frame rate, or of all frames in a file of vertices.
+
+    Raises
+    ------
+    InputError : the mesh has no such clip, the file cannot be used, or there are too many frames
+    """
+    if pose.vertices is not None:
+        from facerender.loading.vertices import frame_count
+
+        return [replace(pose, frame=number) for number in range(frame_count(pose.vertices))]
+    mesh.with_pose(clip=pose.clip)  # only checks the clip
+    seconds = mesh.clips[str(pose.clip)]
+    count = math.floor(seconds * fps + 1e-6) + 1
+    if count > MOST_CAMERAS:
+        raise InputError(
+            f"the clip {pose.clip} has {count} frames at --fps {fps:g}: give a rate with at most "
+            f"{MOST_CAMERAS} frames"
+        )
+    return [replace(pose, time=min(number / fps, seconds)) for number in range(count)]
+
+
 def values_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
     """Return the values of those named options that the command line sets."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
@@ -261,7 +332,8 @@ def values_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
 def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | None]:
     """Yield the input files that the options and the job name."""
     yield from mesh_files(job.mesh)
-    yield from filter(None, [options.scene, job.environment and job.environment.file])
+    environment = job.environment and job.environment.file
+    yield from filter(None, [options.scene, environment, job.pose.vertices, job.before.vertices])
     yield from (place for place in options.camera or () if _is_file(place))
 
 

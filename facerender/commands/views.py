@@ -20,7 +20,8 @@ from facerender.scenes.vectors import Vector
 from facerender.system.memory import MIB, limit
 
 STANDARD_OUTPUT = "-"
-FPS = 12.0  # default frame rate of animations
+FPS = 12.0  # default frame rate of animations of several views
+CLIP_FPS = 25.0  # default frame rate of clips
 _FIELDS = {"index", "name"}
 _PIXEL_BYTES = 32  # memory per pixel of a sheet: 16 for linear RGBA, up to 16 to write the file
 
@@ -54,6 +55,7 @@ class Destination:
         format: Format | None,
         fps: float | None,
         transparent: bool,
+        plays: bool = False,
     ) -> Destination:
         """Return the destination of images, before the first image is drawn.
 
@@ -64,12 +66,14 @@ class Destination:
         as_sheet : whether all images go into one sheet
         format, fps : values of the options; None if they are not given
         transparent : whether the background is transparent
+        plays : whether the images are the frames of a sequence, to which --fps applies
 
         Raises
         ------
         InputError : the path, the format or fps is invalid for these images
         """
         kind: Literal["each", "moving", "sheet"] = "sheet" if as_sheet else "each"
+        rate = fps if fps is not None else CLIP_FPS if plays else FPS
         files: tuple[str, ...] = (path,)
         if path == STANDARD_OUTPUT:
             if len(names) > 1 and not as_sheet:
@@ -83,17 +87,19 @@ class Destination:
             kind = "moving"
         else:
             files = file_names(path, ["sheet"] if as_sheet else names)
-        if fps is not None and kind != "moving":
-            raise InputError(f"--fps {fps:g} is for a .gif, .webp or .mp4 of several views only")
+        if fps is not None and kind != "moving" and not plays:
+            raise InputError(
+                f"--fps {fps:g} is for a .gif, .webp or .mp4 of several views, or a clip, only"
+            )
         if kind == "moving":
             from facerender.images.animation import check_animation
 
-            check_animation(path, FPS if fps is None else fps)
+            check_animation(path, rate)
             if not path.lower().endswith(".webp"):
                 check_opaque(path, transparent)
         elif (format or format_of(files[0])) == "jpeg":
             check_opaque("JPEG", transparent)
-        return cls(files, kind, len(names), format, FPS if fps is None else fps)
+        return cls(files, kind, len(names), format, rate)
 
     def write(self, frames: Iterator[Frame], exposure: float, background: Vector | None) -> Frame:
         """Write each image as soon as it is drawn, and return the last image."""
@@ -153,6 +159,11 @@ def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
         raise InputError(
             f"-o {pattern}: in braces give {{index}}, {{index:03d}} or {{name}}"
         ) from None
+
+
+def is_several(path: str) -> bool:
+    """Return whether an output can hold a sequence: an animation, or a name with {index}."""
+    return _moves(path, 2) or _has_fields(path)
 
 
 def _has_fields(pattern: str) -> bool:

@@ -3,6 +3,9 @@ only finds the visible triangles; the displacements are computed in float64."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +15,6 @@ from facerender.drawing.program import Program, part_uniforms, surface_features
 from facerender.drawing.resolve import ResolvedScene
 from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
-from facerender.scenes.landmarks import projected
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
@@ -26,6 +28,28 @@ _DIGITS = 6
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays from the camera through the centres of an image's pixels.
+
+    Attributes
+    ----------
+    view, size : camera without lens distortion, and width and height of its image
+    places : (H * W, 2), positions in this image at which the rays meet it, in pixels
+    """
+
+    view: View
+    size: tuple[int, int]
+    places: NDArray[np.floating[Any]]
+
+
+def pixel_centres(size: tuple[int, int]) -> Float:
+    """Return the centre (H * W, 2) of each pixel of an image, row by row."""
+    width, height = size
+    row, column = np.divmod(np.arange(width * height), width)
+    return np.stack([column, row], axis=-1) + 0.5
+
+
 def check_before(scene: Scene) -> Scene:
     """Return the scene in the frame before.
 
@@ -35,8 +59,8 @@ def check_before(scene: Scene) -> Scene:
     """
     if (before := scene.before) is None:
         raise InputError(
-            f"motion of {scene.mesh.name} needs the frame before: give its Scene as before, or use "
-            "another term"
+            f"motion of {scene.mesh.name} needs the frame before: give the scene of that frame as "
+            "Scene(..., before=SCENE)"
         )
     own, other = ([part.faces for part in each.mesh.parts] for each in (scene, before))
     pairs = zip(own, other, strict=False)
@@ -72,6 +96,7 @@ def motion_vectors(
     views: tuple[View, View],
     drawn: Pass,
     triangles: NDArray[np.float32],
+    rays: Rays,
 ) -> NDArray[np.float32]:
     """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
 
@@ -79,7 +104,9 @@ def motion_vectors(
     ----------
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
-    drawn, triangles : the result of :func:`triangle_pass`, and its image (H, W, 4)
+    drawn, triangles : the result of :func:`triangle_pass`, and the values at the image's pixels,
+        (H, W, 4)
+    rays : rays through the centres of the pixels
     """
     height, width = triangles.shape[:2]
     size = width, height
@@ -97,9 +124,9 @@ def motion_vectors(
         own, other = (each.mesh.parts[number - 1] for each in (scene, before))
         visible, index = _unique(index, len(own.faces))
         corners, old = (each.positions[own.faces[visible]] for each in (own, other))
-        weights = _weights(views[0], scene.mesh, corners, index, pixels, size)
-        now, _ = projected(views[0], scene.mesh, _mean(corners, index, weights), size)
-        then, _ = projected(views[1], before.mesh, _mean(old, index, weights), size)
+        weights = _weights(rays, scene.mesh, corners, index, pixels)
+        now, _ = views[0].project(scene.mesh, _mean(corners, index, weights), size)
+        then, _ = views[1].project(before.mesh, _mean(old, index, weights), size)
         moved = np.round(now - then, _DIGITS) + 0.0  # no -0
         known = np.isfinite(moved).all(axis=1)
         image[pixels[known], :2] = moved[known]
@@ -118,12 +145,7 @@ def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], ND
 
 
 def _weights(
-    view: View,
-    mesh: Mesh,
-    corners: Float,
-    index: NDArray[np.int64],
-    pixels: NDArray[np.int64],
-    size: tuple[int, int],
+    rays: Rays, mesh: Mesh, corners: Float, index: NDArray[np.int64], pixels: NDArray[np.int64]
 ) -> Float:
     """Return the barycentric coordinates (3, N) of the triangles' points at the centres of pixels.
 
@@ -136,12 +158,12 @@ def _weights(
     ----------
     corners : (T, 3, 3), corners of triangles in mesh space
     index : (N,), triangle of each pixel
-    pixels : (N,), indices of pixels in an image of the given size
+    pixels : (N,), indices of pixels in the image
     """
+    view, size = rays.view, rays.size
     places = mesh.normalised(corners)
     a, b, c = np.moveaxis(places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
-    row, column = np.divmod(pixels, size[0])
-    x, y = (2.0 * column + 1.0) / size[0] - 1.0, (2.0 * row + 1.0) / size[1] - 1.0
+    x, y = (2.0 * rays.places[pixels] / size - 1.0).T
     weights = np.empty((3, len(pixels)))
     for own, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
         np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=own)

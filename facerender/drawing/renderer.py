@@ -7,6 +7,7 @@ import warnings
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -18,8 +19,14 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
-from facerender.drawing.motion import check_before, motion_vectors, triangle_pass
-from facerender.drawing.passes import Pass
+from facerender.drawing.motion import (
+    Rays,
+    check_before,
+    motion_vectors,
+    pixel_centres,
+    triangle_pass,
+)
+from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
 from facerender.drawing.passes.surface import surface_pass
@@ -65,6 +72,7 @@ from facerender.terms import AnyLobe
 from facerender.terms.ranges import MEMORY, ranges_of
 
 if TYPE_CHECKING:
+    from facerender.drawing.lens import Lens
     from facerender.drawing.passes.refraction import Refraction
     from facerender.scenes.scattering import Scattering
 
@@ -134,22 +142,28 @@ class Renderer:
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         # Samples that the driver draws at once, for each mesh that the memory suffices for.
         self._fitting: weakref.WeakKeyDictionary[Mesh, int] = weakref.WeakKeyDictionary()
+        # A renderer of another size, for undistorted images, and the other sizes with targets.
+        self._resized: Renderer | None = None
+        self._sizes: set[tuple[int, int]] = set()
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
         self._free = weakref.finalize(self, _free_dropped, self.context, self._resources)
         self._free.atexit = False
         try:
-            with self.context.drawing() as gl:
-                limits = gl.info
-            most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
-            if max(self.size) > most:
-                raise ContextError(
-                    f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} allows at most "
-                    f"{most} pixels a side; give a smaller size"
-                )
+            self._check_size()
         except ContextError:
             self.release()
             raise
+
+    def _check_size(self) -> None:
+        with self.context.drawing() as gl:
+            limits = gl.info
+        most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
+        if max(self.size) > most:
+            raise ContextError(
+                f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} allows at most "
+                f"{most} pixels a side; give a smaller size"
+            )
 
     @classmethod
     def of(cls, job: Job, backend: Backend = "auto", memory: float | None = None) -> Renderer:
@@ -239,25 +253,36 @@ class Renderer:
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         _LIMITS["samples"].check("samples", samples)
-        view = view_of(scene, self.size[0] / self.size[1])
-        resolved = self._resolved(scene, shading, view, samples)
-        if shading_rate == "pixel" and not self.can_shade_per_pixel(resolved.scene, samples):
+        if shading_rate == "pixel" and not self.can_shade_per_pixel(
+            simplify(scene, shading), samples
+        ):
             shading_rate = "sample"
-        image = _Image(samples, only, shading_rate)
-        if samples <= self.context.most_samples:
-            linear = self._shaded(resolved, view, image)
-        else:
-            linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
-            single = replace(image, samples=1, shading_rate="sample")
-            for shift in sample_grid(samples):
-                linear += self._shaded(resolved, view.shifted(shift, self.size), single)
-            linear /= samples
+        linear, resolved = self._radiance(scene, shading, _Image(samples, only, shading_rate))
         _check(linear, scene)
         emit_all(resolved.scene.mesh)
         metadata = {**self.metadata, "samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
         metadata = _shading_metadata(resolved, only, metadata)
         return Frame(linear, only, scene.background is None, metadata)
+
+    def _radiance(
+        self, scene: Scene, shading: Shading, image: _Image
+    ) -> tuple[NDArray[np.float32], ResolvedScene]:
+        """Return the linear image of a scene, (H, W, 4), and the resolved scene."""
+        view = view_of(scene, self.size[0] / self.size[1])
+        if lens := _lens(scene, self.size):
+            wide, drawn = self._of_size(lens.wide), lens.undistorted(scene)
+            linear, resolved = wide._radiance(drawn, shading, image)
+            return lens.filtered(linear), resolved
+        resolved = self._resolved(scene, shading, view, image.samples)
+        if image.samples <= self.context.most_samples:
+            return self._shaded(resolved, view, image), resolved
+        linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
+        single = replace(image, samples=1, shading_rate="sample")
+        for shift in sample_grid(image.samples):
+            linear += self._shaded(resolved, view.shifted(shift, self.size), single)
+        linear /= image.samples
+        return linear, resolved
 
     def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
         """Return the frame of a G-buffer term or of motion, with one sample per pixel."""
@@ -276,9 +301,18 @@ class Renderer:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
         before, aspect = check_before(scene), self.size[0] / self.size[1]
         views = view_of(scene, aspect), view_of(before, aspect)
-        resolved = self._resolved(scene, shading, views[0], 1)
-        drawn = triangle_pass(resolved, views[0])
-        return motion_vectors(scene, before, views, drawn, *self._draw([drawn], resolved.scene))
+        lens, own, flat = _lens(scene, self.size), self, scene
+        if lens:
+            own, flat = self._of_size(lens.wide), lens.undistorted(scene)
+        view = view_of(flat, own.size[0] / own.size[1])
+        resolved = own._resolved(flat, shading, view, 1)
+        drawn = triangle_pass(resolved, view)
+        (triangles,) = own._draw([drawn], resolved.scene)
+        places = pixel_centres(self.size)
+        if lens:
+            triangles, places = lens.nearest_values(triangles), lens.places
+        rays = Rays(view, own.size, places)
+        return motion_vectors(scene, before, views, drawn, triangles, rays)
 
     def landmarks(
         self, scene: Scene, landmarks: Landmarks
@@ -322,6 +356,9 @@ class Renderer:
         _check_scene(scene, shading)
         check_switch("blended", blended)
         view = view_of(scene, self.size[0] / self.size[1])
+        if lens := _lens(scene, self.size):
+            drawn = self._of_size(lens.wide).gbuffer(lens.undistorted(scene), shading, blended)
+            return lens.nearest(drawn, view)
         resolved = self._resolved(scene, shading, view, 4)
         with self._layer_lock:
             over = [
@@ -364,7 +401,7 @@ class Renderer:
             passes = with_shadows(resolved, view, self.size, passes)
         known: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
-            before = replace(surface.target, number=1 - surface.target.number)
+            before = self._sized(replace(surface.target, number=1 - surface.target.number))
             known[PREVIOUS_LAYER] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
         position, normal, albedo, uv, *others = self._draw(passes, scene, known)
         two = any(material.two_lobes for material in scene.mesh.materials)
@@ -471,6 +508,33 @@ class Renderer:
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
         return samples in (1, self.context.most_samples) and can_defer(scene, rows)
 
+    def _of_size(self, size: tuple[int, int]) -> Renderer:
+        """Return a renderer of another size with the same context, geometry, maps and programs. The
+        last one is cached; targets of earlier sizes are freed."""
+        if self._resized is None or self._resized.size != size:
+            resized = copy(self)
+            resized.size, resized._resized = size, None
+            resized._fitting = weakref.WeakKeyDictionary()
+            resized._check_size()
+            with self.context.drawing() as gl:
+                known = self._resources
+                for target in [each for each in known.targets if each.size in self._sizes]:
+                    for made in (known.targets, known.scopes, known.held):
+                        made.pop(target, None)
+                gl.gc()
+                self._sizes.clear()
+            self._resized = resized
+            return resized
+        return self._resized
+
+    def _sized(self, target: Target) -> Target:
+        """Return a target with an explicit size, unless it has the size of the resources."""
+        if self.size == self._resources.size:
+            return target
+        self._sizes.add(self.size)
+        below = target.depth_of and self._sized(target.depth_of)
+        return replace(target, size=target.size or self.size, depth_of=below)
+
     # --- OpenGL ----------------------------------------------------------------------------------
 
     def _draw(
@@ -486,6 +550,7 @@ class Renderer:
             if scene.environment is not None:
                 drawn[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
+                step = replace(step, target=self._sized(step.target))
                 target = self._resources.draw(step, scene.mesh, drawn)
                 kind = step.target
                 if kind.samples > 1 and kind.values == "color" and kind.resolved:
@@ -552,6 +617,16 @@ def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction |
     from facerender.drawing.passes.refraction import Refraction
 
     return Refraction.of(scene, view, size)
+
+
+def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
+    """Return the lens of a scene's camera, or None without distortion. The module is imported only
+    if needed."""
+    if scene.camera.distortion is None:
+        return None
+    from facerender.drawing.lens import lens_of
+
+    return lens_of(scene.camera, size)
 
 
 def _check(linear: NDArray[np.float32], scene: Scene) -> None:

@@ -23,6 +23,7 @@ from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file
 
+_DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
 _IGNORED = ("name", "transform_matrix")  # ignored keys: both transform_matrix and Rt hold the pose
 
 
@@ -39,7 +40,8 @@ def load_cameras(
         - .toml: [[cameras]] or [camera], see :func:`facerender.load_scene`
         - .json: one table, a list of tables, or the key "cameras" with a list of tables. A table
           has the fields of :class:`Camera`, or intrinsics "K" (3 x 3), a pose ("Rt", 3 x 4 or
-          4 x 4, or "R" and "t"), "width" and "height". The key "name" is optional
+          4 x 4, or "R" and "t"), "width" and "height". The keys "name" and "distortion" ("dist",
+          "distCoeffs" or "D") are optional
         - .npz: arrays named like the keys of a .json table; an extra first axis is the camera index
         - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
     size : width and height of the images in pixels; used if the file has intrinsics without a size
@@ -84,7 +86,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     document = document_of(chunks(content, name)[0], name)
     found = []
     try:
-        for node in scene_nodes(document):
+        for node in scene_nodes(document)[1]:
             if "camera" in node.properties:
                 camera = document["cameras"][node.properties["camera"]]
                 label = node.properties.get("name") or camera.get("name") or ""
@@ -152,9 +154,12 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
     depths = {"R": 2, "Rt": 2, "K": 2, "extrinsics": 2, "intrinsics": 2, "t": 1, "size": 1}
     tables: list[dict[str, Any]] = [{} for _ in range(min(count, MOST_CAMERAS))]
     for key, value in values.items():
-        each = depths.get(key, 0)
+        each = depths.get(key, key in _DISTORTION)
         if key == "t" and value.shape[-1:] == (1,):
             value = value[..., 0]
+        if key in _DISTORTION:  # OpenCV writes one row or one column
+            apart = several and value.ndim > 1 and len(value) == count and value[0].size > 1
+            value = value.reshape(count, -1) if apart else value.reshape(-1)
         shared = value.ndim == each
         if not shared and not (several and value.ndim == each + 1 and len(value) == count):
             raise InputError(
@@ -183,6 +188,11 @@ def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
         fields["extrinsics"] = pose[:3] if whole else pose
     if "K" in fields:
         fields["intrinsics"] = fields.pop("K")
+    for key in _DISTORTION:
+        if key in fields:
+            own = fields.pop(key)
+            nested = isinstance(own, list) and all(isinstance(row, list) for row in own)
+            fields["distortion"] = [each for row in own for each in row] if nested else own
     if "width" in fields and "height" in fields:
         fields["size"] = [fields.pop("width"), fields.pop("height")]
     if "intrinsics" in fields and size is not None:

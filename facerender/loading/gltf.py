@@ -10,21 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason
+from facerender.loading.gltf_animation import RigReader
 from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import Doc, chunks, damaged, document_of
 from facerender.loading.gltf_features import EXTENSIONS, unsupported
 from facerender.loading.gltf_material import Materials, TextureTransform
-from facerender.loading.gltf_nodes import scene_nodes, transform
+from facerender.loading.gltf_nodes import scene_nodes
 from facerender.loading.materials import Look
 from facerender.loading.references import References
 from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.repair import Piece, check_count, placed
+from facerender.scenes.rig import Rig, Shape, Skeleton, Skin, local_matrix, morphed, skinned
 
 _TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
 _DRACO = "KHR_draco_mesh_compression"
 _BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
-_AT_ONCE = 1 << 16  # vertices skinned at a time: each vertex needs a 4 x 4 matrix
 
 Float = NDArray[np.float64]
 
@@ -165,48 +166,6 @@ def unit_colors(colors: NDArray[Any]) -> NDArray[np.float64]:
     return np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
 
 
-def skinned(
-    positions: NDArray[Any],
-    normals: NDArray[Any] | None,
-    joints: NDArray[Any],
-    weights: NDArray[Any],
-    matrices: Float,
-) -> tuple[Float, Float | None, bool]:
-    """Return skinned positions and normals, and whether skinning mirrors most vertices.
-
-    Parameters
-    ----------
-    joints, weights : (N, K), indices and weights of K joints per vertex
-    matrices : (J, 4, 4), a joint's world matrix times its inverse bind matrix; transforms column
-        vectors from mesh space to scene space
-
-    Raises
-    ------
-    ValueError : a joint index is out of range
-    """
-    if joints.size and joints.max() >= len(matrices):
-        raise ValueError(f"a vertex uses joint {joints.max()}, the skin has {len(matrices)}")
-    fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
-    total = fractions.sum(axis=1, keepdims=True)
-    fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
-    fractions[:, 0] += total[:, 0] <= 0.0  # vertices without weights follow their first joint
-    moved = np.empty((len(positions), 3))
-    turned = None if normals is None else np.empty((len(positions), 3))
-    mirrored = 0
-    for start in range(0, len(positions), _AT_ONCE):
-        rows = slice(start, start + _AT_ONCE)
-        blend = np.einsum("nk,nkij->nij", fractions[rows], matrices[joints[rows]])
-        linear = blend[:, :3, :3]
-        moved[rows] = np.einsum("nij,nj->ni", linear, positions[rows]) + blend[:, :3, 3]
-        x, y, z = linear[:, 0], linear[:, 1], linear[:, 2]
-        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
-        sign = np.sign((x * cofactors[:, 0]).sum(axis=1))
-        mirrored += int((sign < 0.0).sum())
-        if turned is not None and normals is not None:
-            turned[rows] = np.einsum("nij,nj->ni", cofactors, normals[rows]) * sign[:, None]
-    return moved, turned, 2 * mirrored > len(positions)
-
-
 def head_bounds(
     positions: Float,
     joints: NDArray[Any],
@@ -267,12 +226,16 @@ def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Pie
 class _Instance:
     """An instance of a mesh, placed by a node.
 
+    node : number of the node
+    offset : transform of the instance within the node's space; None: no transform
     weights : weights of the morph targets
     skin : index of the skin, whose joints place the mesh; None: the node places the mesh
     """
 
     mesh: int
     name: str
+    node: int
+    offset: NDArray[np.float64] | None
     world: NDArray[np.float64]
     weights: tuple[float, ...]
     skin: int | None
@@ -296,15 +259,17 @@ class _File:
         self.materials = Materials(self.buffers, albedo_given)
         self.warn = self.materials.warn
         self.worlds: dict[int, NDArray[np.float64]] = {}  # matrices, keyed by the node's index
-        self.skins: dict[int, NDArray[np.float64] | None] = {}
+        self.rigs = RigReader(self.buffers)
+        self.skeleton = Skeleton(())
+        self.moving: set[int] | None = set()  # nodes that clips move; None: all
+        self.skins: dict[int, tuple[tuple[int, ...], Float | None] | None] = {}
+        self.shapes: dict[str, tuple[Shape, ...]] = {}  # keyed by the primitive's path
         self.own: dict[int, int] = {}  # number of stored elements, keyed by the accessor's index
         self.drawn = 0  # number of drawn vertices and faces
 
     def pieces(self) -> list[Piece]:
         for each in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
             self.warn(f"{self.name} uses {clipped(each, 60)}, which is not supported: ignored")
-        if self.document.get("animations"):
-            self.warn(f"{self.name} has animations: drawn in the stored pose")
         meshes: dict[tuple[int, int | None, tuple[float, ...]], list[Piece]] = {}
         pieces = []
         for each in self._instances():
@@ -314,22 +279,31 @@ class _File:
             for piece in meshes[key]:
                 self._count_drawn(len(piece.positions) + len(piece.faces))
                 own = ".".join(filter(None, (each.name, piece.name)))
-                pieces.append(replace(placed(piece, each.world), name=own))
+                rig = self._rig_of(each, piece)
+                pieces.append(replace(placed(piece, each.world), name=own, rig=rig))
         return pieces
 
     def _mesh(self, instance: _Instance) -> list[Piece]:
-        skin = instance.skin
-        matrices = None if skin is None else self._joints(skin)
-        head = None if skin is None or matrices is None else self._head_joints(skin)
-        primitives = self.document["meshes"][instance.mesh]["primitives"]
+        mesh = self.document["meshes"][instance.mesh]
+        head = None if instance.skin is None else self._head_joints(instance.skin)
         found = []
-        for i, primitive in enumerate(primitives):
+        for i, primitive in enumerate(mesh["primitives"]):
             where = f"meshes[{instance.mesh}].primitives[{i}]"
-            if piece := self._piece(primitive, where, instance.weights, matrices, head):
+            if piece := self._piece(primitive, where, instance, head):
                 found.append(piece)
         if len(found) == 1:
             found[0].name = ""  # the material's name is only needed to distinguish several pieces
         return found
+
+    def _rig_of(self, instance: _Instance, piece: Piece) -> Rig | None:
+        """Return the rig of a piece at an instance; None if no shape and no clip moves it."""
+        rig = piece.rig
+        if rig is None:
+            return None
+        nodes = {instance.node} if rig.skin is None else {*rig.skin.joints}
+        if not rig.shapes and self.moving is not None and self.moving.isdisjoint(nodes):
+            return None
+        return replace(rig, node=instance.node, offset=instance.offset)
 
     def _count_drawn(self, count: int) -> None:
         self.drawn += count
@@ -345,34 +319,48 @@ class _File:
         has no name, after its mesh."""
         found: list[_Instance] = []
         count = 0
-        for index, node, world, visible in scene_nodes(self.document):
-            self.worlds[index] = world
+        self.skeleton, nodes = scene_nodes(self.document)
+        self.worlds = {each.number: each.world for each in nodes}
+        self._read_clips()
+        for each in nodes:
+            node = each.properties
             extensions = node.get("extensions", {})
             if "KHR_lights_punctual" in extensions:
                 self.warn(f"{self.name} has lights (KHR_lights_punctual): ignored; use --light")
-            if "mesh" not in node or not visible:
+            if "mesh" not in node or not each.visible:
                 continue
             mesh = self.document["meshes"][node["mesh"]]
-            places = self._places(index, world, extensions.get("EXT_mesh_gpu_instancing"))
+            places = self._places(each.number, extensions.get("EXT_mesh_gpu_instancing"))
             count += len(mesh["primitives"]) * len(places)
             check_count(count, self.name)
             name = node.get("name") or mesh.get("name") or ""
             weights = tuple(map(float, node.get("weights", mesh.get("weights", ()))))
             skin = node.get("skin")
-            found += [_Instance(node["mesh"], name, each, weights, skin) for each in places]
-        return [
-            replace(each, world=np.eye(4))  # a skinned mesh ignores its node's transform
-            if each.skin is not None and self._joints(each.skin) is not None
-            else each
-            for each in found
-        ]
+            if skin is not None and self._joints(skin) is None:
+                skin = None
+            for own in places:
+                world = each.world if own is None else each.world @ own
+                if skin is not None:
+                    world = np.eye(4)  # a skinned mesh ignores its node's transform
+                found.append(_Instance(node["mesh"], name, each.number, own, world, weights, skin))
+        return found
 
-    def _places(
-        self, index: int, world: NDArray[np.float64], instances: Doc | None
-    ) -> Sequence[NDArray[np.float64]]:
-        """Return the world matrix of each instance of a node's mesh (EXT_mesh_gpu_instancing)."""
+    def _read_clips(self) -> None:
+        clips = self.rigs.clips()
+        if not clips:
+            return
+        self.skeleton = replace(self.skeleton, clips=clips)
+        # A damaged clip may move any node. Parts need a rig to report the damage.
+        self.moving = None
+        if not any(clip.fault for clip in clips):
+            moved = {track.node for clip in clips for track in clip.tracks}
+            self.moving = self.skeleton.below(moved)
+
+    def _places(self, index: int, instances: Doc | None) -> Sequence[NDArray[np.float64] | None]:
+        """Return the transform of each instance of a node's mesh (EXT_mesh_gpu_instancing) within
+        the node's space."""
         if instances is None:
-            return [world]
+            return [None]
         columns = {
             key.lower(): self.buffers.accessor(instances["attributes"][key])
             for key in ("TRANSLATION", "ROTATION", "SCALE")
@@ -384,31 +372,30 @@ class _File:
         count = min((len(values) for values in columns.values()), default=0)
         check_count(count, self.name)
         return [
-            world @ transform({key: values[i] for key, values in columns.items()})
+            local_matrix(**{key: values[i] for key, values in columns.items()})
             for i in range(count)
         ]
 
-    def _joints(self, index: int) -> NDArray[np.float64] | None:
-        """Return the joint matrices of a skin (J, 4, 4). Warn and return None if a joint is not in
-        the scene."""
+    def _joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
+        """Return the joints and the inverse bind matrices (J, 4, 4) of a skin. Warn and return None
+        if a joint is not in the scene."""
         if index not in self.skins:
-            self.skins[index] = self._matrices(index)
+            self.skins[index] = self._checked_joints(index)
         return self.skins[index]
 
-    def _matrices(self, index: int) -> NDArray[np.float64] | None:
+    def _checked_joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
         skin = self.document["skins"][index]
-        joints = skin["joints"]
+        joints = tuple(skin["joints"])
         if not joints or not self.worlds.keys() >= set(joints):
             self.warn(f"{self.name} has a skin whose joints are not in its scene: skin ignored")
             return None
-        worlds = np.stack([self.worlds[joint] for joint in joints])
         if "inverseBindMatrices" not in skin:
-            return worlds
+            return joints, None
         inverse = self.buffers.accessor(skin["inverseBindMatrices"])
         if inverse.shape[1] != 16 or len(inverse) < len(joints):
             raise ValueError(f"skins[{index}] has {len(inverse)} matrices for {len(joints)} joints")
         columns = inverse[: len(joints)].reshape(-1, 4, 4).astype(np.float64)
-        return np.asarray(worlds @ columns.transpose(0, 2, 1))
+        return joints, columns.transpose(0, 2, 1)
 
     def _head_joints(self, index: int) -> tuple[NDArray[np.bool_], float] | None:
         """Return a mask of the joints of a skin that belong to a head by their names or by the name
@@ -431,17 +418,12 @@ class _File:
         self,
         properties: Doc,
         where: str,
-        weights: Sequence[float],
-        matrices: NDArray[np.float64] | None,
+        instance: _Instance,
         head: tuple[NDArray[np.bool_], float] | None,
     ) -> Piece | None:
         """Return a primitive as a piece in mesh space, or in scene space if it is skinned. Return
         None for a primitive without triangles.
 
-        Parameters
-        ----------
-        weights : weights of the morph targets
-        matrices : joint matrices of the skin (J, 4, 4); None without a skin
         head : result of :meth:`_head_joints`; None without a skin
         """
         attributes = properties["attributes"]
@@ -451,13 +433,17 @@ class _File:
         primitive = Primitive(self.buffers, properties, where)
         self.own[attributes["POSITION"]] = len(primitive.positions)
         self.own[properties.get("indices", -1)] = primitive.corner_count
-        shape, normals = self._morphed(primitive, weights)
-        faces, bounds = primitive.faces, None
-        if matrices is not None:
+        base, base_normals = primitive.positions[primitive.vertices], primitive.column("NORMAL", 3)
+        shapes = self._shapes(primitive, base_normals is not None, instance)
+        shape, normals = morphed(base, base_normals, shapes, instance.weights)
+        faces, bounds, skin = primitive.faces, None, None
+        joints = None if instance.skin is None else self._joints(instance.skin)
+        if instance.skin is not None and joints is not None:
             if "JOINTS_2" in attributes:
                 self.warn(f"{self.name} has more than eight joints per vertex: only eight are used")
             if influences := primitive.influences():
-                shape, normals, mirrored = skinned(shape, normals, *influences, matrices)
+                skin = Skin.of(*joints, *influences)
+                shape, normals, mirrored = skinned(shape, normals, skin, self.worlds)
                 faces = faces[:, ::-1] if mirrored else faces
                 bounds = head and head_bounds(shape, *influences, *head)
         number = properties.get("material")
@@ -479,6 +465,7 @@ class _File:
             uv2=None if uv is None else uv2,
             material_name=called,
             head=bounds,
+            rig=self._rig(base, base_normals, shapes, skin, instance),
         )
 
     def _drawn_material(self, look: Look[TextureTransform], first: bool, second: bool) -> Material:
@@ -494,26 +481,50 @@ class _File:
         without: dict[str, Any] = dict.fromkeys(material.second_uv)
         return replace(material, second_uv=(), **without)
 
-    def _morphed(
-        self, primitive: Primitive, weights: Sequence[float]
-    ) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """Return positions and normals of a primitive's vertices, with morph targets applied."""
-        shape, normals = primitive.positions[primitive.vertices], primitive.column("NORMAL", 3)
+    def _shapes(
+        self, primitive: Primitive, has_normals: bool, instance: _Instance
+    ) -> tuple[Shape, ...]:
+        """Return a primitive's morph targets, and count the vertices of the targets that the stored
+        pose uses."""
         targets = primitive.properties.get("targets", ())
-        for i, (target, weight) in enumerate(zip(targets, weights, strict=False)):
+        if targets and primitive.where not in self.shapes:
+            extras = self.document["meshes"][instance.mesh].get("extras")
+            self.shapes[primitive.where] = self.rigs.shapes(
+                targets,
+                extras.get("targetNames") if isinstance(extras, dict) else None,
+                len(primitive.positions),
+                primitive.vertices,
+                has_normals,
+                primitive.where,
+            )
+        for target, weight in zip(targets, instance.weights, strict=False):
             for key in ("POSITION", "NORMAL"):
-                if not weight or key not in target or (key == "NORMAL" and normals is None):
-                    continue
-                moves = self.buffers.accessor(target[key])
-                self.own[target[key]] = len(moves)
-                self._count_drawn(len(moves))
-                if moves.shape != primitive.positions.shape:
-                    raise ValueError(
-                        f"{primitive.where}.targets[{i}]: {key} has the wrong number of entries"
-                    )
-                step = weight * moves[primitive.vertices].astype(np.float64)
-                if key == "POSITION":
-                    shape = shape.astype(np.float64) + step
-                elif normals is not None:
-                    normals = normals.astype(np.float64) + step
-        return shape, normals
+                if weight and key in target and (has_normals or key == "POSITION"):
+                    count = self.document["accessors"][target[key]]["count"]
+                    self.own[target[key]] = count
+                    self._count_drawn(count)
+        return self.shapes.get(primitive.where, ())
+
+    def _rig(
+        self,
+        positions: NDArray[Any],
+        normals: NDArray[Any] | None,
+        shapes: tuple[Shape, ...],
+        skin: Skin | None,
+        instance: _Instance,
+    ) -> Rig | None:
+        if not shapes and not self.skeleton.clips:
+            return None
+        own = None if normals is None else np.array(normals)
+        weights = instance.weights
+        placed = instance.skin is None
+        return Rig(
+            self.skeleton,
+            instance.node,
+            np.array(positions),
+            own,
+            weights,
+            shapes,
+            skin,
+            placed,
+        )

@@ -186,23 +186,51 @@ class Buffers:
         else:
             values = np.zeros(shape, dtype=kind)
         if sparse is not None:
-            values = self._with_sparse(values, sparse, where)
-        if accessor.get("normalized") and kind != "<f4":
-            values = np.maximum(values / np.float32(np.iinfo(kind).max), np.float32(-1.0))
-        return values
+            indices, replacing = self._replacements(sparse, kind, shape, where)
+            values = values.copy()
+            values[indices] = replacing
+        return _normalized(values, accessor)
 
-    def _with_sparse(self, values: NDArray[Any], sparse: Doc, where: str) -> NDArray[Any]:
-        """Return a copy of the values with the replacements of a sparse accessor."""
+    def rows(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the indices of an accessor's rows that are not 0, in increasing order, and these
+        rows. A sparse accessor without a view may have any length."""
+        accessor = self.document["accessors"][index]
+        if "bufferView" in accessor or "sparse" not in accessor:
+            values = self.accessor(index)
+            indices = np.arange(len(values))
+        else:
+            kind = COMPONENTS[accessor["componentType"]]
+            shape = accessor["count"], TYPES[accessor["type"]]
+            where = f"accessors[{index}]"
+            own, replacing = self._replacements(accessor["sparse"], kind, shape, where)
+            indices, last = np.unique(own[::-1], return_index=True)
+            values = _normalized(replacing[::-1][last], accessor)
+        moves = np.zeros(len(values), dtype=bool)
+        for column in values.T:
+            moves |= column != 0
+        return indices[moves], values[moves]
+
+    def _replacements(
+        self, sparse: Doc, kind: str, shape: tuple[int, int], where: str
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the indices and values of the rows that a sparse accessor of a shape (count,
+        components) replaces."""
 
         def part(own: Doc, kind: str, width: int) -> NDArray[Any]:
             start, shape = own.get("byteOffset", 0), (sparse["count"], width)
             return self._elements(f"{where}.sparse", own["bufferView"], start, kind, shape)
 
-        kind = COMPONENTS[sparse["indices"].get("componentType", 5125)]
-        indices = part(sparse["indices"], kind, 1)[:, 0]
-        replacing = part(sparse["values"], values.dtype.str, values.shape[1])
-        if indices.dtype.kind != "u" or (indices >= len(values)).any():
+        kind_of_index = COMPONENTS[sparse["indices"].get("componentType", 5125)]
+        indices = part(sparse["indices"], kind_of_index, 1)[:, 0]
+        replacing = part(sparse["values"], kind, shape[1])
+        if indices.dtype.kind != "u" or (indices >= shape[0]).any():
             raise ValueError(f"{where}.sparse replaces entries that do not exist")
-        values = values.copy()
-        values[indices] = replacing
-        return values
+        return indices, replacing
+
+
+def _normalized(values: NDArray[Any], accessor: Doc) -> NDArray[Any]:
+    """Return integers of a normalised accessor as floats in [-1, 1], other values unchanged."""
+    if accessor.get("normalized") and values.dtype.kind != "f":
+        most = np.float32(np.iinfo(values.dtype).max)
+        return np.asarray(np.maximum(values / most, np.float32(-1.0)))
+    return values

@@ -21,7 +21,7 @@ MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nod
 # an index into the list "nodes"; "[x]" is a list of values of type x; "3 x" is a list of three
 # values of type x. Type "{x}" is an object with any keys and values of type x. All other types are
 # objects of this table or keys of _VALUES.
-# Type "presence" accepts any value and converts it to bool(value).
+# Type "any" accepts any value and does not check it.
 _OBJECTS: dict[str, dict[str, Any]] = {
     "document": {
         "extensionsRequired": "[text]",
@@ -35,7 +35,7 @@ _OBJECTS: dict[str, dict[str, Any]] = {
         "materials": "[material]",
         "meshes": "[mesh]",
         "skins": "[skin]",
-        "animations": "presence",
+        "animations": "any",
         "cameras": "[camera]",
         "nodes": "[node]",
         "scenes": "[scene]",
@@ -143,7 +143,12 @@ _OBJECTS: dict[str, dict[str, Any]] = {
             }
         },
     },
-    "mesh": {"primitives!": "[primitive]", "name": "name", "weights": "[number]"},
+    "mesh": {
+        "primitives!": "[primitive]",
+        "name": "name",
+        "weights": "[number]",
+        "extras": "any",
+    },
     "primitive": {
         "attributes!": "{#accessors}",
         "indices": "#accessors",
@@ -174,6 +179,9 @@ _OBJECTS: dict[str, dict[str, Any]] = {
     },
     "skin": {"joints!": "[#nodes]", "inverseBindMatrices": "#accessors"},
     "scene": {"nodes": "[#nodes]"},
+    "animation": {"channels!": "[channel]", "samplers!": "[keys]"},
+    "channel": {"sampler!": "size", "target!": {"node": "#nodes", "path!": "text"}},
+    "keys": {"input!": "#accessors", "output!": "#accessors", "interpolation": "text"},
 }
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -263,6 +271,19 @@ def document_of(text: bytes, name: str) -> Doc:
     return {**{key: [] for key, shape in tables.items() if shape[0] == "["}, **checked}
 
 
+def checked_animation(document: Doc, index: int) -> Doc:
+    """Check an animation of a document from :func:`document_of`, which does not check animations.
+
+    Raises
+    ------
+    ValueError : the animation has an invalid property
+    """
+    counts = {key: len(each) for key, each in document.items() if isinstance(each, list)}
+    where = f"animations[{index}]"
+    found: Doc = _checked(document["animations"][index], "animation", where, counts)
+    return found
+
+
 def damaged(name: str, what: str) -> InputError:
     return InputError(f"{name} is damaged ({what}); export it again")
 
@@ -303,8 +324,8 @@ def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[s
             isinstance(value, list) and len(value) == int(length), value, where, f"{length} numbers"
         )
         return [_checked(each, inner, f"{where}[{i}]", counts) for i, each in enumerate(value)]
-    if shape == "presence":
-        return bool(value)
+    if shape == "any":
+        return value
     check, what = _VALUES[shape]
     _expect(check(value), value, where, what)
     if shape == "name":

@@ -42,10 +42,11 @@ FEATURES = (
     Feature(
         "morph targets",
         "drawn",
-        "positions and normals, with the weights of the node or else of the mesh",
+        "positions and normals, with the weights of the node or else of the mesh; a pose has other "
+        "weights",
     ),
-    Feature("skins", "drawn", "in the stored pose, up to eight joints per vertex"),
-    Feature("animations", "warned", "drawn in the stored pose"),
+    Feature("skins", "drawn", "up to eight joints per vertex"),
+    Feature("animations", "drawn", "in the stored pose, or in a pose of a clip"),
     Feature("cameras", "ignored", "used only with `--camera gltf`; must be perspective"),
     Feature(
         "COLOR_0",
@@ -117,7 +118,7 @@ FEATURES = (
     Feature("KHR_materials_iridescence", "warned", "drawn without the film", "iridescenceFactor"),
     Feature("KHR_materials_variants", "ignored", "each primitive keeps its own material"),
     Feature("KHR_lights_punctual", "warned", "use `--light` instead"),
-    Feature("KHR_animation_pointer", "ignored", "animations are not drawn"),
+    Feature("KHR_animation_pointer", "warned", "its channels are ignored in a pose"),
     Feature("KHR_xmp_json_ld", "ignored", "metadata"),
     Feature("MSFT_lod", "ignored", "the node itself, the finest level, is drawn"),
     Feature(

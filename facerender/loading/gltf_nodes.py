@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.loading.gltf_document import Doc
+from facerender.scenes.rig import Node, Skeleton
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 
 
-class Node(NamedTuple):
+@dataclass(frozen=True)
+class SceneNode:
     """A node of a scene.
 
     Attributes
@@ -29,8 +31,9 @@ class Node(NamedTuple):
     visible: bool
 
 
-def scene_nodes(document: Doc) -> Iterator[Node]:
-    """Yield the nodes of a checked document's scene, parents first; without a scene, all nodes.
+def scene_nodes(document: Doc) -> tuple[Skeleton, Sequence[SceneNode]]:
+    """Return the nodes of a checked document's scene, parents first; without a scene, all nodes.
+    The skeleton has no clips.
 
     Raises
     ------
@@ -42,47 +45,19 @@ def scene_nodes(document: Doc) -> Iterator[Node]:
     else:
         children = {child for node in nodes for child in node.get("children", ())}
         roots = sorted(set(range(len(nodes))) - children)
-    found: set[int] = set()
-    queue = [(index, np.eye(4), True) for index in reversed(roots)]
+    found: dict[int, Node] = {}
+    visible: dict[int | None, bool] = {None: True}
+    queue: list[tuple[int, int | None]] = [(index, None) for index in reversed(roots)]
     while queue:
-        index, world, visible = queue.pop()
+        index, parent = queue.pop()
         if index in found:
             raise ValueError(f"nodes[{index}] has two parents, or is its own ancestor")
-        found.add(index)
         node = nodes[index]
-        if not node.keys().isdisjoint(_TRANSFORMS):
-            world = world @ transform(node)
+        own_transforms = {key: tuple(node[key]) for key in _TRANSFORMS if key in node}
+        found[index] = Node(index, parent, **own_transforms)
         own = node.get("extensions", {}).get("KHR_node_visibility", {})
-        visible = visible and own.get("visible", True)
-        yield Node(index, node, world, visible)
-        queue += [(child, world, visible) for child in reversed(node.get("children", []))]
-
-
-def transform(node: Doc) -> NDArray[np.float64]:
-    """Return the local matrix of a node, (4, 4), for column vectors."""
-    matrix = np.eye(4)
-    if "matrix" in node:
-        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    local = np.eye(4)
-    if "rotation" in node:
-        local[:3, :3] = _rotation(np.array(node["rotation"], dtype=np.float64))
-    if "scale" in node:
-        local[:3, :3] *= np.array(node["scale"], dtype=np.float64)
-    if "translation" in node:
-        local[:3, 3] = node["translation"]
-    return matrix @ local
-
-
-def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation matrix (3, 3) of a quaternion x, y, z, w of any length."""
-    length = float(np.linalg.norm(quaternion))
-    if not 1e-12 < length < np.inf:
-        return np.eye(3)
-    x, y, z, w = quaternion / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        visible[index] = visible[parent] and own.get("visible", True)
+        queue += [(child, index) for child in reversed(node.get("children", []))]
+    skeleton = Skeleton(tuple(found.values()))
+    worlds = skeleton.worlds({})
+    return skeleton, [SceneNode(i, nodes[i], worlds[i], visible[i]) for i in found]

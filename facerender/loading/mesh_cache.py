@@ -9,11 +9,11 @@ import json
 import math
 import struct
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from facerender.scenes.texture import LARGE, Texture, pack
 from facerender.system import cache
 from facerender.system.files import digest_of, read_file
 
+if TYPE_CHECKING:
+    from facerender.scenes.rig import Rig
+
 Chains = dict[Texture, dict[Kind, Future[Levels]]]
 
 _KIND = "meshes"
@@ -44,7 +47,10 @@ _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
 
-_ARRAYS = tuple(each.name for each in fields(Part) if each.name not in ("name", "skin"))
+_PLAIN_FIELDS = ("name", "skin", "source_count")
+_ARRAYS = tuple(
+    each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest", "rig")
+)
 
 
 @dataclass(frozen=True)
@@ -187,11 +193,13 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         facts_of = {"name": texture.name, "wrap": texture.wrap, "nearest": texture.nearest}
         textures.append({**facts_of, "levels": levels, "texels": texels})
     numbers = {texture: i for i, texture in enumerate(chains)}
+    rigs = _RigWriter(number)
     facts |= {
         "name": mesh.name,
         "parts": [
             {name: number(getattr(part, name)) for name in _ARRAYS}
-            | {"name": part.name, "skin": part.skin}
+            | {name: getattr(part, name) for name in _PLAIN_FIELDS}
+            | {"rig": rigs.packed(part.rig)}
             for part in mesh.parts
         ],
         "materials": [
@@ -205,6 +213,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "millimetres": mesh.millimetres,
         "regions": {name: each and _plain(each) for name, each in find_regions(mesh).items()},
         "textures": textures,
+        "rigs": rigs.objects,
     }
     facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
     head = json.dumps(facts, default=float).encode()
@@ -214,6 +223,54 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         pieces += [bytes(-size % _ALIGNMENT), each.data]
         size += -size % _ALIGNMENT + each.nbytes
     return pieces
+
+
+class _RigWriter:
+    """Converts rigs to plain data. Parts share most objects and arrays of their rigs, so an object
+    is stored once and referred to by its index, before the objects that refer to it."""
+
+    def __init__(self, number: Callable[[NDArray[Any]], int | None]) -> None:
+        self.number = number
+        self.objects: list[dict[str, Any]] = []
+        self.known: dict[int, dict[str, int | None]] = {}  # keyed by id
+
+    def packed(self, value: Any) -> Any:
+        if isinstance(value, tuple | list):
+            return [self.packed(each) for each in value]
+        if isinstance(value, np.ndarray):
+            if id(value) not in self.known:
+                self.known[id(value)] = {"array": self.number(value)}
+            return self.known[id(value)]
+        if not is_dataclass(value):
+            return value
+        if id(value) not in self.known:
+            own = {each.name: self.packed(getattr(value, each.name)) for each in fields(value)}
+            self.objects.append({"type": type(value).__name__, "fields": own})
+            self.known[id(value)] = {"object": len(self.objects) - 1}
+        return self.known[id(value)]
+
+
+def _rigs(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> list[Rig | None]:
+    """Return the rig of each part."""
+    if not facts["rigs"]:
+        return [None] * len(facts["parts"])
+    from facerender.scenes import rig
+
+    kinds = (rig.Clip, rig.Node, rig.Rig, rig.Shape, rig.Skeleton, rig.Skin, rig.Track)
+    known = {each.__name__: each for each in kinds}
+    objects: list[Any] = []
+
+    def unpacked(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(unpacked(each) for each in value)
+        if not isinstance(value, dict):
+            return value
+        return objects[value["object"]] if "object" in value else arrays[value["array"]]
+
+    for each in facts["rigs"]:
+        own = {name: unpacked(value) for name, value in each["fields"].items()}
+        objects.append(known[each["type"]](**own))
+    return [unpacked(part["rig"]) for part in facts["parts"]]
 
 
 def _plain(region: Region) -> dict[str, Any]:
@@ -251,11 +308,12 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         {name: None if each[name] is None else arrays[each[name]] for name in _ARRAYS}
         for each in facts["parts"]
     ]
+    rigs = _rigs(facts, arrays)
     return Mesh(
         facts["name"],
         tuple(
-            Part(**each, name=own["name"], skin=own["skin"])
-            for each, own in zip(columns, facts["parts"], strict=True)
+            Part(**each, **{name: own[name] for name in _PLAIN_FIELDS}, rig=rig)
+            for each, own, rig in zip(columns, facts["parts"], rigs, strict=True)
         ),
         tuple(materials),
         arrays[facts["bounds"]],

@@ -271,6 +271,8 @@ class Library:
                 colors=None if piece.colors is None else piece.colors[vertices],
                 material=self.look(name, piece.colors is not None, tile).material,
                 out_of_range=0,
+                sources=vertices if piece.sources is None else piece.sources[vertices],
+                source_count=piece.source_count or len(piece.positions),
             )
 
     # --- factors ---------------------------------------------------------------------------------

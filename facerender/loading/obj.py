@@ -7,7 +7,11 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from facerender.errors import warn
+from facerender.scenes.repair import Piece
 
 # A face with a reference below 1. The reference -1 means the last element defined before the face;
 # the reference 0 is invalid.
@@ -123,3 +127,48 @@ def _names(parts: Sequence[Owners]) -> list[str]:
             for name, key in zip(found, parts, strict=True)
         ]
     return [name.decode("utf-8", "replace") for name in found]
+
+
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
+_TRIANGLE = re.compile(rb"^[ \t]*f" + 3 * rb"[ \t]+(\d+)(?:/\S*)?" + rb"[ \t]*\r?$", re.MULTILINE)
+_MULTIPLIERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+
+
+def number_vertices(data: bytes, pieces: Sequence[Piece]) -> None:
+    """Set the sources of the pieces of an OBJ file: the index of each vertex in the file.
+
+    trimesh splits vertices at texture seams and does not return the indices, so that positions
+    identify the vertices. If several vertices of the file share a position, the faces identify
+    them in a file with one piece of triangles; in other files the piece stays without sources.
+    """
+    try:
+        places = np.array(_VERTEX.findall(data), dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
+    except ValueError:  # trimesh accepts more than three numbers without spaces between them
+        return
+    known, first, counts = np.unique(_hashes(places), return_index=True, return_counts=True)
+    for piece in pieces:
+        if len(pieces) == 1 and np.array_equal(piece.positions, places):
+            continue
+        own = np.searchsorted(known, _hashes(piece.positions)).clip(max=len(known) - 1)
+        sources = first[own]
+        if not (counts[own] == 1).all():
+            if len(pieces) > 1 or (found := _by_faces(data, piece)) is None:
+                continue
+            sources = found
+        if sources.max() < len(places) and (places[sources] == piece.positions).all():
+            piece.sources, piece.source_count = sources, len(places)
+
+
+def _hashes(places: NDArray[np.float64]) -> NDArray[np.uint64]:
+    bits = np.ascontiguousarray(places + 0.0).view(np.uint64)  # -0 becomes 0
+    return np.asarray(np.bitwise_xor.reduce(bits * _MULTIPLIERS, axis=1))
+
+
+def _by_faces(data: bytes, piece: Piece) -> NDArray[np.int64] | None:
+    """Return the source of each vertex, if the faces of the piece are the triangles of the file."""
+    corners = np.array(_TRIANGLE.findall(data), dtype=np.bytes_)
+    if corners.shape != piece.faces.shape:
+        return None
+    sources = np.zeros(len(piece.positions), dtype=np.int64)
+    sources[piece.faces] = corners.astype(np.int64) - 1
+    return sources

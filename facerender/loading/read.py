@@ -17,7 +17,7 @@ from facerender.loading.from_trimesh import has_normals, piece_of
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
 from facerender.loading.materials import image_of, missing_image, unreadable
-from facerender.loading.obj import has_relative, with_absolute, with_parts
+from facerender.loading.obj import has_relative, number_vertices, with_absolute, with_parts
 from facerender.loading.references import References
 from facerender.loading.source import GLTF, Source, check_format
 from facerender.scenes.repair import Piece, check_count
@@ -218,6 +218,7 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     pieces[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
     pieces.sort(key=lambda each: each[0])
+    number_vertices(data, [piece for _, piece in pieces])
     found = [
         part for _, piece in pieces for part in _with_tiles(piece, piece.material_name, library)
     ]

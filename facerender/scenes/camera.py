@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from facerender.errors import InputError, check_type, shown
+from facerender.scenes.distortion import undistort
 from facerender.scenes.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector
 from facerender.terms.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
 
@@ -19,6 +20,9 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
+DISTORTIONS = (4, 5, 8)  # possible numbers of distortion coefficients
+_COEFFICIENTS, _ZERO = Range(-1e6, 1e6), Range(0.0, 0.0)
+_CHECKED = 33  # points per side of the grid on which the distortion is checked
 _NOT_ROTATED = 1e-3  # largest accepted element of |R R^T - I|; not 0, because users may round R
 # Fields that must keep their defaults if extrinsics are given.
 _PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
@@ -47,6 +51,9 @@ class Camera:
         Add 0.5 to cx and cy if a calibration, such as OpenCV's, has that centre at (0, 0)
     size : width and height of the image that intrinsics refer to; rendered images need the same
         aspect ratio
+    distortion : lens distortion of OpenCV's model, (k1, k2, p1, p2[, k3[, k4, k5, k6]]), each in
+        [-1e6, 1e6]; needs intrinsics. None (default) or only zeros: no distortion. The distortion
+        must be invertible in the whole image
     """
 
     azimuth: float = ranged(AZIMUTHS, 0.0)
@@ -59,6 +66,7 @@ class Camera:
     extrinsics: tuple[Pose, Pose, Pose] | None = None
     intrinsics: tuple[Vector, Vector, Vector] | None = None
     size: tuple[int, int] | None = ranged(SizeRange(1, 1 << 30, "pixels"), None)
+    distortion: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "camera ")
@@ -75,6 +83,8 @@ class Camera:
             raise InputError("camera intrinsics and camera size belong together: give both")
         if self.intrinsics is not None:
             self._check_intrinsics()
+        if self.distortion is not None:
+            self._check_distortion()
 
     def _check_extrinsics(self) -> None:
         turn = np.array(self.extrinsics)[:, :3]
@@ -113,6 +123,40 @@ class Camera:
                 f"times and cx and cy up to 1000 times the image size of {width} x {height} pixels"
             )
 
+    def _check_distortion(self) -> None:
+        value: Any = self.distortion
+        numbers = value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        if isinstance(numbers, tuple | list):  # OpenCV appends zeros for thin prism and tilt
+            numbers, rest = numbers[: max(DISTORTIONS)], numbers[max(DISTORTIONS) :]
+            numbers = numbers if all(each in _ZERO for each in rest) else ()
+        if not isinstance(numbers, tuple | list) or len(numbers) not in DISTORTIONS:
+            raise InputError(
+                f"camera distortion = {shown(value)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, k3 "
+                "to k6, without thin prism and tilt"
+            )
+        if not all(each in _COEFFICIENTS for each in numbers):
+            raise InputError(
+                f"camera distortion = {shown(value)}: give numbers in [{_COEFFICIENTS.low:g}, "
+                f"{_COEFFICIENTS.high:g}]"
+            )
+        if self.intrinsics is None or self.size is None:
+            raise InputError("camera distortion needs intrinsics: give K, [R|t] and size as well")
+        own = tuple(map(float, numbers)) if any(numbers) else None
+        object.__setattr__(self, "distortion", own)
+        if own is None:
+            return
+        (fx, _, cx), (_, fy, cy), _ = self.intrinsics
+        across, down = (np.linspace(0.0, side, _CHECKED) for side in self.size)
+        grid = np.stack(np.meshgrid((across - cx) / fx, (down - cy) / fy), axis=-1).reshape(-1, 2)
+        lost = np.isnan(undistort(grid, own)).any(axis=-1)
+        if lost.any():
+            nearest = float(np.hypot(*(grid[lost] * (fx, fy)).T).min())
+            raise InputError(
+                f"camera distortion = {shown(own)} is not invertible {nearest:.0f} pixels from the "
+                f"principal point, inside the image of {self.size[0]} x {self.size[1]}: crop the "
+                "image, or calibrate with points up to its corners"
+            )
+
 
 def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:
     """Check that a value is a matrix of 3 rows; return the matrix as tuples."""
@@ -131,8 +175,8 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
 def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
     """Return cameras at equal steps of azimuth around the mesh, at the given camera's elevation.
 
-    The first camera has the azimuth of the given camera. Position, extrinsics and intrinsics of the
-    given camera are not used.
+    The first camera has the azimuth of the given camera. Position, extrinsics, intrinsics and
+    distortion of the given camera are not used.
 
     Raises
     ------
@@ -145,9 +189,11 @@ def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
 
 
 def orbiting(camera: Camera, **orbit: Any) -> Camera:
-    """Return the camera without position, extrinsics and intrinsics, so that it orbits its target.
+    """Return the camera without position, extrinsics, intrinsics and distortion, so that it orbits
+    its target.
 
     orbit : fields to change, such as azimuth or zoom
     """
-    placed: dict[str, Any] = dict.fromkeys(("position", "extrinsics", "intrinsics", "size"))
+    own = ("position", "extrinsics", "intrinsics", "size", "distortion")
+    placed: dict[str, Any] = dict.fromkeys(own)
     return replace(camera, **placed, **orbit)

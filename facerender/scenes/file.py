@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import AZIMUTHS, HIGHEST
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
-from facerender.terms.ranges import Range, check_fields, range_of, ranged
+from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Environment
@@ -30,10 +30,13 @@ if TYPE_CHECKING:
 
 KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "parts", "shading", "planned"),
-    *("ambient", "background"),
+    *("ambient", "background", "pose", "before"),
 )
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
 STUDIO = "studio"  # name of the procedural environment map
+WEIGHTS = Range(-100.0, 100.0)  # accepted weights of shapes
+TIMES = Range(0.0, 1e6, "s")
+FRAMES = IntegerRange(0, 1 << 30)
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,46 @@ class EnvironmentFile:
         check_fields(self, "environment ")
 
 
+@dataclass(frozen=True)
+class Pose:
+    """Pose of a mesh. Without values, it is the pose that the mesh file stores.
+
+    Parameters
+    ----------
+    weights : weight of each shape (morph target) by name; see :meth:`facerender.Mesh.with_pose`
+    clip : name of an animation in the mesh file
+    time : time in the clip in seconds; default 0
+    vertices : path of a file with vertex positions: .npy of shape (frames, vertices, 3), or .npz
+        with one such array for each part; see :meth:`facerender.Mesh.with_positions`
+    frame : index of the frame in ``vertices``
+    track : whether the framing follows the head; see :func:`facerender.tracked`
+    """
+
+    weights: Mapping[str, float] = field(default_factory=dict)
+    clip: str | None = None
+    time: float | None = ranged(TIMES, None)
+    vertices: str | None = None
+    frame: int = ranged(FRAMES, 0)
+    track: bool = False
+
+    def __post_init__(self) -> None:
+        check_type("pose weights", self.weights, Mapping, "a table of numbers by shape name")
+        weights = {
+            str(name): WEIGHTS.check(f"weight {name}", own) for name, own in self.weights.items()
+        }
+        object.__setattr__(self, "weights", weights)
+        check_type("pose clip", self.clip, str | None, "the name of a clip")
+        if self.vertices is not None:
+            check_path("pose vertices", self.vertices)
+            object.__setattr__(self, "vertices", os.fspath(self.vertices))
+            if weights or self.clip is not None or self.time is not None:
+                raise InputError(
+                    f"pose vertices = {shown(self.vertices)} exclude weights, clip and time: leave "
+                    "one of them out"
+                )
+        check_fields(self, "pose ")
+
+
 def parse_environment(text: str) -> EnvironmentFile:
     """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``.
 
@@ -79,6 +122,9 @@ def parse_environment(text: str) -> EnvironmentFile:
         ) from None
 
 
+_TABLES: dict[str, Any] = {"camera": Camera, "planned": Planned, "pose": Pose, "before": Pose}
+
+
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read the values of a scene file in TOML.
 
@@ -87,7 +133,8 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     dict with the keys that the file contains: camera (Camera), cameras (tuple of Camera, the camera
     path of ``facerender plan``), lights (tuple of Light), environment (EnvironmentFile), ambient
     and background (as in :class:`Scene`), material (dict of the factors of :class:`Material`),
-    parts (see :func:`part_tables`), shading (dict for :meth:`Shading.from_dict`), planned (Planned)
+    parts (see :func:`part_tables`), shading (dict for :meth:`Shading.from_dict`), planned,
+    pose and before (Planned and Pose)
 
     Raises
     ------
@@ -109,8 +156,8 @@ def scene_value(key: str, value: Any) -> Any:
     ------
     InputError : an unknown key or a value outside its range
     """
-    if key in ("camera", "planned"):
-        return from_table(Camera if key == "camera" else Planned, key, value)
+    if key in _TABLES:
+        return from_table(_TABLES[key], key, value)
     if key == "lights":
         check_type(key, value, list, "a list of names or tables")
         return tuple(
@@ -137,6 +184,38 @@ def scene_value(key: str, value: Any) -> Any:
     if key in ("ambient", "background"):
         return range_of(Scene, key).check(key, value)
     raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
+
+
+def parse_vertices(text: str) -> tuple[str, int | None]:
+    """Parse a path and the index of a frame from ``FILE[,FRAME]``; without FRAME, None.
+
+    Raises
+    ------
+    InputError : the path is empty
+    """
+    file, comma, frame = text.rpartition(",")
+    if not comma or not frame.isdecimal():
+        file, frame = text, ""
+    if not file:
+        raise InputError(f"--vertices {shown(text)}: give FILE[,FRAME]")
+    return file, int(frame[:10]) if frame else None
+
+
+def parse_weight(text: str) -> tuple[str, float]:
+    """Parse the name of a shape and its weight from ``NAME=WEIGHT``.
+
+    Raises
+    ------
+    InputError : the text has another form, or the weight is outside its range
+    """
+    name, _, value = text.rpartition("=")
+    try:
+        weight = float(value)
+    except ValueError:
+        name = ""
+    if not name:
+        raise InputError(f"--weight {shown(text)}: give NAME=WEIGHT, such as jawOpen=0.6")
+    return name, WEIGHTS.check(f"weight {name}", weight)
 
 
 def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
@@ -326,7 +405,11 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in known]):
         bad = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
         raise InputError(f"unknown {bad} in {key}; known: {', '.join(known)}")
-    needed = [each.name for each in fields(kind) if each.default is MISSING]
+    needed = [
+        each.name
+        for each in fields(kind)
+        if each.default is MISSING and each.default_factory is MISSING
+    ]
     if lacking := [name for name in needed if name not in table]:
         raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}: add it")
     return kind(**table)

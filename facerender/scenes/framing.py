@@ -22,14 +22,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.errors import check_type
 from facerender.scenes.camera import Frame
-from facerender.scenes.mesh import Mesh, Region
+from facerender.scenes.mesh import Mesh, Region, in_space
+from facerender.scenes.repair import used
 
 Float = NDArray[np.float64]
 
@@ -124,6 +127,30 @@ def _scaled(regions: Mapping[str, Region | None], scale: float) -> Mapping[str, 
         name: own and Region(own.center * scale, own.radius * scale, own.height * scale)
         for name, own in regions.items()
     }
+
+
+def tracked(mesh: Mesh) -> Mesh:
+    """Return a posed mesh with a camera framing that follows the head.
+
+    Orbiting cameras move by the median displacement of the head's vertices from the reference pose.
+    If no head is found, all vertices count. A mesh in the reference pose is returned unchanged.
+    """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+    rest = mesh.rest
+    if rest is None:
+        return mesh
+    head = find_regions(rest)["head"]
+    assert head is not None
+    of_head, steps = [], []
+    for part, own in zip(mesh.parts, rest.parts, strict=True):
+        drawn = used(own.positions, own.faces)
+        away = np.abs(rest.normalised(own.positions[drawn]) - head.center)
+        across = np.hypot(away[:, 0], away[:, 2])
+        of_head.append((across <= head.radius) & (away[:, 1] <= head.height))
+        steps.append((part.positions - own.positions)[drawn])
+    step, inside = np.concatenate(steps), np.concatenate(of_head)
+    step = np.median(step[inside] if inside.any() else step, axis=0)
+    return in_space(replace(mesh, bounds=rest.bounds + step))
 
 
 def region_of(mesh: Mesh, frame: Frame) -> Region | None:

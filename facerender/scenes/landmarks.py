@@ -203,8 +203,9 @@ def _item(name: str, item: Any, named: bool) -> tuple[str, list[int], list[float
     for key in ("name", "part"):
         check_type(f"{place}: {key}", table.get(key, ""), str, "text")
     vertices = table.get("vertices")
-    in_list = isinstance(item, Mapping) and isinstance(vertices, list)
-    given: list[Any] = vertices if in_list else [vertices]  # type: ignore[assignment]
+    given: list[Any] = [vertices]
+    if isinstance(item, Mapping) and isinstance(vertices, list):
+        given = vertices
     whole = all(isinstance(each, int) and not isinstance(each, bool) for each in given)
     if not (whole and 0 < len(given) <= 3 and all(0 <= each < _HIGHEST for each in given)):
         raise InputError(f"{place}: vertices = {shown(vertices)}: give one to three vertex numbers")
@@ -218,29 +219,6 @@ def _item(name: str, item: Any, named: bool) -> tuple[str, list[int], list[float
     spare = 3 - len(given)
     full = [*given, *given[:1] * spare], [*map(float, weights), *[0.0] * spare]
     return table.get("name") or name, *full, table.get("part", "")
-
-
-def projected(view: View, mesh: Mesh, points: Float, size: tuple[int, int]) -> tuple[Float, Float]:
-    """Project points of mesh space to pixels, in float64.
-
-    Parameters
-    ----------
-    mesh : the scene's mesh, or one with the same bounds
-    points : (N, 3), in mesh units
-    size : width and height of the image
-
-    Returns
-    -------
-    pixels : (N, 2), x to the right and y down; the image's top left corner is (0, 0), its first
-        pixel's centre (0.5, 0.5). NaN at depths of 0 or less
-    depth : (N,), distance from the camera along the viewing direction, in mesh units
-    """
-    matrix = view.matrix[:, [0, 1, 3]]
-    clip = mesh.normalised(points) @ matrix[:3] + matrix[3]
-    depth = clip[:, 2]
-    with np.errstate(all="ignore"):
-        flat = np.where(depth[:, None] > 0.0, clip[:, :2] / depth[:, None], np.nan)
-    return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
 
 
 def located(
@@ -262,13 +240,13 @@ def located(
 
     Returns
     -------
-    pixels, depth : see :func:`projected`
+    pixels, depth : see :meth:`View.project`
     visible : (N,), whether the point is in the image and not hidden
     """
     height, width = image.shape[:2]
-    pixels, depth = projected(view, mesh, points, (width, height))
+    pixels, depth = view.project(mesh, points, (width, height))
     with np.errstate(invalid="ignore"):
-        inside = ((pixels >= 0.0) & (pixels < (width, height))).all(axis=1)
+        inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)
     pixel = depth / view.intrinsics((width, height)).diagonal()[:2].min()
     slack = pixel + depth * _RESOLUTION + mesh.radius * _INTERPOLATION
     surface = np.where(image[..., 3] > 0.0, image[..., 0].astype(np.float64), np.inf)

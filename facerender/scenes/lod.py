@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import index
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, check_type, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.scenes.framing import find_regions
-from facerender.scenes.mesh import TRIANGLES, Mesh, Part
-from facerender.scenes.pose import moved, reference_of
+from facerender.scenes.mesh import TRIANGLES, Mesh, Part, moved, reference_of
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 from facerender.system import meshoptimizer
 from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
+Level = tuple[Mesh, list[NDArray[np.int64]]]
 
 # Weights of attribute errors. Position errors, in extents of the mesh, have weight 1.
 # _PLACE weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights
@@ -31,10 +32,10 @@ _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 
 _SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, because sizes are rounded
 
-# Keyed by mesh and triangle limit: the simplified mesh, and for each of its parts the indices of
-# the remaining vertices.
-_simplified: WeakKeyDictionary[Mesh, dict[int, tuple[Mesh, list[NDArray[np.int64]]]]]
-_simplified = WeakKeyDictionary()
+_simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
+# Keyed by the first part, all parts and the triangle limit: the simplified parts, and for each part
+# the indices of the remaining vertices. Poses and copies with other materials share these levels.
+_levels: WeakKeyDictionary[Part, dict[tuple[Any, ...], Level]] = WeakKeyDictionary()
 _single_sided: WeakKeyDictionary[Mesh, Mesh] = WeakKeyDictionary()
 
 
@@ -70,24 +71,34 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
-    rest = reference_of(mesh)
-    known = _simplified.setdefault(rest, {})
+    known = _simplified.setdefault(mesh, {})
     if triangles not in known:
-        known[triangles] = _simplify(rest, triangles)
-    result, vertices = known[triangles]
-    if (left := sum(len(part.faces) for part in result.parts)) > triangles:
+        known[triangles] = _posed(mesh, *_level(reference_of(mesh), triangles))
+    if (left := sum(len(part.faces) for part in known[triangles].parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {left} remain")
-    if mesh is rest:
-        return result
-    pairs = [*zip(mesh.parts, vertices, strict=True)]
-    places, normals = ([getattr(p, n)[own] for p, own in pairs] for n in ("positions", "normals"))
-    return replace(
-        moved(result, places, normals),
-        **{name: getattr(mesh, name) for name in ("materials", "bounds", "radius", "profile")},
-    )
+    return known[triangles]
 
 
-def _simplify(mesh: Mesh, triangles: int) -> tuple[Mesh, list[NDArray[np.int64]]]:
+def _level(rest: Mesh, triangles: int) -> Level:
+    """Return the simplified reference pose and its remaining vertices, from a cache."""
+    known = _levels.setdefault(rest.parts[0], {})
+    key = triangles, *map(ref, rest.parts)
+    if key not in known:
+        known[key] = _simplify(rest, triangles)
+    return known[key]
+
+
+def _posed(mesh: Mesh, level: Mesh, remaining: Sequence[NDArray[np.int64]]) -> Mesh:
+    """Return a simplified mesh with the pose and the materials of a mesh."""
+    own = {name: getattr(mesh, name) for name in ("materials", "bounds", "radius", "profile")}
+    if mesh.rest is None:
+        return replace(level, **own)
+    pairs = [*zip(mesh.parts, remaining, strict=True)]
+    places, normals = ([getattr(p, n)[left] for p, left in pairs] for n in ("positions", "normals"))
+    return replace(moved(level, places, normals), **own)
+
+
+def _simplify(mesh: Mesh, triangles: int) -> Level:
     """Simplify all parts together, so that borders between parts stay closed and the errors of
     different parts are comparable. Also return the indices of each part's remaining vertices."""
     try:

@@ -7,7 +7,8 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,13 +23,22 @@ from facerender.errors import (
     shown,
     warn,
 )
-from facerender.images.srgb import srgb_to_linear
-from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
+from facerender.scenes.arrays import piece_of
+from facerender.scenes.material import Alpha, Material, check_maps
+from facerender.scenes.normals import Corners, unit_or
 from facerender.scenes.presets import changed
 from facerender.scenes.repair import Piece, are_closed, clean, used
-from facerender.scenes.vectors import check_array, rows_of
+from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
+if TYPE_CHECKING:
+    from facerender.scenes.rig import Clip, Rig
+
+Rows = NDArray[np.float64]
+
+# The radius of the renderer's space grows by this factor if vertices leave it. With a small factor,
+# the space would change in many frames, and all parts would be uploaded again.
+_GROWTH = 2.0**0.25
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
 _OF_ROOT = ("faces", "uv", "colors", "occlusion", "uv2")  # arrays that all poses of a part share
 
@@ -56,6 +66,7 @@ class Part:
         seams do not split; None if each vertex of the part has its own
     source_count : number of these vertices of the file or arrays
     rest : the part in the reference pose, if this part is in another pose, else None
+    rig : data of the poses of a glTF file; None for a part that cannot be posed
     """
 
     positions: NDArray[np.float64]
@@ -71,11 +82,17 @@ class Part:
     sources: NDArray[np.integer] | None = None
     source_count: int = 0
     rest: Part | None = None
+    rig: Rig | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
         check_type("rest of a part", self.rest, Part | None, "a Part or None")
+        if self.rig is not None:
+            from facerender.scenes.rig import Rig  # most meshes have none: this saves 5 ms
+
+            check_type("rig of a part", self.rig, Rig, "a facerender.scenes.rig.Rig or None")
+        IntegerRange(0, math.inf).check("source_count of a part", self.source_count)
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
         for name, columns in (
@@ -140,9 +157,9 @@ class Mesh:
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
     regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
         from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
-    rest : the mesh in the reference pose, if this mesh is in another pose, else None. In another
-        pose, bounds, profile and regions are those of the reference pose, so that cameras stay, and
-        the radius may be larger; see :meth:`with_positions` and :meth:`tracked`
+    rest : the mesh in the reference pose, if this mesh is in another pose, else None. Bounds,
+        profile and regions describe the reference pose, so that cameras stay; the radius may be
+        larger. See :meth:`with_positions` and :func:`facerender.tracked`
     """
 
     name: str
@@ -157,6 +174,7 @@ class Mesh:
 
     def __post_init__(self) -> None:
         check_type("name of a mesh", self.name, str, "text")
+        check_type("rest of a mesh", self.rest, Mesh | None, "a Mesh or None")
         parts = each_of("parts", self.parts, Part, "several facerender.scenes.mesh.Part")
         materials = each_of("materials", self.materials, Material, "several facerender.Material")
         if not 0 < len(parts) == len(materials):
@@ -223,6 +241,9 @@ class Mesh:
                 uv2=piece.uv2,
                 head=piece.head,
                 skin=piece.skin,
+                sources=piece.sources,
+                source_count=piece.source_count,
+                rig=piece.rig,
             )
             for piece, own in zip(pieces, _unique(names), strict=True)
         ]
@@ -235,6 +256,7 @@ class Mesh:
         faces: ArrayLike,
         *,
         uv: ArrayLike | None = None,
+        uv_faces: ArrayLike | None = None,
         normals: ArrayLike | None = None,
         colors: ArrayLike | None = None,
         material: Material | None = None,
@@ -250,7 +272,9 @@ class Mesh:
         ----------
         positions : (N, 3), y up
         faces : (F, 3) vertex indices from 0, counter-clockwise seen from outside
-        uv : (N, 2), v upwards; repeat the vertices of a seam for each side of the seam
+        uv : (N, 2), v upwards, one row for each vertex; or (M, 2) with uv_faces
+        uv_faces : (F, 3) indices of rows of uv for the corners of the faces, as in OBJ files; None
+            if uv has one row for each vertex
         normals : (N, 3), vectors of any length; None to compute smooth normals
         colors : (N, 3) or (N, 4): linear floats in [0, 1], or sRGB-encoded uint8 or uint16; alpha
             is dropped
@@ -264,7 +288,7 @@ class Mesh:
             maps without texture coordinates
         """
         check_type("name of a mesh", name, str, "text")
-        piece = _piece_of(positions, faces, uv, normals, colors, material)
+        piece = piece_of(positions, faces, uv, uv_faces, normals, colors, material)
         piece.name = name
         with np.errstate(all="ignore"):  # clean() drops faces that cause overflow
             return cls.assembled(clean([piece], name), name, millimetres)
@@ -365,7 +389,8 @@ class Mesh:
         coordinates and materials.
 
         A renderer only updates its vertex buffers. Cameras frame the reference pose, which is the
-        mesh of the first call, so that the image stays while the face moves; see :meth:`tracked`.
+        mesh of the first call, so that the image stays while the face moves. See
+        :func:`facerender.tracked`.
 
         Parameters
         ----------
@@ -385,25 +410,68 @@ class Mesh:
         -----
         FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
         """
-        from facerender.scenes.pose import moved, rows_of_parts
-
-        places = rows_of_parts(self, "positions", positions)
-        given = rows_of_parts(self, "normals", normals)
-        return moved(self, places, given)
-
-    def tracked(self) -> Mesh:
-        """Return the mesh with a camera framing that follows the head: orbiting cameras move by the
-        median displacement of the head's vertices from the reference pose. If no head is found, all
-        vertices count. A mesh in the reference pose is returned unchanged."""
-        from facerender.scenes.pose import tracked
-
-        return tracked(self)
+        places = _rows_of_parts(self, "positions", positions)
+        given = _rows_of_parts(self, "normals", normals)
+        with np.errstate(all="ignore"):  # in_space() refuses positions that cause overflow
+            return moved(self, places, given)
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
         new = {i: changed(self.materials[i], changes) for i in chosen}
         _warn_of_lobes(self.name, changes, new.values())
         materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
         return replace(self, materials=materials)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the morph targets of a glTF file: ``shape1``, ``shape2``... if it has none."""
+        rigs = (part.rig for part in self.parts)
+        return tuple(dict.fromkeys(shape.name for rig in rigs if rig for shape in rig.shapes))
+
+    @property
+    def clips(self) -> dict[str, float]:
+        """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
+        ``clip2``... if they have none. Damaged animations are left out."""
+        return {each.name: each.duration for each in clips_of(self.parts) if not each.fault}
+
+    def with_pose(
+        self,
+        weights: Mapping[str, float] | None = None,
+        *,
+        clip: str | None = None,
+        time: float | None = None,
+    ) -> Mesh:
+        """Return a copy of the mesh in another pose. Triangles, materials and camera framing do
+        not change. Every pose starts from the pose in the file, also if this mesh has another one.
+
+        Parameters
+        ----------
+        weights : weights in [-100, 100] of morph targets, keyed by a name of :attr:`shapes`. They
+            override the weights of the clip and of the file, in all parts with this shape
+        clip : name of an animation, see :attr:`clips`; None: the first one if ``time`` is given,
+            otherwise the pose in the file
+        time : time in seconds, from 0 to the length of the clip; None: 0
+
+        Raises
+        ------
+        InputError : the mesh has no shapes and no clips, a name is unknown, a value is outside its
+            range, a clip or shape is damaged, or a vertex moves too far
+
+        Warns
+        -----
+        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
+            the mesh has baked occlusion, see :meth:`with_positions`
+        """
+        from facerender.scenes.rig_pose import posed  # only for poses, as above
+
+        rest = reference_of(self)
+        places, normals = posed(rest, lambda: _corners_of(rest), weights, clip, time)
+        stored = self if rest is self else replace(self, parts=rest.parts, bounds=rest.bounds)
+        return moved(stored, places, normals)
+
+
+def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
+    """Return the clips of a mesh's file, also the damaged ones."""
+    return next((part.rig.skeleton.clips for part in parts if part.rig), ())
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
@@ -513,46 +581,137 @@ def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([widths[widest], heights[widest]], axis=1)
 
 
-def _piece_of(
-    positions: ArrayLike,
-    faces: ArrayLike,
-    uv: ArrayLike | None,
-    normals: ArrayLike | None,
-    colors: ArrayLike | None,
-    material: Material | None,
-) -> Piece:
-    check_type("material", material, Material | None, "a facerender.Material or None")
-    places = rows_of("positions", positions, (3,))
-    corners = rows_of("faces", faces, (3,), "; cut polygons into triangles")
-    count = len(places)
-    if (corners != np.floor(corners)).any():
-        raise InputError("faces are not whole numbers: give vertex indices")
-    if ((corners < 0) | (corners >= count)).any():
-        bad = int(corners.min()) if (corners < 0).any() else int(corners.max())
-        raise InputError(f"a face uses vertex {bad} of {count}: give indices from 0 on")
-    if material is None:
-        material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
-    maps = [each for each in MAPS if getattr(material, each) is not None]
-    if uv is None and maps:
-        raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
-    return Piece(
-        places,
-        corners.astype(np.int64),
-        None if normals is None else rows_of("normals", normals, (3,), count=count),
-        None if uv is None else rows_of("uv", uv, (2,), count=count),
-        None if colors is None else _linear_colors(colors, count),
-        material,
+def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Rows | None]:
+    """Return the rows (N, 3) of each part; None for a part without rows. For the accepted values
+    and the errors see :meth:`Mesh.with_positions`."""
+    parts = mesh.parts
+    if isinstance(values, Mapping):
+        chosen: dict[int, Any] = {}
+        for key, own in values.items():
+            chosen |= dict.fromkeys(mesh.called(str(key)), own)
+        values = [chosen.get(number) for number in range(len(parts))]
+    if values is None:
+        values = [None] * len(parts)
+    each_part = isinstance(values, list | tuple) and all(
+        own is None or np.ndim(own) == 2 for own in values
     )
-
-
-def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
-    rows = rows_of("colors", colors, (3, 4), count=count)[:, :3]
-    dtype = np.asarray(colors).dtype
-    if dtype in (np.uint8, np.uint16):
-        return srgb_to_linear(rows / np.iinfo(dtype).max)
-    if rows.min() < 0.0 or rows.max() > 1.0:
+    if each_part:
+        if len(values) != len(parts):
+            raise InputError(
+                f"{name} has {len(values)} arrays: give {len(parts)}, one for each part of "
+                f"{mesh.name}"
+            )
+        return [
+            None if own is None else _of_part(f"{name} of {part.name or mesh.name}", own, part)
+            for own, part in zip(values, parts, strict=True)
+        ]
+    rows: Rows = rows_of(name, values, (3,))
+    counts = [len(part.positions) for part in parts]
+    sources = {part.source_count for part in parts if part.sources is not None}
+    if len(rows) in sources and len(sources) == 1:
+        return [
+            rows[:count] if part.sources is None else rows[part.sources]
+            for part, count in zip(parts, counts, strict=True)
+        ]
+    if len(rows) != sum(counts):
+        wanted = " or ".join(map(str, dict.fromkeys((*sources, sum(counts)))))
         raise InputError(
-            f"colors range from {rows.min():.4g} to {rows.max():.4g}: give linear values in [0, 1] "
-            "or sRGB-encoded uint8"
+            f"{name} has {len(rows)} rows: give {wanted}, one for each vertex of {mesh.name}"
+        )
+    return list(np.split(rows, np.cumsum(counts)[:-1]))
+
+
+def _of_part(name: str, values: Any, part: Part) -> NDArray[np.float64]:
+    rows: Rows = rows_of(name, values, (3,))
+    if part.sources is not None and len(rows) == part.source_count:
+        return np.asarray(rows[part.sources])
+    if len(rows) != len(part.positions):
+        raise InputError(
+            f"{name} has {len(rows)} rows: give {len(part.positions)}, one for each vertex"
         )
     return rows
+
+
+def moved(
+    mesh: Mesh,
+    places: Sequence[NDArray[np.float64] | None],
+    normals: Sequence[NDArray[np.float64] | None],
+) -> Mesh:
+    """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
+
+    Parameters
+    ----------
+    places : finite positions (N, 3) of each part; None for a part that stays as it is
+    normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
+        replaced by the normal of the reference pose
+    """
+    rest = reference_of(mesh)
+    if any(part.occlusion is not None for part in rest.parts):
+        warn(
+            f"the baked occlusion of {rest.name} remains that of the reference pose: bake it for "
+            "each pose with facerender.with_occlusion, or leave it out"
+        )
+    if any(own is not None and n is None for own, n in zip(places, normals, strict=True)):
+        pairs = zip(mesh.parts, places, strict=True)
+        sums = _corners_of(rest).normal_sums(
+            [p.positions if own is None else own for p, own in pairs]
+        )
+    parts = []
+    for number, (part, own, normal) in enumerate(zip(mesh.parts, places, normals, strict=True)):
+        if own is not None or normal is not None:
+            root = part.root
+            at = part.positions if own is None else own
+            at = at if (drawn := _drawn_of(root)) is None else np.where(drawn, at, mesh.center)
+            turned = unit_or(sums[number] if normal is None else normal, root.normals)
+            part = replace(root, positions=at, normals=turned, rest=root)
+        parts.append(part)
+    return in_space(replace(mesh, parts=tuple(parts), regions=None, rest=rest))
+
+
+def reference_of(mesh: Mesh) -> Mesh:
+    """Return the mesh in the reference pose: the mesh itself unless it is a pose of another mesh
+    with the same arrays."""
+    rest = mesh.rest
+    if rest is None or any(a.root is not b for a, b in zip(mesh.parts, rest.parts, strict=True)):
+        return mesh
+    return rest
+
+
+def in_space(mesh: Mesh) -> Mesh:
+    """Return a posed mesh whose radius is at least the distance of all vertices from its centre.
+    The profile, which is relative to the radius, shrinks accordingly."""
+    rest = mesh.rest
+    assert rest is not None
+    away = (part.positions - mesh.center for part in mesh.parts)
+    reach = math.sqrt(max(np.einsum("ij,ij->i", each, each).max() for each in away)) / rest.radius
+    if reach > MOST_RADII:
+        raise InputError(
+            f"a vertex of {mesh.name} is {reach:.3g} mesh radii from the mesh's centre: give "
+            f"positions within {MOST_RADII:g}"
+        )
+    steps = max(math.ceil(math.log(reach * (1.0 - 1e-9), _GROWTH)), 0) if reach > 0.0 else 0
+    growth = _GROWTH**steps
+    return replace(mesh, radius=rest.radius * growth, profile=rest.profile / growth)
+
+
+_drawn: WeakKeyDictionary[Part, NDArray[np.bool_] | None] = WeakKeyDictionary()
+
+
+def _drawn_of(root: Part) -> NDArray[np.bool_] | None:
+    """Return a mask (N, 1) of the vertices that faces use; None if faces use all vertices."""
+    if root not in _drawn:
+        mask = used(root.positions, root.faces)[:, None]
+        _drawn[root] = None if mask.all() else mask
+    return _drawn[root]
+
+
+_corners: WeakKeyDictionary[Mesh, Corners] = WeakKeyDictionary()
+
+
+def _corners_of(rest: Mesh) -> Corners:
+    if rest not in _corners:
+        columns = zip(
+            *((part.positions, part.normals, part.faces) for part in rest.parts), strict=True
+        )
+        _corners[rest] = Corners.of(*columns)
+    return _corners[rest]

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
+
+if TYPE_CHECKING:
+    from facerender.scenes.rig import Rig
 
 # Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
 # products of areas with positions neither overflow nor become 0 in float64.
@@ -30,7 +33,7 @@ class Piece:
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head, skin : see :class:`facerender.scenes.mesh.Part`
+    head, skin, sources, source_count, rig : see :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -45,6 +48,9 @@ class Piece:
     material_name: str = ""
     head: NDArray[np.float64] | None = None
     skin: bool = True
+    sources: NDArray[np.integer] | None = None
+    source_count: int = 0
+    rig: Rig | None = None
 
 
 def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -73,20 +79,28 @@ def check_count(count: int, name: str) -> None:
         raise InputError(f"{name} has more than {_MOST_PIECES} parts with materials: join some")
 
 
+def transformed(
+    positions: NDArray[Any], normals: NDArray[Any] | None, matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, bool]:
+    """Return positions and normals after a transform, and whether the transform mirrors. The
+    normals have any length; they are None if there are none or the matrix is singular.
+
+    matrix : (4, 4), for column vectors
+    """
+    linear = matrix[:3, :3]
+    determinant = float(np.linalg.det(linear)) if np.isfinite(matrix).all() else 0.0
+    turned = None
+    if normals is not None and determinant:
+        with suppress(np.linalg.LinAlgError):
+            turned = np.asarray(normals, dtype=np.float64) @ np.linalg.inv(linear)
+    return positions @ linear.T + matrix[:3, 3], turned, determinant < 0.0
+
+
 def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
     """Return a piece transformed by a matrix (4, 4)."""
-    linear = transform[:3, :3]
-    determinant = float(np.linalg.det(linear)) if np.isfinite(transform).all() else 0.0
-    normals = None
-    if piece.normals is not None and determinant:
-        with suppress(np.linalg.LinAlgError):
-            normals = np.asarray(piece.normals, dtype=np.float64) @ np.linalg.inv(linear)
-    return replace(
-        piece,
-        positions=piece.positions @ linear.T + transform[:3, 3],
-        faces=piece.faces[:, ::-1] if determinant < 0.0 else piece.faces,
-        normals=normals,
-    )
+    positions, normals, mirrored = transformed(piece.positions, piece.normals, transform)
+    faces = piece.faces[:, ::-1] if mirrored else piece.faces
+    return replace(piece, positions=positions, faces=faces, normals=normals)
 
 
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
@@ -104,6 +118,8 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
         for piece in pieces:
             piece.faces = piece.faces[:, ::-1]
             piece.normals = -np.asarray(piece.normals)
+            if piece.rig is not None:
+                piece.rig = replace(piece.rig, sign=-1.0)
     return pieces
 
 
@@ -320,6 +336,8 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     for piece, start, each in zip(pieces, starts, np.split(faces, ends[:-1]), strict=False):
         piece.faces = each - start
         piece.normals = normals[welded[start : start + len(piece.positions)]]
+        if piece.rig is not None:
+            piece.rig = piece.rig.with_normals(piece.normals)
 
 
 def stacked(

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
 from facerender.scenes.camera import Camera
+from facerender.scenes.distortion import distort
 from facerender.scenes.framing import region_of
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import direction_to, within_reach
+from facerender.scenes.vectors import check_array, direction_to, within_reach
 from facerender.terms.ranges import range_of
 
 FRAMING_MARGIN = 1.04
@@ -35,11 +36,45 @@ class View:
     forward : (3,) float64, unit vector of the viewing direction
     matrix : (4, 4) float64, view matrix times projection matrix, for row vectors. Clip y = -1 is
         the top of the image, so that a framebuffer has its rows from the top down
+    distortion : lens distortion (see :class:`Camera`), which the matrix leaves out; None for none
     """
 
     position: NDArray[np.float64]
     forward: NDArray[np.float64]
     matrix: NDArray[np.float64]
+    distortion: tuple[float, ...] | None = None
+
+    def project(
+        self, mesh: Mesh, points: NDArray[np.float64], size: tuple[int, int]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Project points of mesh space to pixels, with the lens distortion, in float64.
+
+        Parameters
+        ----------
+        mesh : the scene's mesh, or one with the same bounds
+        points : (N, 3), in mesh units
+        size : width and height of the image
+
+        Returns
+        -------
+        pixels : (N, 2), x to the right and y down; the image's top left corner is (0, 0), its first
+            pixel's centre (0.5, 0.5). NaN at depths of 0 or less, and where the distortion folds
+        depth : (N,), distance from the camera along the viewing direction, in mesh units
+        """
+        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+        size = SIZES.check("size", size)
+        points = np.asarray(points)
+        check_array("points", points, 3)
+        places = np.column_stack([mesh.normalised(points), np.ones(len(points))])
+        clip = places @ self.matrix[:, _XYW]
+        depth = clip[:, 2]
+        with np.errstate(all="ignore"):
+            flat = np.where(depth[:, None] > 0.0, clip[:, :2] / depth[:, None], np.nan)
+        if self.distortion is not None:
+            lens = self._lens
+            focal, middle = lens[[0, 1], [0, 1]], lens[:2, 2]
+            flat = distort((flat - middle) / focal, self.distortion) * focal + middle
+        return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
 
     def shifted(self, pixels: tuple[float, float], size: tuple[int, int]) -> View:
         """Return the view with its image moved right by x pixels and down by y pixels.
@@ -145,7 +180,8 @@ def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
         check_range(name, value, -1e6, 1e6)
     view = view_of(scene, width / height).shifted((x, y), size)
     pose, lens = view.extrinsics(scene.mesh).tolist(), view.intrinsics(size).tolist()
-    return replace(scene, camera=Camera(extrinsics=pose, intrinsics=lens, size=size))
+    camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion)
+    return replace(scene, camera=camera)
 
 
 def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
@@ -174,7 +210,7 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
         k = np.array(camera.intrinsics)
         lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
         lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
-    return View(eye, forward, _look(eye, eye + forward, -turn[1]) @ lens)
+    return View(eye, forward, _look(eye, eye + forward, -turn[1]) @ lens, camera.distortion)
 
 
 def _look(
@@ -211,12 +247,14 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
     """Return the reason why an image of the given size shows nothing of the mesh, and a remedy."""
     width, height = size
     view = view_of(scene, width / height)
-    places = np.concatenate([scene.mesh.normalised(each.positions) for each in scene.mesh.parts])
-    x, y, w = (np.column_stack([places, np.ones(len(places))]) @ view.matrix[:, _XYW]).T
-    before = w > 0.0
-    if not before.any():
+    places = np.concatenate([each.positions for each in scene.mesh.parts])
+    pixels, depth = view.project(scene.mesh, places, (width, height))
+    if not (depth > 0.0).any():
         return "all of it lies behind the camera; turn the camera, or move it back"
-    x, y = x[before] / w[before], y[before] / w[before]
+    pixels = pixels[np.isfinite(pixels).all(axis=-1)]
+    if not len(pixels):
+        return "all of it lies beyond the reach of the lens distortion; turn the camera"
+    x, y = (2.0 * pixels / size - 1.0).T
     extents = (x.max() - x.min()) * width / 2.0, (y.max() - y.min()) * height / 2.0
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
         if max(extents) < 2.0:

@@ -12,6 +12,8 @@ The modules, in the order of the data flow:
     eyes       eyeballs and corneas
     lids       open eyelids, cut into the mesh
     lashes     lashes, and the tear line of the lower lids
+    mouth      cut between the lips, and the cavity with teeth and tongue
+    shapes     blend shapes of all parts
     unwrap     texture coordinates, and the surface point of every texel
     noise      random patterns in space and random points on the mesh
     regions    weights of the skin regions

@@ -10,6 +10,8 @@ from .eyes import both_eyes, corneas, eyeballs
 from .glb import CORNEA, EYEBALLS, LASHES, TEAR_LINE, Part, write_glb
 from .lashes import lashes, tear_lines
 from .lids import open_lids, with_open_eyes
+from .mouth import with_mouth
+from .shapes import lash_moves, skin_moves
 from .surface import Mesh, build_mesh
 from .texture import paint
 from .unwrap import unwrap
@@ -21,18 +23,22 @@ def write_head(path: Path, closed: Mesh, *, open_eyes: bool, texture_size: int, 
     """Paint the ``closed`` head, open its eyes if wanted, and write the GLB file."""
     eyes = both_eyes() if open_eyes else ()
     openings = [open_lids(eye) for eye in eyes]
-    head = unwrap(*with_open_eyes(closed, openings)) if eyes else unwrap(closed)
+    cut, tucked, rings = with_open_eyes(closed, openings) if eyes else (closed, None, [])
+    shaped, mouth = with_mouth(cut)
+    head = unwrap(shaped, mouth, tucked)
     maps = paint(head, texture_size, seed, closed, eyes)
+    moves = skin_moves(shaped, mouth, openings, rings)
     parts = []
     if eyes:
+        strands = lashes(openings, seed)
         eye_maps = paint_eyes(eyes, texture_size // EYE_TEXTURE_SHARE, seed)
         parts = [
             Part("eyeballs", eyeballs(eyes), EYEBALLS, eye_maps),
-            Part("lash-strands", lashes(openings, seed), LASHES),
+            Part("lash-strands", strands, LASHES, moves=lash_moves(strands, openings)),
             Part("tear-line", tear_lines(openings), TEAR_LINE),
             Part("cornea", corneas(eyes), CORNEA),
         ]
-    write_glb(path, head, maps, parts)
+    write_glb(path, head, maps, moves, parts)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import io
 import json
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from PIL import Image
 from .eye_texture import EyeMaps
 from .eyes import IRIS_DEPTH, Textured
 from .fields import Floats
+from .shapes import Moves
 from .surface import Mesh
 from .texture import Maps
 from .unwrap import Unwrapped
@@ -36,6 +37,7 @@ FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 REPEAT, CLAMP_TO_EDGE = 10497, 33071
+MOST_SHORT = 65_535  # vertices with short indices; index 65,535 is the primitive restart index
 GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
@@ -84,12 +86,13 @@ def _padded(content: bytes, filler: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Part:
-    """A part besides the skin: its mesh in cm, its glTF material, and its maps or None."""
+    """A part besides the skin: its mesh and blend shapes in cm, its glTF material, its maps."""
 
     name: str
     shape: Textured
     material: Doc
     maps: EyeMaps | None = None
+    moves: Moves = field(default_factory=dict)
 
 
 class _Writer:
@@ -123,15 +126,44 @@ class _Writer:
         )
         return len(self.accessors) - 1
 
-    def mesh(self, name: str, mesh: Mesh, coordinates: Floats | None, material: int) -> Doc:
+    def sparse(self, moves: Floats) -> int:
+        """Add displacements in cm, of which only those that are not 0 are stored."""
+        values = np.asarray(moves * METRES_PER_CM, "<f4")
+        rows = np.flatnonzero(values.any(1))
+        short = len(moves) <= MOST_SHORT
+        kind = UNSIGNED_SHORT if short else UNSIGNED_INT
+        indices = self.view(rows.astype("<u2" if short else "<u4").tobytes())
+        self.accessors.append(
+            {
+                "componentType": FLOAT,
+                "count": len(values),
+                "type": "VEC3",
+                "min": values.min(0).tolist(),
+                "max": values.max(0).tolist(),
+                "sparse": {
+                    "count": len(rows),
+                    "indices": {"bufferView": indices, "componentType": kind},
+                    "values": {"bufferView": self.view(values[rows].tobytes())},
+                },
+            }
+        )
+        return len(self.accessors) - 1
+
+    def mesh(
+        self,
+        name: str,
+        mesh: Mesh,
+        coordinates: Floats | None,
+        material: int,
+        shapes: Moves,
+    ) -> Doc:
         attributes = {
             "POSITION": self.attribute(mesh.positions * METRES_PER_CM, "VEC3"),
             "NORMAL": self.attribute(mesh.normals, "VEC3"),
         }
         if coordinates is not None:
             attributes["TEXCOORD_0"] = self.attribute(coordinates * (1, -1) + (0, 1), "VEC2")
-        # Index 65,535 is excluded: it is the primitive restart index.
-        short = len(mesh.positions) < 65_535
+        short = len(mesh.positions) <= MOST_SHORT
         indices = mesh.faces.astype("<u2" if short else "<u4").tobytes()
         self.accessors.append(
             {
@@ -143,7 +175,10 @@ class _Writer:
         )
         indices_at = len(self.accessors) - 1
         primitive = {"attributes": attributes, "indices": indices_at, "material": material}
-        return {"name": name, "primitives": [primitive]}
+        if not shapes:
+            return {"name": name, "primitives": [primitive]}
+        primitive["targets"] = [{"POSITION": self.sparse(moves)} for moves in shapes.values()]
+        return {"name": name, "primitives": [primitive], "extras": {"targetNames": list(shapes)}}
 
     def image(self, name: str, image: Image.Image, encoding: tuple[int, bool]) -> int:
         view = self.view(_jpeg(image, *encoding))
@@ -168,10 +203,11 @@ def _material(name: str, albedo: int, numbers: int, normal: int | None = None) -
 
 
 def _describe(
-    unwrapped: Unwrapped, maps: Maps, parts: Sequence[Part]
+    unwrapped: Unwrapped, maps: Maps, moves: Moves, parts: Sequence[Part]
 ) -> tuple[dict[str, Any], bytes]:
     writer = _Writer()
-    meshes = [writer.mesh("head", unwrapped.mesh, unwrapped.coordinates, 0)]
+    own = {name: values[unwrapped.source] for name, values in moves.items()}
+    meshes = [writer.mesh("head", unwrapped.mesh, unwrapped.coordinates, 0, own)]
     albedo = writer.image("albedo", maps.albedo, ALBEDO_JPEG)
     normal = writer.image("normal", maps.normal, NORMAL_JPEG)
     numbers = writer.image(
@@ -180,7 +216,9 @@ def _describe(
     materials = [_material("skin", albedo, numbers, normal)]
     for part in parts:
         shape = part.shape
-        meshes.append(writer.mesh(part.name, shape.mesh, shape.coordinates, len(materials)))
+        meshes.append(
+            writer.mesh(part.name, shape.mesh, shape.coordinates, len(materials), part.moves)
+        )
         material = part.material
         if part.maps is not None:
             albedo = writer.image(f"{part.name}-albedo", part.maps.albedo, ALBEDO_JPEG)
@@ -217,9 +255,15 @@ def _describe(
     return description, writer.content
 
 
-def write_glb(path: Path, unwrapped: Unwrapped, maps: Maps, parts: Sequence[Part] = ()) -> None:
-    """Write the head to ``path``; ``parts`` are the eyes if they are open."""
-    description, binary = _describe(unwrapped, maps, parts)
+def write_glb(
+    path: Path, unwrapped: Unwrapped, maps: Maps, moves: Moves, parts: Sequence[Part] = ()
+) -> None:
+    """Write the head to ``path``.
+
+    ``moves`` are the shapes of the skin, for the vertices before unwrapping; ``parts`` are the
+    eyes if they are open.
+    """
+    description, binary = _describe(unwrapped, maps, moves, parts)
     text = _padded(json.dumps(description, separators=(",", ":")).encode(), b" ")
     size = 12 + 8 + len(text) + 8 + len(binary)
     path.write_bytes(

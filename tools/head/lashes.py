@@ -51,6 +51,7 @@ LOWER = Row(
     radius=0.0050,
 )
 SECTIONS = (0.0, 0.25, 0.5, 0.75)  # places of the triangular sections along a lash, before its tip
+STRAND_VERTICES = 3 * len(SECTIONS) + 1
 CLUMP = 4  # neighbouring lashes whose tips lean together
 ROOT_DEPTH = 0.012  # of the roots below the skin
 

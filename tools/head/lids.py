@@ -67,6 +67,17 @@ GAP = 0.008  # between margin and eyeball
 BACK = ((9.0, 0.03), (26.0, 0.06))  # polar angle behind the margin, degrees; gap
 CARUNCLE = (-1.33, -0.18, 0.11, 0.12)  # x, y, radius, height
 
+# Closed lids: the upper lid overlaps the lower one, and its skin lies above that of the open lid.
+# Openings above which it moves the whole way down, and the whole way forward.
+CLOSED_OVERLAP, CLOSED_LIFT = 0.04, 0.105
+CLOSED_CORNER = (0.20, 0.50)
+CLOSED_FALLOFF = 2.0  # of the shift, from the edge to the border of the hole
+CLOSED_ON_EYE = (0.90, 0.30)  # places between which the upper lid comes to lie on the eyeball
+# Depths behind the skin of the rounded edge and of the first margin rings; fractions of the way to
+# these places that the margin rings move.
+CLOSED_DEPTHS = (0.016, 0.036, 0.018)
+CLOSED_PART = (1.0, 0.12)
+
 HIGHEST, TRACING_STEPS = 4.5, 100  # start and steps of the search for the face from the front
 
 TUCKED_REACH = 0.84  # fraction of the way to the middle of the opening that its texels fill
@@ -246,6 +257,43 @@ def open_lids(eye: Eye) -> Opening:
     return Opening(eye, rings, len(skin) - 1, len(skin) + EDGE_STEPS + MARGIN_STEPS - 1)
 
 
+def skin_places() -> Floats:
+    """Return the places of the skin's rings, from the border of the hole (1) inward, (R, 1)."""
+    return np.array([1.0, *reversed(LID_RINGS)], np.float32)[:, None]
+
+
+def closed_lids(opening: Opening) -> Floats:
+    """Return the rings of an opening whose lids are closed, local, (rings, points, 3).
+
+    The upper lid slides over the eyeball and overlaps the lower lid, which does not move. Vertices
+    that touch the eyeball do not move either: on a straight line, they would enter it.
+    """
+    rings, edge = opening.rings.copy(), _edge(opening.eye)
+    lower, upper = edge_heights(opening.eye, edge[:, 0])
+    on_upper = np.arange(len(edge)) <= UPPER_STEPS
+    share, lifted = (ramp(0.0, end, upper - lower) * on_upper for end in CLOSED_CORNER)
+    shift = share * (lower - CLOSED_OVERLAP - edge[:, 1])
+
+    place = skin_places()
+    skin = rings[: opening.edge + 1]
+    skin[..., 1] += shift * (1 - place) ** CLOSED_FALLOFF
+    height = _shell(skin[..., :2].reshape(-1, 2)).reshape(skin.shape[:2]) + CLOSED_LIFT
+    skin[..., 2] += lifted * ramp(*CLOSED_ON_EYE, place) * (height - skin[..., 2])
+
+    closed = np.stack([edge[:, 0], edge[:, 1] + shift], 1)
+    corner = np.concatenate([closed, (_shell(closed) + CLOSED_LIFT)[:, None]], 1)
+    inward = np.array([0, 0, -1], np.float32)
+    wanted = []
+    for t in np.linspace(0, 1, EDGE_STEPS + 1)[1:]:
+        on_edge = (1 - t) ** 2 * skin[-1] + (1 - (1 - t) ** 2) * corner
+        wanted.append(on_edge + t * t * CLOSED_DEPTHS[0] * inward)
+    wanted += [corner + depth * inward for depth in CLOSED_DEPTHS[1:]]
+    parts = (*[1.0] * EDGE_STEPS, *CLOSED_PART)
+    for ring, target, part in zip(rings[opening.edge + 1 :], wanted, parts, strict=False):
+        ring += part * np.stack([share, share, lifted], 1) * (target - ring)
+    return rings
+
+
 def _border(faces: Faces, removed: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the vertices around the removed faces, counter-clockwise seen from outside."""
     sides = np.stack([faces, np.roll(faces, -1, 1)], 2)
@@ -337,11 +385,19 @@ def _fill(mesh: Mesh, opening: Opening) -> tuple[Mesh, Tucked]:
     return Mesh(positions, normals, faces), _tucked(opening, first)
 
 
-def with_open_eyes(closed: Mesh, openings: Sequence[Opening]) -> tuple[Mesh, Tucked]:
-    """Return the head with open lids, and the vertices without texture coordinates of their own."""
+def with_open_eyes(
+    closed: Mesh, openings: Sequence[Opening]
+) -> tuple[Mesh, Tucked, list[NDArray[np.int64]]]:
+    """Return the head with open lids.
+
+    Also returns the vertices without texture coordinates of their own, and the vertices of each
+    opening's rings, (rings, points).
+    """
     mesh = closed
-    tucked = []
+    tucked, rings = [], []
     for opening in openings:
+        shape = opening.rings.shape[:2]
+        rings.append(len(mesh.positions) + np.arange(np.prod(shape)).reshape(shape))
         mesh, found = _fill(mesh, opening)
         tucked.append(found)
     used, faces = np.unique(mesh.faces, return_inverse=True)
@@ -358,6 +414,7 @@ def with_open_eyes(closed: Mesh, openings: Sequence[Opening]) -> tuple[Mesh, Tuc
             np.concatenate([renumbered[each.anchors] for each in tucked]),
             np.concatenate([each.weights for each in tucked]),
         ),
+        [renumbered[rows] for rows in rings],
     )
 
 

@@ -348,19 +348,19 @@ def ear_distance(points: Floats) -> Floats:
     return distance
 
 
-def _bent(points: Floats) -> tuple[Floats, Floats, Floats]:
+def bent(points: Floats) -> tuple[Floats, Floats, Floats]:
     """Map points to the symmetric head; the inverse makes the head slightly asymmetric."""
     x, y, z = (points[:, axis].astype(np.float32) for axis in range(3))
-    bent = x + 0.07 * np.sin(0.45 * y + 0.6) * ramp(2, 8, z) + 0.02 * np.sin(1.3 * y)
-    raised = y + 0.05 * np.sin(0.5 * bent) * ramp(3, 8, z)
-    return np.asarray(bent, np.float32), np.asarray(raised, np.float32), z
+    side = x + 0.07 * np.sin(0.45 * y + 0.6) * ramp(2, 8, z) + 0.02 * np.sin(1.3 * y)
+    raised = y + 0.05 * np.sin(0.5 * side) * ramp(3, 8, z)
+    return np.asarray(side, np.float32), np.asarray(raised, np.float32), z
 
 
 def placed(points: Floats) -> Floats:
     """Return the places on the asymmetric head of points (N, 3) of the symmetric head."""
     found = points
     for _ in range(8):
-        found = found + points - np.stack(_bent(found), 1)
+        found = found + points - np.stack(bent(found), 1)
     return np.asarray(found, np.float32)
 
 
@@ -407,26 +407,27 @@ def head_distance(points: Floats, *, fine: bool = False) -> Floats:
     fine : whether the folds of lids and mouth have their real width, which is too narrow for the
         mesh; the normal map uses it
     """
-    bent = _bent(points)
-    return smooth_minimum(_without_ears(*bent, fine=fine), ear_distance(np.stack(bent, 1)), 0.35)
+    places = bent(points)
+    ears = ear_distance(np.stack(places, 1))
+    return smooth_minimum(_without_ears(*places, fine=fine), ears, 0.35)
 
 
 def lidless_distance(points: Floats) -> Floats:
     """Return the distance to a face whose eyelids have no edges and folds, without ears."""
-    return _without_ears(*_bent(points), fine=False, closed_lids=False)
+    return _without_ears(*bent(points), fine=False, closed_lids=False)
 
 
 def nostril_distance(points: Floats) -> Floats:
     """Return the signed distance of points (N, 3) to the hollows of the nostrils, in cm."""
-    x, y, z = _bent(points)
+    x, y, z = bent(points)
     return _nostrils(np.abs(x), y, z)
 
 
 def belongs_to_ear(points: Floats) -> NDArray[np.bool_]:
     """Return whether points near the skin are nearer to an ear than to the rest of the head."""
-    bent = _bent(points)
-    ear = ear_distance(np.stack(bent, 1))
-    return np.asarray(ear < _without_ears(*bent, fine=False))
+    places = bent(points)
+    ear = ear_distance(np.stack(places, 1))
+    return np.asarray(ear < _without_ears(*places, fine=False))
 
 
 def fine_head_distance(points: Floats) -> Floats:

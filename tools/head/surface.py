@@ -153,8 +153,7 @@ def _relax(positions: Floats, faces: Faces, steps: int) -> Floats:
 def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
     """Split edges whose normals differ by more than ``SHARPEST_TURN``.
 
-    Edges up to ``SHORTEST_EDGE`` are not split, because some folds are too fine for the mesh. A
-    face becomes two, three or four faces if one, two or three of its edges are split.
+    Edges up to ``SHORTEST_EDGE`` are not split, because some folds are too fine for the mesh.
     """
     normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
     sides = np.stack([faces, np.roll(faces, -1, 1)], 2).reshape(-1, 2)
@@ -163,8 +162,15 @@ def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
     turned &= np.linalg.norm(np.subtract(*positions[edges.T]), axis=1) > SHORTEST_EDGE
     middles = np.where(turned, len(positions) - 1 + np.cumsum(turned), -1)
     positions = np.concatenate([positions, positions[edges[turned]].mean(1)])
+    return positions, split_faces(faces, middles[edge_of_side].reshape(-1, 3))
 
-    middle = middles[edge_of_side].reshape(-1, 3)
+
+def split_faces(faces: Faces, middle: NDArray[np.int64]) -> Faces:
+    """Split faces (N, 3) at vertices on their edges.
+
+    ``middle`` (N, 3) holds the vertex on the edge from each corner to the next one, or -1. A face
+    becomes two, three or four faces if one, two or three of its edges are split.
+    """
     halved = middle >= 0
     count = halved.sum(1)
     # Rotate the corners of each face so that its split edges come first.
@@ -179,7 +185,7 @@ def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
         (count == 3, ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))),
     )
     found = [np.stack(part, 1)[where] for where, group in parts for part in group]
-    return positions, np.concatenate(found).astype(np.int32)
+    return np.concatenate(found).astype(np.int32)
 
 
 def face_normals(positions: Floats, faces: Faces) -> Floats:

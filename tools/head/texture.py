@@ -14,6 +14,7 @@ from .fields import Floats, bell, ramp
 from .hairs import brow_cover, lash_cover
 from .landmarks import hairline
 from .lids import Lids, find_lids
+from .mouth import GUMS_RING, TEETH_RING, TONGUE_RING, Lining, find_lining
 from .noise import Noise, nearest, scatter
 from .regions import Regions, find_regions
 from .shape import (
@@ -24,7 +25,7 @@ from .shape import (
     unit,
 )
 from .surface import Mesh
-from .unwrap import Texels, Unwrapped, find_texels
+from .unwrap import MOUTH_CENTRE, MOUTH_RADIUS, Texels, Unwrapped, find_texels
 
 Colour = tuple[float, float, float]
 
@@ -38,6 +39,33 @@ LASHES: Colour = (46, 34, 30)
 LID_MARGIN: Colour = (206, 142, 126)
 CARUNCLE: Colour = (198, 116, 106)
 LID_WHITE: Colour = (204, 158, 146)  # at the border of the corners and the sclera
+
+# The lining of the mouth. It is darker towards the throat, because a renderer may draw no shadows.
+INNER_LIPS: Colour = (166, 84, 80)
+VESTIBULE: Colour = (104, 42, 42)
+GUMS: Colour = (150, 74, 74)
+TOOTH: Colour = (226, 208, 180)
+BEHIND_TEETH: Colour = (96, 56, 50)
+CHEEK: Colour = (60, 22, 22)  # at the corners, instead of teeth
+PALATE: Colour = (88, 34, 32)
+TONGUE: Colour = (150, 72, 70)
+THROAT: Colour = (26, 8, 8)
+# (Number of rings from the lips, colour of the upper half, colour of the lower half).
+LINING = (
+    (0.0, INNER_LIPS, INNER_LIPS),
+    (1.0, INNER_LIPS, INNER_LIPS),
+    (GUMS_RING - 1.0, VESTIBULE, VESTIBULE),
+    (GUMS_RING + 0.0, GUMS, GUMS),
+    (GUMS_RING + 0.30, GUMS, GUMS),
+    (GUMS_RING + 0.45, TOOTH, TOOTH),
+    (TEETH_RING + 0.6, TOOTH, TOOTH),
+    (TEETH_RING + 1.4, BEHIND_TEETH, BEHIND_TEETH),
+    (TONGUE_RING + 0.0, PALATE, TONGUE),
+    (TONGUE_RING + 1.2, THROAT, THROAT),
+)
+# Places of the gaps between the teeth, from the middle line (0) to the corner of the mouth (1).
+TOOTH_GAPS = (0.0, 0.30, 0.52, 0.76)
+TOOTH_GAP, TOOTH_GAP_DEPTH = 0.018, 0.45  # width (standard deviation), loss of light
 
 # Absorption of red, green and blue by one unit of a pigment: the exponent of its transmission.
 BLOOD: Colour = (0.03, 0.26, 0.24)
@@ -74,6 +102,7 @@ NOSTRIL_OPENING = (0.0, -0.95, 0.31)  # direction from which light enters the no
 
 OCCLUSION_REACH = (0.12, 0.3, 0.6, 1.1, 1.8)  # distances along the normal of occlusion samples, cm
 OCCLUSION_STRENGTH = 0.62
+MOUTH_OPEN = ((0, 0.9), (3, 0.6), (5, 0.7), (8, 0.45), (10, 0.1))  # (ring of the mouth, open share)
 
 # Roughness m of the skin, the RMS slope: a base value, and the offset of each region.
 SLOPE_BASE = 0.33
@@ -89,6 +118,7 @@ SLOPE_ADDED = {
     "nostril": 0.15,
 }
 SLOPE_ADDED_WET = -0.07  # on the margins of open lids
+SLOPE_MOUTH = 0.22
 SLOPE_RANGE = (0.205, 0.54)  # at least 0.2 after rounding: the plain half vector needs it
 
 
@@ -235,10 +265,11 @@ def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
     return np.asarray(height, np.float32)
 
 
-def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, open_eye: Floats) -> Floats:
+def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, unfolded: Floats) -> Floats:
     """Return tangent-space normals: x along u, z along the mesh normal.
 
     They encode the normals of the surface with its fine folds, tilted by the slope of ``height``.
+    ``unfolded`` is the weight of surfaces that the closed head does not have: they get no folds.
     Inside the nostrils, normals point to the opening. Otherwise a renderer without shadows would
     light their walls through the skin.
     """
@@ -258,7 +289,7 @@ def _tangent_normals(texels: Texels, height: Floats, nostril: Floats, open_eye: 
     slope *= np.minimum(1, STEEPEST / np.maximum(steepness, 1e-6))
 
     folded = unit(gradient(fine_head_distance, texels.positions, 0.018))
-    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole * (1 - open_eye)
+    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole * (1 - unfolded)
     wanted = normals + (folded - normals) * trusted[:, None] - slope
     wanted += (np.array(NOSTRIL_OPENING, np.float32) - wanted) * nostril[:, None]
 
@@ -278,7 +309,7 @@ def _open_share(points: Floats, normals: Floats, distance: Callable[[Floats], Fl
     return np.asarray(np.clip(1 - OCCLUSION_STRENGTH * blocked, 0, 1))
 
 
-def _occlusion(texels: Texels, regions: Regions, lids: Lids) -> Floats:
+def _occlusion(texels: Texels, regions: Regions, lids: Lids, lining: Lining) -> Floats:
     """Return the unoccluded fraction of the space around each point, from 0 to 1."""
     open_share = _open_share(texels.positions, texels.normals, head_distance)
     at_eye = np.flatnonzero(lids.region)
@@ -286,6 +317,7 @@ def _occlusion(texels: Texels, regions: Regions, lids: Lids) -> Floats:
         share = lids.region[at_eye]
         wanted = lids.open_share[at_eye]
         open_share[at_eye] += (wanted - open_share[at_eye]) * share
+    open_share[lining.inside] = np.interp(lining.ring, *np.transpose(MOUTH_OPEN))
     return np.asarray(open_share * (1 - 0.4 * regions.nostril), np.float32)
 
 
@@ -352,7 +384,13 @@ def _add_hair(
 
 
 def _albedo(
-    points: Floats, regions: Regions, marks: Marks, noise: Noise, occlusion: Floats, lids: Lids
+    points: Floats,
+    regions: Regions,
+    marks: Marks,
+    noise: Noise,
+    occlusion: Floats,
+    lids: Lids,
+    lining: Lining,
 ) -> Floats:
     colour = _skin_colour(points, regions, marks, noise)
     colour = _add_lips(colour, points, regions, noise)
@@ -364,13 +402,35 @@ def _albedo(
     # Pits reflect less light, and redder light.
     open_share = 0.60 + 0.40 * occlusion
     open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.36 * regions.mouth_seam)
-    return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
+    colour = colour * np.stack([open_share**0.75, open_share, open_share], 1)
+    colour[lining.inside] = _lining_colour(lining)
+    return np.asarray(colour)
 
 
-def _rms_slope(points: Floats, regions: Regions, noise: Noise, lids: Lids) -> Floats:
+def _lining_colour(lining: Lining) -> Floats:
+    """Return the colours of the points in the mouth."""
+    ring, side = lining.ring, lining.side
+    rings = [row[0] for row in LINING]
+    halves = []
+    for colours in ([row[1] for row in LINING], [row[2] for row in LINING]):
+        channels = np.transpose([linear(each) for each in colours])
+        halves.append(np.stack([np.interp(ring, rings, channel) for channel in channels], 1))
+    colour = np.where(lining.upper[:, None], *halves)
+    tooth = ramp(GUMS_RING + 0.2, GUMS_RING + 0.5, ring) * ramp(TEETH_RING + 1, TEETH_RING, ring)
+    gaps = np.sum([bell((side - np.float32(gap)) / TOOTH_GAP) for gap in TOOTH_GAPS], axis=0)
+    light = 1 - TOOTH_GAP_DEPTH * gaps * tooth
+    light *= 1 - 0.5 * ramp(0.4, 0.8, side) * ramp(1, 2, ring)
+    colour = cover(colour * light[:, None], ramp(0.72, 0.82, side) * ramp(1, 2.5, ring), CHEEK)
+    return np.asarray(colour * light[:, None], np.float32)
+
+
+def _rms_slope(
+    points: Floats, regions: Regions, noise: Noise, lids: Lids, lining: Lining
+) -> Floats:
     slope = SLOPE_BASE + 0.02 * noise(points, 1.5, 101, layers=3) + SLOPE_ADDED_WET * lids.wet
     for region, added in SLOPE_ADDED.items():
         slope = slope + added * getattr(regions, region)
+    slope[lining.inside] = SLOPE_MOUTH
     return np.asarray(np.clip(slope, *SLOPE_RANGE), np.float32)
 
 
@@ -392,14 +452,18 @@ def paint(unwrapped: Unwrapped, size: int, seed: int, closed: Mesh, eyes: Sequen
     points = texels.positions
     regions = find_regions(points, noise)
     lids = find_lids(points, eyes)
+    place = (np.argwhere(texels.covered)[:, ::-1] + 0.5) / size
+    lining = find_lining(np.asarray((place - MOUTH_CENTRE) / MOUTH_RADIUS, np.float32))
     marks = _scatter_marks(closed, points, random)
     marks = replace(marks, lash=marks.lash * (1 - lids.region))
-    occlusion = _occlusion(texels, regions, lids)
+    occlusion = _occlusion(texels, regions, lids, lining)
 
     height = _fine_height(points, regions, marks, noise)
-    normals = _tangent_normals(texels, height, regions.nostril, lids.region)
-    albedo = _albedo(points, regions, marks, noise, occlusion, lids)
-    roughness = np.sqrt(_rms_slope(points, regions, noise, lids))
+    height[lining.inside] = 0
+    unfolded = np.maximum(lids.region, lining.inside)
+    normals = _tangent_normals(texels, height, regions.nostril, unfolded)
+    albedo = _albedo(points, regions, marks, noise, occlusion, lids, lining)
+    roughness = np.sqrt(_rms_slope(points, regions, noise, lids, lining))
     combined = np.stack([occlusion, roughness, np.zeros_like(occlusion)], 1)
     half = (size // 2, size // 2)
     return Maps(

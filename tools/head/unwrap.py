@@ -14,6 +14,7 @@ from scipy.ndimage import distance_transform_edt
 
 from .fields import Floats, ramp
 from .lids import Tucked
+from .mouth import Mouth
 from .shape import belongs_to_ear
 from .surface import Faces, Mesh, face_normals
 
@@ -34,6 +35,8 @@ STRIP_HEIGHT = 0.075  # height of the strip of small charts, as a fraction of th
 GRAZING = 8e-5  # faces with less texture area per surface area (1/cm2) count as edge-on
 POCKET_FILL = 0.90  # fraction of its slot that a small chart fills; the rest is a gap
 HIDDEN_DEPTH = 0.25  # faces deeper than this below the outermost surface get a small chart, cm
+MOUTH_CENTRE = np.array([2 / 9, 0.5 * STRIP_HEIGHT], np.float32)  # of the cavity's chart
+MOUTH_RADIUS = 0.033
 PROBE_SIZE = 512  # width in texels of the image that finds hidden faces
 
 
@@ -72,6 +75,7 @@ class Unwrapped:
 
     mesh: Mesh
     coordinates: Floats
+    source: NDArray[np.int32]  # the vertex of the given mesh, for each vertex
 
 
 @dataclass(frozen=True)
@@ -175,12 +179,14 @@ def _hidden(mesh: Mesh, coordinates: Floats) -> NDArray[np.bool_]:
     return hidden
 
 
-def unwrap(mesh: Mesh, tucked: Tucked | None = None) -> Unwrapped:
+def unwrap(mesh: Mesh, mouth: Mouth, tucked: Tucked | None = None) -> Unwrapped:
     """Assign texture coordinates to the mesh; ``tucked`` vertices lie between others in the chart.
 
-    These are the margins and backs of the lids, which fill the openings of the eyes.
+    These are the margins and backs of the lids, which fill the openings of the eyes. The cavity of
+    the ``mouth`` is a disc between two small charts.
     """
     coordinates = _unroll(mesh.positions)
+    coordinates[mouth.cavity] = MOUTH_CENTRE + MOUTH_RADIUS * mouth.chart()
     if tucked is not None:
         anchors = coordinates[tucked.anchors]
         coordinates[tucked.vertices] = (anchors * tucked.weights[:, :, None]).sum(1)
@@ -215,7 +221,7 @@ def unwrap(mesh: Mesh, tucked: Tucked | None = None) -> Unwrapped:
         mesh.normals[source],
         faces_flat.reshape(faces.shape).astype(np.int32),
     )
-    return Unwrapped(laid_out, coordinates[used])
+    return Unwrapped(laid_out, coordinates[used], source)
 
 
 def _rasterise(

@@ -96,6 +96,7 @@ def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
     yield "a.ply", {"a.ply": ascii_ply.encode()}
     yield by(files.write_stl, "a.stl")
     yield "a.stl", {"a.stl": ascii_stl.encode()}
+    yield "a.glb", {"a.glb": animated(head)}
 
 
 MTL = b"""newmtl skin
@@ -151,6 +152,66 @@ def featured(head: files.Head) -> bytes:
     return files.join_glb(document, binary)
 
 
+def animated(head: files.Head) -> bytes:
+    """Return a GLB file with a skin, sparse morph targets and a clip of all interpolations."""
+    document, binary = files.gltf(head, [{"skin": 0}, {}, {"translation": [0, 0.1, 0]}])
+    count, times = len(head.positions), np.array([0.0, 0.5, 1.0], "<f4")
+    turns = np.array([(0, 0, 0, 1), (0, 0.6, 0, 0.8), (0.6, 0, 0, 0.8)], "<f4")
+    blocks: list[tuple[np.ndarray[Any, Any], str]] = [
+        (np.eye(4, dtype="<u1")[np.arange(count) % 2], "VEC4"),
+        (np.tile(np.array([0.75, 0.25, 0, 0], "<f4"), (count, 1)), "VEC4"),
+        (times, "SCALAR"),
+        (np.array([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], "<f4"), "VEC3"),
+        (np.repeat(turns, 3, axis=0), "VEC4"),
+        (np.array([(1, 1, 1), (1, 2, 1), (2, 1, 1)], "<f4"), "VEC3"),
+        (np.array([0.0, 0.25, 0.5, 1.0, 0.75, 0.0], "<f4"), "SCALAR"),
+        (np.tile(np.eye(4, dtype="<f4").ravel(), (2, 1)), "MAT4"),
+    ]
+    kinds = {"|u1": 5121, "<f4": 5126}
+    first = len(document["accessors"])
+    for values, name in blocks:
+        binary += bytes(-len(binary) % 4)
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes}
+        document["bufferViews"].append(view)
+        accessor = {"bufferView": len(document["bufferViews"]) - 1, "count": len(values)}
+        kind = {"componentType": kinds[values.dtype.str], "type": name}
+        document["accessors"].append(accessor | kind)
+        binary += values.tobytes()
+    binary += bytes(-len(binary) % 4)
+    document["buffers"][0]["byteLength"] = len(binary)
+    joints, weights, start, moves, rotations, scales, shapes, inverse = range(first, first + 8)
+    primitive = document["meshes"][0]["primitives"][0]
+    primitive["attributes"] |= {"JOINTS_0": joints, "WEIGHTS_0": weights}
+    primitive["targets"] = [{"POSITION": 0, "NORMAL": 1}, {"POSITION": 1}]
+    document["meshes"][0] |= {"weights": [0, 0.1], "extras": {"targetNames": ["open", "smile"]}}
+    document["skins"] = [{"joints": [1, 2], "inverseBindMatrices": inverse}]
+    document["animations"] = [
+        {
+            "name": "talk",
+            "samplers": [
+                {"input": start, "output": moves, "interpolation": "STEP"},
+                {"input": start, "output": rotations, "interpolation": "CUBICSPLINE"},
+                {"input": start, "output": scales},
+                {"input": start, "output": shapes},
+            ],
+            "channels": [
+                {"sampler": 0, "target": {"node": 1, "path": "translation"}},
+                {"sampler": 1, "target": {"node": 2, "path": "rotation"}},
+                {"sampler": 2, "target": {"node": 2, "path": "scale"}},
+                {"sampler": 3, "target": {"node": 0, "path": "weights"}},
+            ],
+        }
+    ]
+    return files.join_glb(document, binary)
+
+
+def vertices(count: int) -> Iterator[tuple[str, bytes]]:
+    """Yield files with two frames of vertices of a mesh with one part."""
+    frames = np.random.default_rng(3).normal(size=(2, count, 3)).astype(np.float32)
+    yield from _written(lambda path: np.save(path, frames), "a.npy").items()
+    yield from _written(lambda path: np.savez_compressed(path, head=frames), "a.npz").items()
+
+
 def images() -> Iterator[tuple[str, bytes]]:
     """Yield the name and the content of image files."""
     texels = np.random.default_rng(0).integers(0, 256, (8, 8, 4), dtype=np.uint8)
@@ -204,6 +265,12 @@ file = "studio"
 rotation = 30
 scale = 0.5
 
+[pose]
+weights = { jawOpen = 0.5, "eye.blink" = 1 }
+clip = "talk"
+time = 0.5
+track = true
+
 [material]
 m = 0.25
 f0 = 0.04
@@ -253,12 +320,14 @@ def options() -> Iterator[Sequence[str]]:
         *("--only", "specular", "--model", "ward", "--scattering", "skin", "--shadows"),
         *("--millimetres", "100", "--slope-filter", "--samples", "4", "--json"),
     )
+    yield ("--weight", "open=0.5", "--clip", "talk", "--time", "0.5", "--track")
 
 
 def tables() -> Iterator[tuple[str, bytes]]:
     """Yield job tables."""
     rows = [
         {"id": "a", "camera": {"azimuth": 10}, "material.m": 0.3, "outputs": ["image", "mask"]},
+        {"id": "c", "pose": {"weights": {"jawOpen": 0.5}}, "before.clip": "talk"},
         {"id": "b", "lights": ["key"], "image": {"size": [64, 64]}, "exposure": 0.5},
     ]
     yield "a.jsonl", b"".join(json.dumps(row).encode() + b"\n" for row in rows)

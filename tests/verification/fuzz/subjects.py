@@ -9,11 +9,12 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from facerender.commands import main
 from facerender.errors import FacerenderError, InputError
 from facerender.images.read import read_image
 from facerender.loading.environment import load_environment
+from facerender.loading.vertices import posed
 from facerender.scenes.file import EnvironmentFile, load_scene
 from tests.verification.fuzz import seeds
 
@@ -85,6 +87,8 @@ def _subjects() -> Iterator[Subject]:
         for changed in files:
             label = f"{name}-{number}" if changed == name else f"{name}-{number}-{changed}"
             yield Subject(label, files, changed, partial(_examine_mesh, name))
+    for name, content in seeds.vertices(len(_head().parts[0].positions)):
+        yield Subject(f"vertices-{name}", {name: content}, name, partial(_examine_vertices, name))
     for number, (name, content) in enumerate(seeds.images()):
         yield Subject(f"{name}-{number}", {name: content}, name, partial(_examine_image, name))
     for number, content in enumerate(seeds.scenes(fr.Scene(_head()))):
@@ -193,6 +197,31 @@ def _examine_mesh(name: str, folder: Path) -> None:
     _demand(np.isfinite(mesh.bounds).all() and 0.0 < mesh.radius < np.inf, "bounds")
     _draw(fr.Scene(mesh))
     _draw(fr.Scene(mesh, fr.Camera(frame="face")))
+    _examine_poses(mesh)
+
+
+def _examine_poses(mesh: fr.Mesh) -> None:
+    """Draw the middle of each clip, and the mesh with all shapes. Clips and shapes may be damaged
+    in a file that is drawn without a warning: only the pose is then refused."""
+    poses: list[Mapping[str, Any]] = [{"weights": dict.fromkeys(mesh.shapes, 0.5)}]
+    poses += [{"clip": name, "time": 0.5 * seconds} for name, seconds in mesh.clips.items()]
+    for pose in poses if mesh.shapes or mesh.clips else ():
+        try:
+            moved = mesh.with_pose(**pose)
+        except InputError as error:
+            _demand(not _bad_message(str(error)), f"an error {_bad_message(str(error))}")
+            continue
+        for part in moved.parts:
+            used = np.unique(part.faces)
+            _demand(np.isfinite(part.positions[used]).all(), "positions of a pose")
+            lengths = np.linalg.norm(part.normals[used], axis=1)
+            _demand(np.allclose(lengths, 1.0, atol=1e-3), "normals of a pose")
+        _draw(fr.Scene(fr.tracked(moved)))
+
+
+def _examine_vertices(name: str, folder: Path) -> None:
+    for frame in (0, 1):
+        _draw(fr.Scene(posed(_head(), fr.Pose(vertices=str(folder / name), frame=frame))))
 
 
 def _draw(scene: fr.Scene, shading: fr.Shading = fr.Shading()) -> None:
@@ -244,6 +273,9 @@ def _examine_scene(folder: Path) -> None:
         settings["environment"] = load_environment(environment)
     cameras = settings.pop("cameras", ())
     settings.pop("planned", None)
+    for name in ("before", "pose"):
+        with suppress(InputError):  # the mesh has no shapes
+            mesh = posed(mesh, settings.pop(name, fr.Pose()))
     for camera in {settings.pop("camera", fr.Camera()), *cameras}:
         _draw(fr.Scene(mesh, camera, **settings), shading)
 

@@ -1,0 +1,164 @@
+"""Measure frames of a moving face, and compare them with other installed renderers.
+
+    python benchmarks/moving.py [--frames 40] [--python NAME=PATH ...]
+
+The first tables compare a frame of moving vertices with a static frame, in turns in one renderer:
+1024 x 1024 pixels, the skin of the built-in head. "shadows" has the three default lights, whose
+shadow maps a static scene draws only once. The memory table renders 1,000 frames.
+
+The last tables render a clip of the built-in head, 25 frames per second: facerender by with_pose,
+filly (Filament) by apply_animation, PyVista by assigning vertices that were computed before. Each
+renderer has a process of its own and renders a frame per line of its standard input, in turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import struct
+import sys
+import tempfile
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from run import HEAD, HERE, frames_of, in_turns, report, resident, started
+
+import facerender as fr
+
+FPS = 25
+SECONDS = 2.0
+SHAPES = {"jawOpen": 0.8, "mouthSmileLeft": 0.6, "mouthSmileRight": 0.6, "eyeBlinkLeft": 1.0}
+
+
+def clip(path: Path) -> None:
+    """Write the built-in head with a clip that opens and closes some shapes."""
+    content = HEAD.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    document = json.loads(content[20 : 20 + length])
+    binary = bytearray(content[28 + length :])
+    accessors, views = document["accessors"], document["bufferViews"]
+
+    def added(values: np.ndarray, **bounds: list[float]) -> int:
+        """Append an accessor of scalars and return its index."""
+        binary.extend(bytes(-len(binary) % 4))
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
+        binary.extend(values.astype(np.float32).tobytes())
+        kind = {"componentType": 5126, "type": "SCALAR", "count": values.size}
+        accessors.append({"bufferView": len(views) - 1, **kind, **bounds})
+        return len(accessors) - 1
+
+    times = np.linspace(0.0, SECONDS, 9, dtype=np.float32)
+    start = added(times, min=[0.0], max=[SECONDS])
+    samplers, channels = [], []
+    for number, node in enumerate(document["nodes"]):
+        names = _names(document, node)
+        weights = np.zeros((len(times), len(names)), dtype=np.float32)
+        for name in SHAPES.keys() & set(names):
+            wave = 0.5 - 0.5 * np.cos(np.pi * np.arange(len(times)))
+            weights[:, names.index(name)] = SHAPES[name] * wave
+        if names:
+            target = {"node": number, "path": "weights"}
+            channels.append({"sampler": len(samplers), "target": target})
+            samplers.append({"input": start, "output": added(weights)})
+    document["animations"] = [{"name": "talk", "samplers": samplers, "channels": channels}]
+    binary += bytes(-len(binary) % 4)
+    document["buffers"][0]["byteLength"] = len(binary)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + 8 + len(binary)
+    with path.open("wb") as file:
+        file.write(struct.pack("<4sII", b"glTF", 2, size))
+        file.write(struct.pack("<I4s", len(text), b"JSON") + text)
+        file.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+
+
+def _names(document: dict[str, Any], node: dict[str, Any]) -> list[str]:
+    """Return the names of the shapes of a node's mesh."""
+    mesh = document["meshes"][node["mesh"]] if "mesh" in node else {}
+    names: list[str] = mesh.get("extras", {}).get("targetNames", [])
+    return names
+
+
+def waves(mesh: fr.Mesh, count: int) -> list[list[np.ndarray]]:
+    """Return smoothly displaced vertices for each part and frame."""
+    step = 0.01 * mesh.radius
+    return [
+        [p.positions + step * np.sin(5.0 * p.positions / mesh.radius + 0.3 * i) for p in mesh.parts]
+        for i in range(count)
+    ]
+
+
+def against_static(frames: int, samples: int, shadows: bool) -> None:
+    mesh = fr.load_mesh(HEAD).select("head")
+    lights = tuple(replace(each, shadow=shadows) for each in fr.Scene.lights)
+    moved, normals = waves(mesh, 6), [part.normals for part in mesh.parts]
+    with fr.Renderer(samples=samples) as renderer:
+
+        def draw(own: fr.Mesh) -> object:
+            return renderer.render(fr.Scene(own, lights=lights)).linear
+
+        actions = {
+            "static": lambda turn: draw(mesh),
+            "normals given": lambda turn: draw(mesh.with_positions(moved[turn % 6], normals)),
+            "normals computed": lambda turn: draw(mesh.with_positions(moved[turn % 6])),
+        }
+        times = in_turns(frames, actions)
+        scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
+        title = f"{samples} sample(s), {'shadows' if shadows else 'no shadows'}"
+        report(f"A frame of moving vertices, {title}", "ms", scaled)
+
+
+def memory() -> None:
+    mesh = fr.load_mesh(HEAD)
+    moved = waves(mesh, 6)
+    print("\nResident memory of 1,000 frames, 256 x 256, all parts, MiB")
+    with fr.Renderer((256, 256)) as renderer:
+        for turn in range(1001):
+            renderer.render(fr.Scene(mesh.with_positions(moved[turn % 6])))
+            if turn in (10, 100, 250, 500, 750, 1000):
+                print(f"  after {turn:4} frames {resident(os.getpid()):7.0f}")
+
+
+def peers(frames: int, samples: int, pythons: dict[str, str], folder: Path) -> None:
+    with ExitStack() as stack:
+        actions = {}
+        for name, python in pythons.items():
+            script = str(HERE / "peers" / f"{name}_clip.py")
+            files = str(folder / "clip.glb"), str(folder / "frames.npy")
+            command = [python, script, *files, str(samples)]
+            actions[name] = frames_of(started(stack, command))
+        times = in_turns(frames, actions)
+        scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
+        report(f"A clip of the whole head, {samples} sample(s), readback", "ms", scaled)
+        for name, values in times.items():
+            print(f"  {name:24} {1.0 / statistics.median(values):7.1f} frames per second")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--python", action="append", default=[], metavar="NAME=PATH")
+    options = parser.parse_args()
+    for shadows in (False, True):
+        for samples in (1, 4):
+            against_static(options.frames, samples, shadows)
+    memory()
+    pythons = {"facerender": sys.executable, **dict(e.split("=", 1) for e in options.python)}
+    with tempfile.TemporaryDirectory() as folder:
+        clip(Path(folder, "clip.glb"))
+        mesh = fr.load_mesh(Path(folder, "clip.glb"))
+        times = np.arange(int(SECONDS * FPS) + 1) / FPS
+        poses = [mesh.with_pose(clip="talk", time=float(time)) for time in times]
+        every = [np.concatenate([part.positions for part in pose.parts]) for pose in poses]
+        np.save(Path(folder, "frames.npy"), np.array(every, dtype=np.float32))
+        for samples in (1, 4):
+            peers(options.frames, samples, pythons, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,223 @@
+"""Images of a distorting lens: the undistorted image that the renderer draws for them, and its
+resampling. ``scenes.distortion`` has the model. No OpenGL here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache, reduce
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from facerender.drawing.frame import GBuffer
+from facerender.errors import InputError
+from facerender.scenes.camera import Camera
+from facerender.scenes.distortion import Coefficients, jacobian, undistort
+from facerender.scenes.scene import Scene
+from facerender.scenes.vectors import Vector
+from facerender.scenes.view import View
+
+_MARGIN = 3  # pixels around the undistorted image: the reach of a cubic filter, and a tap's offset
+_AT_ONCE = 1 << 15  # pixels per step, so that temporary arrays stay in the CPU's cache
+_MOST_TAPS = 8  # largest number of taps per side of a pixel
+_LARGEST = 16384  # largest width and height of an undistorted image
+
+Intrinsics = tuple[Vector, Vector, Vector]
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """A distorting lens for images of one size.
+
+    Attributes
+    ----------
+    size : width and height of the distorted image
+    wide : width and height of the undistorted image, which contains every pixel of the distorted
+        image and resolves it at least as finely
+    intrinsics : matrix K of the undistorted image
+    coefficients : see ``scenes.distortion``
+    focal : (fx, fy) of the distorted image in its pixels
+    places : (H * W, 2) float32, position of each pixel's centre in the undistorted image
+    taps : (H * W,) uint8, taps per side of each pixel
+    """
+
+    size: tuple[int, int]
+    wide: tuple[int, int]
+    intrinsics: Intrinsics
+    coefficients: Coefficients
+    focal: NDArray[np.float64]
+    places: NDArray[np.float32]
+    taps: NDArray[np.uint8]
+
+    def undistorted(self, scene: Scene) -> Scene:
+        """Return the scene with the camera of the undistorted image."""
+        pose = scene.camera.extrinsics
+        camera = Camera(extrinsics=pose, intrinsics=self.intrinsics, size=self.wide)
+        return replace(scene, camera=camera)
+
+    def filtered(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the distorted image (H, W, 4) of an undistorted image.
+
+        A pixel is the mean of its taps, which are evenly distributed over the pixel.
+        """
+        width, height = self.size
+        found = np.empty((width * height, 4), dtype=np.float32)
+        for count in np.unique(self.taps):
+            for own in _in_steps(np.flatnonzero(self.taps == count)):
+                total = np.zeros((len(own), 4), dtype=np.float32)
+                for place in self._tap_places(own, int(count)):
+                    total += _interpolated(image, place)
+                found[own] = total / np.float32(count * count)
+        return found.reshape(height, width, 4)
+
+    def nearest(self, gbuffer: GBuffer, view: View) -> GBuffer:
+        """Return the distorted G-buffer: each pixel has the values of the nearest pixel of the
+        undistorted G-buffer.
+
+        view : view with the distortion
+        """
+        values = {each.name: getattr(gbuffer, each.name) for each in fields(gbuffer)}
+        layers = tuple(self.nearest(each, view) for each in gbuffer.transparent_layers)
+        arrays = {
+            name: self.nearest_values(value)
+            for name, value in values.items()
+            if isinstance(value, np.ndarray)
+        }
+        return GBuffer(**values | arrays | {"view": view, "transparent_layers": layers})
+
+    def nearest_values(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Return the value of the nearest pixel of an undistorted image for each pixel."""
+        columns, rows = self.places.astype(np.intp).T
+        flat = image.reshape(-1, *image.shape[2:])
+        found = flat[rows * self.wide[0] + columns]
+        return np.asarray(found.reshape(*self.size[::-1], *image.shape[2:]))
+
+    def _tap_places(self, pixels: NDArray[np.intp], count: int) -> Iterator[NDArray[np.float32]]:
+        """Yield positions (N, 2) in the undistorted image: count x count per pixel."""
+        places = self.places[pixels]
+        if count == 1:
+            yield places
+            return
+        k = np.array(self.intrinsics)
+        focal = k[[0, 1], [0, 1]]
+        slopes = jacobian((places - k[:2, 2]) / focal, self.coefficients)
+        steps = np.linalg.inv(slopes * self.focal[:, None] / focal)
+        offsets = (np.arange(count) + 0.5) / count - 0.5
+        for y in offsets:
+            for x in offsets:
+                yield places + (steps @ np.array([x, y])).astype(np.float32)
+
+
+def lens_of(camera: Camera, size: tuple[int, int]) -> Lens:
+    """Return the lens of a camera with distortion for images of the given size, from a cache."""
+    assert camera.intrinsics is not None
+    assert camera.size is not None
+    assert camera.distortion is not None
+    return _lens(camera.intrinsics, camera.size, camera.distortion, size)
+
+
+@lru_cache(maxsize=1)
+def _lens(
+    intrinsics: Intrinsics, own: tuple[int, int], coefficients: Coefficients, size: tuple[int, int]
+) -> Lens:
+    scale = np.divide(size, own)
+    k = np.array(intrinsics)
+    focal, middle = k[[0, 1], [0, 1]] * scale, k[:2, 2] * scale
+    width, height = size
+    places = np.empty((width * height, 2))
+    spread = np.empty(width * height)  # largest extent of a pixel, in pixels of the same focal
+    finest = math.inf
+    for pixels in _in_steps(np.arange(width * height)):
+        centres = np.stack([pixels % width, pixels // width], axis=-1) + 0.5
+        flat = undistort((centres - middle) / focal, coefficients)
+        places[pixels] = flat * focal
+        low, high = _singular(jacobian(flat, coefficients) * focal[:, None] / focal)
+        spread[pixels], finest = 1.0 / low, min(finest, 1.0 / float(high.max()))
+    if np.isnan(places).any():
+        raise InputError(f"camera distortion = {coefficients} is not invertible in the image")
+    places /= finest
+    spread /= finest
+    low, high = np.floor(places.min(axis=0)), np.ceil(places.max(axis=0))
+    reach = _MARGIN + math.ceil(min(spread.max(), _LARGEST))
+    wide = (high - low).astype(int) + 2 * reach
+    if max(wide) > _LARGEST:
+        raise InputError(
+            f"camera distortion = {coefficients} needs an undistorted image of {wide[0]} x "
+            f"{wide[1]} pixels, but the limit is {_LARGEST} a side: give a smaller size"
+        )
+    places -= low - reach
+    fx, fy = (focal / finest).tolist()
+    cx, cy = (reach - low).tolist()
+    return Lens(
+        size,
+        (int(wide[0]), int(wide[1])),
+        ((fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)),
+        coefficients,
+        focal,
+        places.astype(np.float32),
+        np.clip(np.round(spread), 1, _MOST_TAPS).astype(np.uint8),
+    )
+
+
+def _in_steps(pixels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    return (pixels[first : first + _AT_ONCE] for first in range(0, len(pixels), _AT_ONCE))
+
+
+def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the smallest and the largest singular value of each matrix (N, 2, 2)."""
+    squares = np.einsum("nij,nij->n", matrices, matrices)
+    product = 2.0 * np.abs(np.linalg.det(matrices))
+    total, difference = np.sqrt(squares + product), np.sqrt(np.maximum(squares - product, 0.0))
+    return (total - difference) / 2.0, (total + difference) / 2.0
+
+
+def _interpolated(image: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the values (N, 4) of an image (H, W, 4) at positions (N, 2), by Catmull-Rom filters.
+
+    Each value is limited to the range of the nearest 2 x 2 pixels: edges get no halos. If one of
+    these pixels has a coverage below 1/2, the value is their bilinear mean. Otherwise, radiance and
+    coverage could get different limits, so that their ratio, the straight colour, would be wrong.
+
+    Source: Keys (1981), "Cubic convolution interpolation for digital image processing".
+    """
+    first = np.floor(places - 0.5)
+    fractions = places - 0.5 - first
+    x, y = (_weights(each) for each in fractions.T)
+    columns, rows = first.astype(np.intp).T - 1
+    line, texel = image.strides[:2]
+    # Each entry holds four neighbours of a row.
+    runs = as_strided(image, (len(image), image.shape[1] - 3, 16), (line, texel, 4))
+    total = np.zeros((len(places), 4), dtype=np.float32)
+    near = []
+    for number in range(4):
+        run = runs[rows + number, columns].reshape(-1, 4, 4)
+        total += y[:, number, None] * np.einsum("nk,nkc->nc", x, run)
+        near += [run[:, 1], run[:, 2]] if number in (1, 2) else []
+    low, high = (reduce(limit, near) for limit in (np.minimum, np.maximum))
+    np.clip(total, low, high, out=total)
+    edge = np.flatnonzero((low[:, 3] < 0.5) & (high[:, 3] > 0.0))
+    across, down = fractions[edge].T[..., None]
+    above, below = (
+        left[edge] + across * (right[edge] - left[edge]) for left, right in (near[:2], near[2:])
+    )
+    total[edge] = above + down * (below - above)
+    return total
+
+
+def _weights(t: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the weights (N, 4) of four neighbours at the fraction t of the step between the second
+    and the third."""
+    s = 1.0 - t
+    return np.stack(
+        [
+            -0.5 * t * s * s,
+            1.0 + t * t * (1.5 * t - 2.5),
+            1.0 + s * s * (1.5 * s - 2.5),
+            -0.5 * s * t * t,
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,92 @@
+"""Vertex normals of moved vertices: area-weighted means of face normals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.scenes.repair import stacked
+
+Float = NDArray[np.float64]
+
+_SAME_NORMAL = 0.999  # minimum: cosine between two normals of one vertex that is split by a seam
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """The corners of a mesh's faces, sorted by vertex.
+
+    Attributes
+    ----------
+    faces : (3, F) vertex indices; the vertices of all parts are numbered consecutively
+    order : (3 F,) index of each corner's face
+    starts : (G,) first corner of each group of vertices that share a normal
+    groups : (N,) group of each vertex
+    """
+
+    faces: NDArray[np.int64]
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    groups: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        positions: Sequence[Float],
+        normals: Sequence[Float],
+        faces: Sequence[NDArray[Any]],
+    ) -> Corners:
+        """Return the corners of a mesh in the reference pose, from arrays for each part."""
+        _, joint, welded, _ = stacked(positions, faces)
+        groups = _split_at_creases(welded, np.concatenate(normals))
+        corners = groups[joint].ravel()
+        order = np.argsort(corners, kind="stable")
+        known, starts = np.unique(corners[order], return_index=True)
+        return cls(
+            np.ascontiguousarray(joint.T),
+            order // 3,
+            starts,
+            np.searchsorted(known, groups).clip(max=len(known) - 1),
+        )
+
+    def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
+        """Return, for each vertex of each part, the sum of the normals of its faces, weighted by
+        their areas. Vertices that share position and normal in the reference pose share the sum.
+
+        positions : (N, 3) for each part
+        """
+        x, y, z = (np.concatenate([each[:, axis] for each in positions]) for axis in range(3))
+        ax, ay, az = (column[self.faces[0]] for column in (x, y, z))
+        ux, uy, uz = (c[self.faces[1]] - a for c, a in ((x, ax), (y, ay), (z, az)))
+        vx, vy, vz = (c[self.faces[2]] - a for c, a in ((x, ax), (y, ay), (z, az)))
+        normals = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        sums = (np.add.reduceat(each[self.order], self.starts)[self.groups] for each in normals)
+        ends = np.cumsum([len(each) for each in positions])[:-1]
+        return np.split(np.stack([*sums], axis=1), ends)
+
+
+def _split_at_creases(welded: NDArray[np.int64], normals: Float) -> NDArray[np.int64]:
+    """Return labels in which vertices at one position share a label if their normals are equal."""
+    labels = np.empty_like(welded)
+    left, count = np.arange(len(welded)), 0
+    while len(left):
+        _, first, group = np.unique(welded[left], return_index=True, return_inverse=True)
+        like = np.einsum("ij,ij->i", normals[left], normals[left[first[group]]]) > _SAME_NORMAL
+        like[first] = True
+        labels[left[like]] = count + group[like]
+        left, count = left[~like], count + len(first)
+    return labels
+
+
+def unit_or(normals: Float, others: Float) -> Float:
+    """Return vectors (N, 3) scaled to length 1; vectors of length 0 are replaced by others."""
+    squares = np.einsum("ij,ij->i", normals, normals)
+    if not ((squares > 1e-200) & (squares < 1e200)).all():
+        largest = np.abs(normals).max(axis=1, keepdims=True)
+        normals = np.where(largest > 0.0, normals / np.where(largest > 0.0, largest, 1.0), others)
+        squares = np.einsum("ij,ij->i", normals, normals)
+    return np.asarray(normals / np.sqrt(squares)[:, None])

@@ -1,0 +1,324 @@
+"""Tests moving meshes: with_positions, tracked, sequences of vertices."""
+
+from __future__ import annotations
+
+import gc
+import json
+import weakref
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.commands import main
+from facerender.images.read import read_image
+from facerender.scenes.framing import find_regions
+from facerender.scenes.view import view_of
+from tests.awkward_files import MINI_HEAD
+
+
+@pytest.fixture(scope="module")
+def head() -> fr.Mesh:
+    return fr.load_mesh(MINI_HEAD)
+
+
+def waved(mesh: fr.Mesh, phase: float = 0.0, size: float = 0.01) -> list[np.ndarray]:
+    """Return smoothly displaced positions of each part."""
+    step = size * mesh.radius
+    return [
+        part.positions + step * np.sin(5.0 * part.positions / mesh.radius + phase)
+        for part in mesh.parts
+    ]
+
+
+def area_weighted(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return vertex normals, written as loops."""
+    sums = np.zeros_like(positions)
+    for a, b, c in faces:
+        normal = np.cross(positions[b] - positions[a], positions[c] - positions[a])
+        for corner in (a, b, c):
+            sums[corner] += normal
+    return sums / np.linalg.norm(sums, axis=1)[:, None]
+
+
+def sphere(rings: int = 12, columns: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and faces of a sphere that has each vertex once."""
+    v, u = np.meshgrid(np.linspace(0, np.pi, rings + 1)[1:-1], np.arange(columns), indexing="ij")
+    u = 2 * np.pi * u / columns
+    middle = np.stack([np.sin(v) * np.sin(u), np.cos(v), np.sin(v) * np.cos(u)], axis=-1)
+    positions = np.concatenate([middle.reshape(-1, 3), [[0, 1, 0], [0, -1, 0]]])
+    top, bottom = len(positions) - 2, len(positions) - 1
+    faces = []
+    for column in range(columns):
+        right = (column + 1) % columns
+        for ring in range(rings - 2):
+            a, b = ring * columns + column, ring * columns + right
+            faces += [(a, a + columns, b), (b, a + columns, b + columns)]
+        last = (rings - 2) * columns
+        faces += [(top, column, right), (last + column, bottom, last + right)]
+    return positions, np.array(faces)
+
+
+class TestWithPositions:
+    def test_changes_only_positions_and_normals(self, head):
+        moved = head.with_positions(waved(head))
+        for part, own, wanted in zip(moved.parts, head.parts, waved(head), strict=True):
+            np.testing.assert_array_equal(part.positions, wanted)
+            assert part.faces is own.faces
+            assert part.root is own
+        assert moved.materials == head.materials
+        assert moved.rest is head
+        np.testing.assert_array_equal(moved.bounds, head.bounds)
+
+    def test_computes_area_weighted_normals(self):
+        positions, faces = sphere()
+        mesh = fr.Mesh.from_arrays(positions, faces)
+        moved = positions * (1.0, 1.3, 0.8) + 0.1 * positions**2
+        part = mesh.with_positions(moved).parts[0]
+        np.testing.assert_allclose(part.normals, area_weighted(moved, part.faces), atol=1e-12)
+
+    def test_normals_agree_across_seams_and_parts(self):
+        positions, faces = sphere()
+        uv, uv_faces = np.random.default_rng(1).random((3 * len(faces), 2)), None
+        uv_faces = np.arange(3 * len(faces)).reshape(-1, 3)
+        mesh = fr.Mesh.from_arrays(positions, faces, uv=uv, uv_faces=uv_faces)
+        assert len(mesh.parts[0].positions) == 3 * len(faces)
+        moved = positions * (1.0, 1.5, 1.0)
+        part = mesh.with_positions(moved).parts[0]
+        np.testing.assert_array_equal(part.positions, moved[part.sources])
+        np.testing.assert_allclose(
+            part.normals, area_weighted(moved, faces)[part.sources], atol=1e-12
+        )
+
+    def test_creases_remain(self):
+        """Two walls share positions, but not normals, so that moving keeps the edge sharp."""
+        wall = np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], dtype=float)
+        roof = np.array([(0, 1, 1), (1, 1, 1), (1, 1, 0), (0, 1, 0)], dtype=float)
+        positions = np.concatenate([wall, roof])
+        normals = np.repeat([(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)], 4, axis=0)
+        faces = [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)]
+        mesh = fr.Mesh.from_arrays(positions, faces, normals=normals)
+        part = mesh.with_positions(positions * 2.0).parts[0]
+        np.testing.assert_allclose(part.normals, normals, atol=1e-12)
+
+    def test_given_normals_are_normalised(self, head):
+        normals = [3.0 * part.normals for part in head.parts]
+        moved = head.with_positions(waved(head), normals)
+        for part, own in zip(moved.parts, head.parts, strict=True):
+            np.testing.assert_allclose(part.normals, own.normals, atol=1e-12)
+
+    def test_accepts_one_array_for_all_parts_and_a_mapping(self):
+        parts = fr.load_mesh(None)
+        whole = np.concatenate(waved(parts))
+        by_list, by_array = parts.with_positions(waved(parts)), parts.with_positions(whole)
+        for a, b in zip(by_list.parts, by_array.parts, strict=True):
+            np.testing.assert_array_equal(a.positions, b.positions)
+        name = parts.parts[1].name
+        only = parts.with_positions({name: parts.parts[1].positions + 0.001})
+        assert only.parts[0] is parts.parts[0]
+        assert only.parts[1].root is parts.parts[1]
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda p: p[:-1], "rows: give"),
+            (lambda p: p[:, :2], "give rows of 3"),
+            (lambda p: np.where(p > 0, np.nan, p), "not finite"),
+            (lambda p: p * 1e9, "mesh radii"),
+            (lambda p: [p, p], "arrays: give 1"),
+            (lambda p: {"nose": p}, "no part"),
+            (lambda p: "abc", "give rows"),
+        ],
+    )
+    def test_refuses_other_shapes_and_values(self, head, change, words):
+        positions = head.parts[0].positions
+        with pytest.raises(fr.InputError, match=words) as error:
+            head.with_positions(change(positions))
+        assert "\n" not in str(error.value)
+
+    def test_baked_occlusion_causes_a_warning(self, head):
+        baked = replace(
+            head,
+            parts=tuple(replace(p, occlusion=np.ones(len(p.positions))) for p in head.parts),
+        )
+        with pytest.warns(fr.FacerenderWarning, match="baked occlusion"):
+            baked.with_positions(waved(head))
+
+    def test_poses_do_not_keep_each_other_alive(self, head, egl):
+        with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
+            scenes = [fr.Scene(head.with_positions(waved(head, i))) for i in range(3)]
+            for scene in scenes:
+                renderer.render(scene)
+            alive = [weakref.ref(scene.mesh.parts[0]) for scene in scenes]
+            del scenes, scene
+            gc.collect()
+            assert sum(each() is not None for each in alive) == 0
+
+
+class TestDrawing:
+    @pytest.mark.parametrize("deferred", [True, False])
+    def test_a_pose_is_drawn_like_a_mesh_with_these_positions(
+        self, head, egl, deferred, monkeypatch
+    ):
+        """Also after other poses, which share the vertex buffers."""
+        monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+        moved = head.with_positions(waved(head))
+        alone = replace(
+            moved, rest=None, parts=tuple(replace(part, rest=None) for part in moved.parts),
+            regions=find_regions(head),
+        )  # fmt: skip
+        with fr.Renderer((128, 128), samples=1, backend=egl) as renderer:
+            first = renderer.render(fr.Scene(head)).linear
+            renderer.render(fr.Scene(head.with_positions(waved(head, 1.0))))
+            got = renderer.render(fr.Scene(moved)).linear
+            again = renderer.render(fr.Scene(head)).linear
+            wanted = renderer.render(fr.Scene(alone)).linear
+        np.testing.assert_array_equal(got, wanted)
+        np.testing.assert_array_equal(first, again)
+        assert np.abs(first - got).max() > 0.01
+
+    def test_the_camera_stays_and_can_follow(self, head):
+        step = np.array([0.3, 0.1, 0.0]) * head.radius
+        moved = head.with_positions([part.positions + step for part in head.parts])
+        still, kept, followed = (
+            view_of(fr.Scene(mesh, fr.Camera(frame="face")), 1.0).extrinsics(mesh)
+            for mesh in (head, moved, fr.tracked(moved))
+        )
+        np.testing.assert_allclose(kept, still, atol=1e-9)
+        np.testing.assert_allclose(followed[:, :3], still[:, :3], atol=1e-12)
+        np.testing.assert_allclose(followed[:, 3], still[:, 3] - still[:, :3] @ step, atol=1e-9)
+
+    def test_far_vertices_are_neither_clipped_nor_change_the_framing(self, head):
+        """The radius of the renderer's space grows with the mesh."""
+        moved = head.with_positions([part.positions * (1.0, 1.0, 3.0) for part in head.parts])
+        assert moved.radius > head.radius
+        for part in moved.parts:
+            assert np.linalg.norm(moved.normalised(part.positions), axis=1).max() <= 1.0 + 1e-9
+        for frame in ("all", "head", "face"):
+            a, b = (
+                view_of(fr.Scene(mesh, fr.Camera(frame=frame)), 1.0).extrinsics(mesh)
+                for mesh in (head, moved)
+            )
+            np.testing.assert_allclose(a, b, atol=1e-9 * head.radius)
+
+    def test_a_level_of_detail_keeps_its_triangles(self, head):
+        pytest.importorskip("meshoptimizer")
+        coarse = fr.simplified(head, 500)
+        moved = fr.simplified(head.with_positions(waved(head)), 500)
+        for part, own in zip(moved.parts, coarse.parts, strict=True):
+            assert part.faces is own.faces
+            distance = np.linalg.norm(part.positions - own.positions, axis=1)
+            assert 0.0 < distance.max() < 0.02 * head.radius * np.sqrt(3.0)
+
+
+class TestSources:
+    def test_an_obj_file_takes_the_vertices_of_the_file(self, tmp_path):
+        positions, faces = sphere()
+        uv = np.random.default_rng(2).random((3 * len(faces), 2))
+        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in positions.tolist()]
+        lines += [f"vt {u!r} {v!r}" for u, v in uv.tolist()]
+        lines += [
+            "f " + " ".join(f"{corner + 1}/{3 * row + k + 1}" for k, corner in enumerate(face))
+            for row, face in enumerate(faces.tolist())
+        ]
+        file = tmp_path / "sphere.obj"
+        file.write_text("\n".join(lines))
+        mesh = fr.load_mesh(file)
+        (part,) = mesh.parts
+        assert part.source_count == len(positions) < len(part.positions)
+        np.testing.assert_array_equal(positions[part.sources], part.positions)
+        moved = mesh.with_positions(2.0 * positions)
+        np.testing.assert_array_equal(moved.parts[0].positions, 2.0 * part.positions)
+
+    def test_coincident_vertices_are_told_apart_by_the_faces(self, tmp_path):
+        """Closed lips: the two sides of a slit have equal positions until the mouth opens."""
+        text = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 0", "v 1 0 0", "v 0 -1 0"]
+        text += ["v 0 2 0", "vt 0 0", "vt 1 0", "vt 0 1"]
+        text += ["f 1/1 2/2 3/3", "f 5/2 4/1 6/3", "f 3/1 2/1 7/2"]
+        file = tmp_path / "lips.obj"
+        file.write_text("\n".join(text))
+        (part,) = fr.load_mesh(file).parts
+        assert part.sources is not None
+        faces = [set(part.sources[face].tolist()) for face in part.faces]
+        assert {3, 4, 5} in faces
+        assert {0, 1, 2} in faces
+
+    @pytest.mark.parametrize(
+        ("values", "words"),
+        [
+            ({"uv_faces": [[0, 1, 2]]}, "without uv"),
+            ({"uv": [[0, 0]] * 3, "uv_faces": [[0, 1, 3]]}, "row of uv 3 of 3"),
+            ({"uv": [[0, 0]] * 3, "uv_faces": [[0, 1, 2]] * 2}, "has 2 rows: give 1"),
+        ],
+    )
+    def test_invalid_uv_faces(self, values, words):
+        with pytest.raises(fr.InputError, match=words):
+            fr.Mesh.from_arrays(np.eye(3), [[0, 1, 2]], **values)
+
+
+@pytest.fixture(scope="module")
+def frames(head, tmp_path_factory) -> str:
+    """A file with four frames of vertices."""
+    file = tmp_path_factory.mktemp("frames") / "frames.npy"
+    np.save(file, np.stack([np.concatenate(waved(head, i)) for i in range(4)]))
+    return str(file)
+
+
+class TestSequences:
+    def test_a_job_draws_a_frame_of_vertices(self, head, frames):
+        job = fr.Job(fr.MeshFile(str(MINI_HEAD)), pose=fr.Pose(vertices=frames, frame=2))
+        again = fr.Job.from_dict(json.loads(json.dumps(job.as_dict())))
+        assert again == job
+        (part,) = again.scene().mesh.parts
+        np.testing.assert_array_equal(part.positions, waved(head, 2)[0])
+
+    def test_the_command_draws_one_frame_or_all(self, frames, tmp_path):
+        base = ["render", str(MINI_HEAD), "--size", "64", "--samples", "1", "--quiet"]
+        assert main([*base, "--vertices", frames, "-o", f"{tmp_path}/f-{{index}}.png"]) == 0
+        assert len([*tmp_path.glob("f-*.png")]) == 4
+        assert main([*base, "--vertices", f"{frames},2", "-o", f"{tmp_path}/one.png"]) == 0
+        one, other, same = (read_image(tmp_path / f"{n}.png") for n in ("one", "f-001", "f-002"))
+        np.testing.assert_array_equal(one.pixels, same.pixels)
+        assert (one.pixels != other.pixels).any()
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (["-o", "one.png"], "holds one image"),
+            (["-o", "a.gif", "--camera", "front", "--camera", "profile"], "one view"),
+            (["-o", "a.gif", "--budget", "1/255"], "plans one view"),
+        ],
+    )
+    def test_sequences_need_a_fitting_output(
+        self, frames, options, words, tmp_path, monkeypatch, capsys
+    ):
+        monkeypatch.chdir(tmp_path)
+        assert main(["render", str(MINI_HEAD), "--vertices", frames, *options]) == 2
+        assert words in capsys.readouterr().err
+        assert not [*tmp_path.iterdir()]
+
+    @pytest.mark.parametrize(
+        ("name", "content", "words"),
+        [
+            ("f.npy", b"no", "damaged"),
+            ("f.npz", b"PK no", "damaged"),
+            ("f.txt", b"1 2 3", "unknown format"),
+            ("f.npy", np.zeros((2, 3)), "shape"),
+            ("f.npy", np.zeros((0, 4, 3)), "0"),
+            ("f.npy", np.zeros((1, 4, 3)), "rows: give"),
+            ("f.npy", "all", "not finite"),
+            ("f.npy", np.array([[["a"] * 3]]), "type"),
+        ],
+    )
+    def test_damaged_files_of_vertices(self, tmp_path, head, name, content, words):
+        file = tmp_path / name
+        if isinstance(content, bytes):
+            file.write_bytes(content)
+        else:
+            every = np.full((1, len(head.parts[0].positions), 3), np.nan)
+            np.save(file, every if isinstance(content, str) else content)
+        job = fr.Job(fr.MeshFile(str(MINI_HEAD)), pose=fr.Pose(vertices=str(file)))
+        with pytest.raises(fr.InputError, match=words) as error:
+            job.scene()
+        assert "\n" not in str(error.value)
