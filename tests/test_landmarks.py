@@ -383,6 +383,6 @@ def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path
     path = written(tmp_path, landmarks.vertices[:, 0].tolist())
     image = fr.ImageSettings(size=renderer.size, samples=1)
     job = fr.Job(image=image, landmarks=str(path))
-    planned = replace(job, planned=Planned((renderer.size,), 1, triangles=4001))
+    planned = replace(job, planned=Planned((renderer.size,), 1, triangles=6000))
     facts = [draw(each, skull, renderer, ("mask",), 0.0).facts for each in (job, planned)]
     assert facts[0]["landmarks"] == facts[1]["landmarks"]

@@ -202,7 +202,7 @@ def test_points_behind_the_earlier_camera_have_no_motion(drawing):
 
 
 def test_the_frame_before_is_checked(skull, drawing):
-    with pytest.raises(fr.InputError, match="^motion of head.glb needs the frame before: give its"):
+    with pytest.raises(fr.InputError, match="^motion of head.glb needs the frame before: give the "):
         drawing.render(fr.Scene(skull), only="motion")
     for other in (skull.select(hide="cornea"), card()):
         with pytest.raises(fr.InputError, match="have different triangles: give two poses of one"):
@@ -233,7 +233,7 @@ def test_colours_show_direction_and_length():
 def test_files_of_a_batch(skull, drawing, monkeypatch):
     now, before = (bent(skull, amount) for amount in (0.05, -0.02))
     scene = fr.Scene(now, CAMERAS[0], before=fr.Scene(before, CAMERAS[1]))
-    monkeypatch.setattr(fr.Job, "scene", lambda self, mesh: scene)
+    monkeypatch.setattr(fr.Job, "scene", lambda self, *_: scene)
     job = fr.Job(image=fr.ImageSettings(size=SIZE, samples=1))
     drawn = draw(job, now, drawing, ("motion", "mask", "layers"), 0.0)
     exact = drawing.render(scene, only="motion").linear
@@ -248,7 +248,7 @@ def test_files_of_a_batch(skull, drawing, monkeypatch):
     with OpenEXR.File(io.BytesIO(drawn.files["layers.exr"]), separate_channels=True) as file:
         for name, axis in (("motion.X", 0), ("motion.Y", 1)):
             np.testing.assert_array_equal(file.channels()[name].pixels, exact[..., axis])
-    monkeypatch.setattr(fr.Job, "scene", lambda self, mesh: replace(scene, before=None))
+    monkeypatch.setattr(fr.Job, "scene", lambda self, *_: replace(scene, before=None))
     with pytest.raises(fr.InputError, match="motion of head.glb needs the frame before"):
         draw(job, now, drawing, ("motion",), 0.0)
 
@@ -259,7 +259,7 @@ def test_motion_beyond_the_range_of_a_png_is_not_valid(drawing, monkeypatch):
     near = replace(looking(), fov=1.0)  # 1 unit is 2750 pixels
     moved = quad.with_positions(part.positions + (0.25, 0.01, 0.0))
     scene = fr.Scene(moved, near, before=fr.Scene(quad, near))
-    monkeypatch.setattr(fr.Job, "scene", lambda self, mesh: scene)
+    monkeypatch.setattr(fr.Job, "scene", lambda self, *_: scene)
     job = fr.Job(image=fr.ImageSettings(size=SIZE, samples=1))
     content = draw(job, moved, drawing, ("motion",), 0.0).files["motion.png"]
     pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
