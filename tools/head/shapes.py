@@ -60,7 +60,7 @@ FIELD_END = (
 FIELD_BACK, FIELD_FRONT = 0.5, 4.0  # range of z in which the fields fade in
 
 JAW_AXIS = (-1.3, 1.0)  # height and z of the axis through the condyles
-JAW_ANGLE = 13.5  # degrees; opens the lips by 25 mm
+JAW_ANGLE = 14.6  # degrees; opens the lips by 25 mm
 JAW_FORWARD = 0.20  # slide of the condyles
 JAW_CORNERS = Push(Spot(2.3, -6.95, 0.9, 0.9), (-0.30, 0.0, 0.0))  # the mouth becomes narrower
 # Skin that follows the jaw: within a distance of the bone, on the chin, and on the lower lip.
