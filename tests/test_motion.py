@@ -202,7 +202,7 @@ def test_points_behind_the_earlier_camera_have_no_motion(drawing):
 
 
 def test_the_frame_before_is_checked(skull, drawing):
-    with pytest.raises(fr.InputError, match="^motion of head.glb needs the frame before: give "):
+    with pytest.raises(fr.InputError, match="^motion of head.glb needs the frame before: give its"):
         drawing.render(fr.Scene(skull), only="motion")
     for other in (skull.select(hide="cornea"), card()):
         with pytest.raises(fr.InputError, match="have different triangles: give two poses of one"):
@@ -248,8 +248,8 @@ def test_files_of_a_batch(skull, drawing, monkeypatch):
     with OpenEXR.File(io.BytesIO(drawn.files["layers.exr"]), separate_channels=True) as file:
         for name, axis in (("motion.X", 0), ("motion.Y", 1)):
             np.testing.assert_array_equal(file.channels()[name].pixels, exact[..., axis])
+    monkeypatch.setattr(fr.Job, "scene", lambda self, mesh: replace(scene, before=None))
     with pytest.raises(fr.InputError, match="motion of head.glb needs the frame before"):
-        monkeypatch.setattr(fr.Job, "scene", lambda self, mesh: replace(scene, before=None))
         draw(job, now, drawing, ("motion",), 0.0)
 
 

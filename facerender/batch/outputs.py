@@ -196,7 +196,7 @@ def landmark_facts(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dict
     landmarks = load_landmarks(path)
     points = landmarks.positions(mesh)
     pixels, depths, visible = located(view, mesh, points, depth.linear)
-    places = np.where(np.isfinite(pixels), pixels, None).tolist()
+    places = [(x, y) if x == x else (None, None) for x, y in pixels.tolist()]
     rows = zip(landmarks.names, places, depths.tolist(), visible.tolist(), strict=True)
     return [{"name": n, "x": x, "y": y, "depth": d, "visible": v} for n, (x, y), d, v in rows]
 

@@ -175,7 +175,8 @@ def _motion_colors(motion: NDArray[np.float32]) -> NDArray[np.float32]:
     x, y = motion[..., 0], motion[..., 1]
     length = np.hypot(x, y)
     level = length / max(float(length.max()), 1e-30)
-    return np.asarray(level[..., None] * _hue(np.arctan2(y, x) / np.float32(2.0 * np.pi)))
+    turns: NDArray[np.float32] = np.asarray(np.arctan2(y, x) / (2.0 * np.pi), dtype=np.float32)
+    return np.asarray(level[..., None] * _hue(turns), dtype=np.float32)
 
 
 def _hue(turns: NDArray[np.float32]) -> NDArray[np.float32]:

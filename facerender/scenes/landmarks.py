@@ -140,7 +140,7 @@ def _vertices_of(mesh: Mesh, name: str) -> NDArray[np.int64]:
     counts = {mesh.parts[i].source_count for i in shared}
     by_file = len(counts) == 1
     table = np.full(counts.pop() if by_file else int(starts[-1]), -1)
-    for i in reversed(shared if by_file else chosen):  # the first of several parts remains
+    for i in shared if by_file else chosen:
         part = mesh.parts[i]
         own = np.flatnonzero(used(part.positions, part.faces))
         numbers = part.sources if by_file else np.arange(starts[i], starts[i + 1])
@@ -203,7 +203,9 @@ def _item(name: str, item: Any, named: bool) -> tuple[str, list[int], list[float
     for key in ("name", "part"):
         check_type(f"{place}: {key}", table.get(key, ""), str, "text")
     vertices = table.get("vertices")
-    given = vertices if isinstance(item, Mapping) and isinstance(vertices, list) else [vertices]
+    given: list[Any] = [vertices]
+    if isinstance(item, Mapping) and isinstance(vertices, list):
+        given = vertices
     whole = all(isinstance(each, int) and not isinstance(each, bool) for each in given)
     if not (whole and 0 < len(given) <= 3 and all(0 <= each < _HIGHEST for each in given)):
         raise InputError(f"{place}: vertices = {shown(vertices)}: give one to three vertex numbers")
@@ -244,13 +246,13 @@ def located(
     height, width = image.shape[:2]
     pixels, depth = view.project(mesh, points, (width, height))
     with np.errstate(invalid="ignore"):
-        inside = ((pixels >= 0.0) & (pixels < (width, height))).all(axis=1)
-    pixel = depth / view.intrinsics((width, height))[[0, 1], [0, 1]].min()
+        inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)
+    pixel = depth / view.intrinsics((width, height)).diagonal()[:2].min()
     slack = pixel + depth * _RESOLUTION + mesh.radius * _INTERPOLATION
     surface = np.where(image[..., 3] > 0.0, image[..., 0].astype(np.float64), np.inf)
-    with np.errstate(invalid="ignore"):  # inf - inf beside the border
-        surface = np.pad(surface, 1, mode="reflect", reflect_type="odd")  # continues slopes
+    with np.errstate(invalid="ignore"):  # the padding continues slopes; NaN beside the background
+        surface = np.pad(surface, 1, mode="reflect", reflect_type="odd")
     column, row = np.floor(np.where(inside[:, None], pixels, 0.0) + 0.5).astype(np.int64).T
     around = [surface[row + i, column + j] for i in (0, 1) for j in (0, 1)]
-    visible = (np.array(around) >= depth - slack).any(axis=0)
-    return pixels, depth, visible & inside
+    visible = inside & (np.nanmax(around, axis=0) >= depth - slack)
+    return pixels, depth, visible

@@ -27,7 +27,8 @@ def by_opencv(points: Float, camera: tuple[Float, Float]) -> Float:
     k, pose = camera
     shift = pose[:, :3].T @ pose[:, 3]  # OpenCV loses digits of meshes far from the origin
     turn, _ = cv2.Rodrigues(pose[:, :3])
-    return cv2.projectPoints((points + shift)[:, None], turn, np.zeros(3), k, None)[0][:, 0]
+    found, _ = cv2.projectPoints((points + shift)[:, None], turn, np.zeros(3), k, None)
+    return np.asarray(found[:, 0], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
