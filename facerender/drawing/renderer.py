@@ -308,10 +308,8 @@ class Renderer:
         resolved = own._resolved(flat, shading, view, 1)
         drawn = triangle_pass(resolved, view)
         (triangles,) = own._draw([drawn], resolved.scene)
-        places = pixel_centres(self.size)
-        if lens:
-            triangles, places = lens.nearest_values(triangles), lens.places
-        rays = Rays(view, own.size, places)
+        triangles = lens.nearest_values(triangles) if lens else triangles
+        rays = Rays(view, own.size, lens.places if lens else pixel_centres(self.size))
         return motion_vectors(scene, before, views, drawn, triangles, rays)
 
     def landmarks(

@@ -235,7 +235,8 @@ TALK: dict[str, tuple[float, ...]] = {
 def _talk(writer: _Writer, meshes: Sequence[Doc]) -> Doc:
     """Return the clip "talk" of all meshes with shapes."""
     times = writer.scalars(TALK_STEP * np.arange(len(TALK["jawOpen"])))
-    channels, samplers = [], []
+    channels: list[Doc] = []
+    samplers: list[Doc] = []
     for node, mesh in enumerate(meshes):
         if names := mesh.get("extras", {}).get("targetNames", ()):
             still = np.zeros(len(TALK["jawOpen"]))
