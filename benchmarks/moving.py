@@ -14,16 +14,13 @@ renderer has a process of its own and renders a frame per line of its standard i
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
-import struct
 import sys
 import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from run import HEAD, HERE, frames_of, in_turns, report, resident, started
@@ -32,56 +29,6 @@ import facerender as fr
 
 FPS = 25
 SECONDS = 2.0
-SHAPES = {"jawOpen": 0.8, "mouthSmileLeft": 0.6, "mouthSmileRight": 0.6, "eyeBlinkLeft": 1.0}
-
-
-def clip(path: Path) -> None:
-    """Write the built-in head with a clip that opens and closes some shapes."""
-    content = HEAD.read_bytes()
-    (length,) = struct.unpack_from("<I", content, 12)
-    document = json.loads(content[20 : 20 + length])
-    binary = bytearray(content[28 + length :])
-    accessors, views = document["accessors"], document["bufferViews"]
-
-    def added(values: np.ndarray, **bounds: list[float]) -> int:
-        """Append an accessor of scalars and return its index."""
-        binary.extend(bytes(-len(binary) % 4))
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
-        binary.extend(values.astype(np.float32).tobytes())
-        kind = {"componentType": 5126, "type": "SCALAR", "count": values.size}
-        accessors.append({"bufferView": len(views) - 1, **kind, **bounds})
-        return len(accessors) - 1
-
-    times = np.linspace(0.0, SECONDS, 9, dtype=np.float32)
-    start = added(times, min=[0.0], max=[SECONDS])
-    samplers, channels = [], []
-    for number, node in enumerate(document["nodes"]):
-        names = _names(document, node)
-        weights = np.zeros((len(times), len(names)), dtype=np.float32)
-        for name in SHAPES.keys() & set(names):
-            wave = 0.5 - 0.5 * np.cos(np.pi * np.arange(len(times)))
-            weights[:, names.index(name)] = SHAPES[name] * wave
-        if names:
-            target = {"node": number, "path": "weights"}
-            channels.append({"sampler": len(samplers), "target": target})
-            samplers.append({"input": start, "output": added(weights)})
-    document["animations"] = [{"name": "talk", "samplers": samplers, "channels": channels}]
-    binary += bytes(-len(binary) % 4)
-    document["buffers"][0]["byteLength"] = len(binary)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    with path.open("wb") as file:
-        file.write(struct.pack("<4sII", b"glTF", 2, size))
-        file.write(struct.pack("<I4s", len(text), b"JSON") + text)
-        file.write(struct.pack("<I4s", len(binary), b"BIN\0") + binary)
-
-
-def _names(document: dict[str, Any], node: dict[str, Any]) -> list[str]:
-    """Return the names of the shapes of a node's mesh."""
-    mesh = document["meshes"][node["mesh"]] if "mesh" in node else {}
-    names: list[str] = mesh.get("extras", {}).get("targetNames", [])
-    return names
 
 
 def waves(mesh: fr.Mesh, count: int) -> list[list[np.ndarray]]:
@@ -129,7 +76,7 @@ def peers(frames: int, samples: int, pythons: dict[str, str], folder: Path) -> N
         actions = {}
         for name, python in pythons.items():
             script = str(HERE / "peers" / f"{name}_clip.py")
-            files = str(folder / "clip.glb"), str(folder / "frames.npy")
+            files = str(HEAD), str(folder / "frames.npy")
             command = [python, script, *files, str(samples)]
             actions[name] = frames_of(started(stack, command))
         times = in_turns(frames, actions)
@@ -150,8 +97,7 @@ def main() -> None:
     memory()
     pythons = {"facerender": sys.executable, **dict(e.split("=", 1) for e in options.python)}
     with tempfile.TemporaryDirectory() as folder:
-        clip(Path(folder, "clip.glb"))
-        mesh = fr.load_mesh(Path(folder, "clip.glb"))
+        mesh = fr.load_mesh(HEAD)
         times = np.arange(int(SECONDS * FPS) + 1) / FPS
         poses = [mesh.with_pose(clip="talk", time=float(time)) for time in times]
         every = [np.concatenate([part.positions for part in pose.parts]) for pose in poses]

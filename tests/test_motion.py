@@ -202,7 +202,7 @@ def test_points_behind_the_earlier_camera_have_no_motion(drawing):
 
 
 def test_the_frame_before_is_checked(skull, drawing):
-    with pytest.raises(fr.InputError, match="^motion of head.glb needs the frame before: give the "):
+    with pytest.raises(fr.InputError, match="^motion of head.glb needs the frame before: give "):
         drawing.render(fr.Scene(skull), only="motion")
     for other in (skull.select(hide="cornea"), card()):
         with pytest.raises(fr.InputError, match="have different triangles: give two poses of one"):

@@ -10,7 +10,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import moderngl
 import numpy as np
@@ -308,10 +308,8 @@ class Renderer:
         resolved = own._resolved(flat, shading, view, 1)
         drawn = triangle_pass(resolved, view)
         (triangles,) = own._draw([drawn], resolved.scene)
-        places: NDArray[np.floating[Any]] = pixel_centres(self.size)
-        if lens:
-            triangles, places = lens.nearest_values(triangles), lens.places
-        rays = Rays(view, own.size, places)
+        triangles = lens.nearest_values(triangles) if lens else triangles
+        rays = Rays(view, own.size, lens.places if lens else pixel_centres(self.size))
         return motion_vectors(scene, before, views, drawn, triangles, rays)
 
     def landmarks(

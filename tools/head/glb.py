@@ -126,6 +126,20 @@ class _Writer:
         )
         return len(self.accessors) - 1
 
+    def scalars(self, values: NDArray[Any]) -> int:
+        content = np.asarray(values, "<f4").ravel()
+        self.accessors.append(
+            {
+                "bufferView": self.view(content.tobytes()),
+                "componentType": FLOAT,
+                "count": len(content),
+                "type": "SCALAR",
+                "min": [float(content.min())],
+                "max": [float(content.max())],
+            }
+        )
+        return len(self.accessors) - 1
+
     def sparse(self, moves: Floats) -> int:
         """Add displacements in cm, of which only those that are not 0 are stored."""
         values = np.asarray(moves * METRES_PER_CM, "<f4")
@@ -202,6 +216,36 @@ def _material(name: str, albedo: int, numbers: int, normal: int | None = None) -
     return found | {"occlusionTexture": {"index": numbers}}
 
 
+# The clip "talk": weights of shapes at equal steps of time, in seconds.
+TALK_STEP = 0.125
+TALK: dict[str, tuple[float, ...]] = {
+    "jawOpen": (0, 0.1, 0.35, 0.6, 0.3, 0.1, 0.45, 0.7, 0.4, 0.15, 0.3, 0.5, 0.25, 0.1, 0.05, 0, 0),
+    "browInnerUp": (0, 0, 0.2, 0.5, 0.7, 0.7, 0.5, 0.3, 0.1, 0, 0, 0, 0, 0, 0, 0, 0),
+    **dict.fromkeys(
+        ("mouthSmileLeft", "mouthSmileRight"),
+        (0, 0, 0, 0, 0.1, 0.2, 0.2, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.6, 0.4, 0.2, 0),
+    ),
+    **dict.fromkeys(
+        ("eyeBlinkLeft", "eyeBlinkRight"),
+        (0, 0, 0, 0, 0, 0, 0, 0.6, 1, 0.4, 0, 0, 0, 0, 0, 0, 0),
+    ),
+}
+
+
+def _talk(writer: _Writer, meshes: Sequence[Doc]) -> Doc:
+    """Return the clip "talk" of all meshes with shapes."""
+    times = writer.scalars(TALK_STEP * np.arange(len(TALK["jawOpen"])))
+    channels: list[Doc] = []
+    samplers: list[Doc] = []
+    for node, mesh in enumerate(meshes):
+        if names := mesh.get("extras", {}).get("targetNames", ()):
+            still = np.zeros(len(TALK["jawOpen"]))
+            weights = np.stack([TALK.get(name, still) for name in names], axis=1)
+            channels.append({"sampler": len(samplers), "target": {"node": node, "path": "weights"}})
+            samplers.append({"input": times, "output": writer.scalars(weights)})
+    return {"name": "talk", "channels": channels, "samplers": samplers}
+
+
 def _describe(
     unwrapped: Unwrapped, maps: Maps, moves: Moves, parts: Sequence[Part]
 ) -> tuple[dict[str, Any], bytes]:
@@ -229,6 +273,7 @@ def _describe(
             )
             material = _material(material["name"], albedo, numbers)
         materials.append(material)
+    talk = _talk(writer, meshes)
     used = sorted({key for material in materials for key in material.get("extensions", {})})
     description = {
         "asset": {"version": "2.0", "generator": GENERATOR},
@@ -237,6 +282,7 @@ def _describe(
         "scenes": [{"nodes": list(range(len(meshes)))}],
         "nodes": [{"mesh": index, "name": mesh["name"]} for index, mesh in enumerate(meshes)],
         "meshes": meshes,
+        "animations": [talk],
         "materials": materials,
         "textures": [{"source": index, "sampler": 0} for index in range(len(writer.images))],
         "samplers": [

@@ -60,12 +60,12 @@ FIELD_END = (
 FIELD_BACK, FIELD_FRONT = 0.5, 4.0  # range of z in which the fields fade in
 
 JAW_AXIS = (-1.3, 1.0)  # height and z of the axis through the condyles
-JAW_ANGLE = 13.5  # degrees; opens the lips by 25 mm
+JAW_ANGLE = 14.6  # degrees; opens the lips by 25 mm
 JAW_FORWARD = 0.20  # slide of the condyles
 JAW_CORNERS = Push(Spot(2.3, -6.95, 0.9, 0.9), (-0.30, 0.0, 0.0))  # the mouth becomes narrower
 # Skin that follows the jaw: within a distance of the bone, on the chin, and on the lower lip.
-JAW_REACH, JAW_BACK = 1.25, 4.5  # largest distance, smallest z
-CHIN_TOP, CHIN_END = -8.3, -11.2
+JAW_REACH, JAW_BACK = 1.25, 5.6  # largest distance, smallest z
+CHIN_TOP, CHIN_END = -8.3, -10.9
 JAW_CHIN, JAW_LIP = 2.0, 0.5  # half widths
 # Skin that stays: around these heights and depths, and in the middle of upper lip and nose.
 STILL_ABOVE, STILL_BELOW, STILL_BEHIND, STILL_BESIDE = -2.9, -13.4, 0.0, 6.4
