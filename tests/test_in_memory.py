@@ -513,6 +513,7 @@ def everything():
         "ImageSettings": fr.ImageSettings((3, 4)),
         "InputError": fr.InputError("wrong"),
         "Job": fr.Job(fr.MeshFile("a.glb", hide="hair"), {"m": 0.2}),
+        "Landmarks": fr.Landmarks(("nose",), np.array([[0, 1, 2]]), np.array([[0.2, 0.3, 0.5]])),
         "Light": fr.Light(3.0, 4.0),
         "Material": mesh.materials[0],
         "Mesh": mesh,
@@ -520,6 +521,7 @@ def everything():
         "Output": fr.Output("a.png"),
         "Panorama": scene.environment.panorama,  # type: ignore[union-attr]
         "Plan": plan,
+        "Pose": fr.Pose({"jawOpen": 0.5}, track=True),
         "Scene": scene,
         "Shading": fr.Shading(lobe="d16", lights={1: {"lobe": "d8"}}),
         "Term": fr.Term("ward"),

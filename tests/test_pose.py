@@ -189,6 +189,19 @@ class TestDrawing:
         np.testing.assert_allclose(followed[:, :3], still[:, :3], atol=1e-12)
         np.testing.assert_allclose(followed[:, 3], still[:, 3] - still[:, :3] @ step, atol=1e-9)
 
+    @pytest.mark.parametrize("frame", ["all", "face"])
+    def test_crown_and_ears_stay_while_the_jaw_opens(self, egl, frame):
+        """The mask above the mouth is the same in every pixel."""
+        mesh = fr.load_mesh()
+        with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
+            masks = [
+                renderer.render(fr.Scene(own, fr.Camera(20.0, frame=frame)), only="mask").linear
+                for own in (mesh, mesh.with_pose({"jawOpen": 1.0}))
+            ]
+        still, opened = (mask[..., 0] for mask in masks)
+        np.testing.assert_array_equal(still[:256], opened[:256])
+        assert (still[256:] != opened[256:]).sum() > 100
+
     def test_far_vertices_are_neither_clipped_nor_change_the_framing(self, head):
         """The radius of the renderer's space grows with the mesh."""
         moved = head.with_positions([part.positions * (1.0, 1.0, 3.0) for part in head.parts])
@@ -248,7 +261,7 @@ class TestSources:
         ("values", "words"),
         [
             ({"uv_faces": [[0, 1, 2]]}, "without uv"),
-            ({"uv": [[0, 0]] * 3, "uv_faces": [[0, 1, 3]]}, "row of uv 3 of 3"),
+            ({"uv": [[0, 0]] * 3, "uv_faces": [[0, 1, 3]]}, "uv_faces use row 3 of 3"),
             ({"uv": [[0, 0]] * 3, "uv_faces": [[0, 1, 2]] * 2}, "has 2 rows: give 1"),
         ],
     )

@@ -117,6 +117,15 @@ def test_every_term_of_a_light(transparent, mesh, scene_of, shading, request):
     assert compared(transparent, scene, shading)[2].max() < 1e-4
 
 
+@pytest.mark.parametrize("shading", [fr.Shading(), fr.Shading("ward", "d16")], ids=shading_name)
+def test_poses_of_a_mesh(transparent, head, shading):
+    """One renderer draws poses of one mesh, whose vertex buffers and triangle table it reuses."""
+    shapes = {"jawOpen": 1.0, "mouthSmileLeft": 0.7, "eyeBlinkRight": 1.0}
+    for weight in (1.0, 0.3):
+        posed = head.with_pose({name: weight * own for name, own in shapes.items()})
+        assert compared(transparent, lit(posed), shading)[2].max() < 1e-4
+
+
 @pytest.mark.parametrize("shading", LIGHTS_OF_THEIR_OWN, ids=str)
 def test_lights_with_terms_of_their_own(transparent, head, shading):
     assert compared(transparent, mixed(head), shading)[2].max() < 1e-4

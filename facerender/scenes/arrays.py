@@ -28,7 +28,9 @@ def piece_of(
     check_type("material", material, Material | None, "a facerender.Material or None")
     places = rows_of("positions", positions, (3,))
     count = len(places)
-    corners = _indices("faces", faces, count, "vertex", "; cut polygons into triangles")
+    corners = _indices(
+        *("faces", faces, count, "vertex", "a face uses vertex"), "; cut polygons into triangles"
+    )
     if material is None:
         material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
     maps = [each for each in MAPS if getattr(material, each) is not None]
@@ -46,21 +48,28 @@ def piece_of(
     )
     if uv_faces is not None and uv is not None:
         rows = rows_of("uv", uv, (2,))
-        return _split_at_seams(piece, rows, _indices("uv_faces", uv_faces, len(rows), "row of uv"))
+        return _split_at_seams(
+            piece, rows, _indices("uv_faces", uv_faces, len(rows), "row", "uv_faces use row")
+        )
     piece.uv = None if uv is None else rows_of("uv", uv, (2,), count=count)
     return piece
 
 
 def _indices(
-    name: str, values: ArrayLike, count: int, what: str, hint: str = ""
+    name: str, values: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
 ) -> NDArray[np.int64]:
-    """Return indices (F, 3) in [0, count) from an array or nested lists."""
+    """Return indices (F, 3) in [0, count) from an array or nested lists.
+
+    Parameters
+    ----------
+    kind, uses : kind of the indices, and beginning of the message about an invalid one
+    """
     rows = rows_of(name, values, (3,), hint)
     if (rows != np.floor(rows)).any():
-        raise InputError(f"{name} are not whole numbers: give indices")
+        raise InputError(f"{name} are not whole numbers: give {kind} indices")
     if ((rows < 0) | (rows >= count)).any():
         bad = int(rows.min()) if (rows < 0).any() else int(rows.max())
-        raise InputError(f"{name} use {what} {bad} of {count}: give indices from 0 on")
+        raise InputError(f"{uses} {bad} of {count}: give indices from 0 on")
     return rows.astype(np.int64)
 
 

@@ -13,6 +13,7 @@ import argparse
 import io
 import re
 import shlex
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -177,7 +178,8 @@ def occlusion(size: int = 440) -> None:
 
 
 def gallery() -> None:
-    """Run the commands of docs/gallery.md; write their images as JPEG for that page."""
+    """Run the commands of docs/gallery.md; write their images as JPEG, and animations as they are,
+    for that page."""
     page = (DOCS / "gallery.md").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         for command in re.findall(r"^facerender (.+)$", page, re.MULTILINE):
@@ -185,6 +187,9 @@ def gallery() -> None:
             path = Path(folder, name)
             if main_command([*options, str(path)]):
                 raise SystemExit(f"no picture from: facerender {command}")
+            if path.suffix == ".webp":
+                shutil.copy(path, IMAGES / "gallery")
+                continue
             image = Image.open(path).convert("RGB")
             image.save(IMAGES / "gallery" / f"{path.stem}.jpg", quality=88)
 
