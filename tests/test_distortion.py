@@ -412,7 +412,9 @@ def test_slight_distortion_changes_no_label(drawing, whole):
 def test_terms_of_a_distorted_scene(drawing, whole):
     """Coverage and terms agree with the G-buffer; the sum of the terms is the image."""
     scene = dark(whole, camera=camera_of(whole, STRONG), background=None)
+    scene = replace(scene, before=scene)
     seen = drawing.gbuffer(scene, blended=False)
+    assert (drawing.render(scene, only="motion").linear[..., :2] == 0.0).all()
     for only in DATA:
         image = drawing.render(scene, only=only).linear
         assert np.array_equal(image[..., 3], seen.part >= 0)

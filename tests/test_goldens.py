@@ -111,6 +111,9 @@ def test_terms(small, meshes, agrees, only: Only):
     scene = fr.Scene(meshes[mesh], CLOSE)
     if only == "visibility":
         scene = replace(scene, lights=(replace(LIGHTS["key"], radius=4.0, shadow=True),))
+    if only == "motion":
+        posed = scene.mesh.with_pose({"jawOpen": 0.5, "mouthSmileLeft": 0.5})
+        scene = replace(scene, mesh=posed, before=scene)
     frame = small.render(scene, only=only)
     agrees(frame, f"{mesh}-only-{only}", maps=only == "albedo")
 

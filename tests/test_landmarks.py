@@ -375,6 +375,7 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
     json.dumps(drawn.facts, allow_nan=False)
 
 
+@pytest.mark.filterwarnings("ignore:.*cannot be simplified")
 def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path):
     pytest.importorskip("meshoptimizer")
     from facerender.scenes.lod import Planned

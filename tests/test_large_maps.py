@@ -27,13 +27,22 @@ def noise(width, height, seed=0):
 
 
 @pytest.fixture(scope="module")
-def detailed(head):
-    """The built-in head with maps of noise."""
+def face(head):
+    """The built-in head without the mouth, whose hidden surface needs finer maps than the skin."""
+    part = head.parts[0]
+    middle = part.uv[part.faces].mean(axis=1)
+    outside = np.linalg.norm(middle - (2 / 9, 0.0375), axis=1) > 0.034
+    return fr.Mesh.of("face", [replace(part, faces=part.faces[outside])], head.materials)
+
+
+@pytest.fixture(scope="module")
+def detailed(face):
+    """The face with maps of noise."""
     maps = {
         name: Texture(lambda seed=seed: noise(1024, 1024, seed), name)
         for seed, name in enumerate(("albedo_map", "roughness_map"))
     }
-    return head.with_material(**maps, roughness_factor=0.7)
+    return face.with_material(**maps, roughness_factor=0.7)
 
 
 @pytest.fixture
@@ -88,12 +97,12 @@ def test_textures_of_textures_can_be_coarse():
 
 
 @pytest.mark.parametrize(("camera", "texels"), [*zip(VIEWS, (512, 2048, 512), strict=True)])
-def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels):
+def test_computed_level_is_the_finest_that_the_driver_reads(face, camera, texels):
     """Each mip level has its own colour, which shows the levels that the driver reads."""
     sides = [texels >> level for level in range(texels.bit_length())]
     levels = [np.full((side, side, 4), 20 * number, np.uint8) for number, side in enumerate(sides)]
     texture = Texture.known(levels[0][..., :3], "levels", {"color": levels})
-    mesh = head.with_material(albedo_map=texture, albedo=(1.0, 1.0, 1.0))
+    mesh = face.with_material(albedo_map=texture, albedo=(1.0, 1.0, 1.0))
     scene = fr.Scene(mesh, camera)
     with fr.Renderer(SIZE, samples=1) as renderer:
         gbuffer = renderer.gbuffer(scene)

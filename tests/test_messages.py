@@ -141,7 +141,7 @@ MESSAGES = [
         "render --scene unknown.toml -o x.png",
         (
             "unknown.toml: unknown key 'unknown'; known: camera, cameras, lights, environment, "
-            "material, parts, shading, planned, ambient, background"
+            "material, parts, shading, planned, ambient, background, pose, before"
         ),
     ),
     (
@@ -251,7 +251,7 @@ MESSAGES = [
         (
             "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, scene, "
             "mesh, camera, lights, environment, material, parts, shading, planned, ambient, "
-            "background, image"
+            "background, pose, before, image, landmarks"
         ),
     ),
     (

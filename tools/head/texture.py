@@ -118,7 +118,7 @@ SLOPE_ADDED = {
     "nostril": 0.15,
 }
 SLOPE_ADDED_WET = -0.07  # on the margins of open lids
-SLOPE_MOUTH = 0.22
+SLOPE_MOUTH = 0.27
 SLOPE_RANGE = (0.205, 0.54)  # at least 0.2 after rounding: the plain half vector needs it
 
 

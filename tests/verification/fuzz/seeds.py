@@ -320,7 +320,7 @@ def options() -> Iterator[Sequence[str]]:
         *("--only", "specular", "--model", "ward", "--scattering", "skin", "--shadows"),
         *("--millimetres", "100", "--slope-filter", "--samples", "4", "--json"),
     )
-    yield ("--weight", "open=0.5", "--clip", "talk", "--time", "0.5", "--track")
+    yield ("--track", "--only", "parts", "--camera", "20,5")
 
 
 def tables() -> Iterator[tuple[str, bytes]]:
