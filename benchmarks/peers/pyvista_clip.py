@@ -13,7 +13,8 @@ class Clip(Head):
     def __init__(self, path, frames, samples):
         super().__init__(path, samples)
         self.frames = np.load(frames)
-        self.meshes = [pyvista.wrap(a.mapper.dataset) for a in self.plotter.actors.values()]
+        actors = self.plotter.actors.values()
+        self.meshes = [pyvista.wrap(each.GetMapper().GetInput()) for each in actors]
 
     def show(self, turn):
         rows, start = self.frames[turn % len(self.frames)], 0

@@ -147,6 +147,7 @@ class _Writer:
         short = len(moves) <= MOST_SHORT
         kind = UNSIGNED_SHORT if short else UNSIGNED_INT
         indices = self.view(rows.astype("<u2" if short else "<u4").tobytes())
+        replaced = self.view(values[rows].tobytes())
         self.accessors.append(
             {
                 "componentType": FLOAT,
@@ -156,8 +157,9 @@ class _Writer:
                 "max": values.max(0).tolist(),
                 "sparse": {
                     "count": len(rows),
-                    "indices": {"bufferView": indices, "componentType": kind},
-                    "values": {"bufferView": self.view(values[rows].tobytes())},
+                    # VTK requires byteOffset, although its default is 0.
+                    "indices": {"bufferView": indices, "byteOffset": 0, "componentType": kind},
+                    "values": {"bufferView": replaced, "byteOffset": 0},
                 },
             }
         )
