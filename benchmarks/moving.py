@@ -7,15 +7,18 @@ The first tables compare a frame of moving vertices with a static frame, in turn
 shadow maps a static scene draws only once. The memory table renders 1,000 frames.
 
 The last tables render a clip of the built-in head, 25 frames per second: facerender by with_pose,
-filly (Filament) by apply_animation, PyVista by assigning vertices that were computed before. Each
-renderer has a process of its own and renders a frame per line of its standard input, in turns.
+filly (Filament) by apply_animation, PyVista by assigning vertices computed before to a head without
+morph targets. Each renderer has a process of its own and renders a frame per line of its standard
+input, in turns.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import statistics
+import struct
 import sys
 import tempfile
 from contextlib import ExitStack
@@ -29,6 +32,19 @@ import facerender as fr
 
 FPS = 25
 SECONDS = 2.0
+
+
+def without_targets(path: Path) -> None:
+    """Write the built-in head without morph targets and clip, with which VTK takes seconds per
+    frame."""
+    content = HEAD.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    document = json.loads(content[20 : 20 + length])
+    del document["animations"]
+    for mesh in document["meshes"]:
+        mesh["primitives"][0].pop("targets", None)
+    text = json.dumps(document, separators=(",", ":")).encode().ljust(length)
+    path.write_bytes(content[:20] + text + content[20 + length :])
 
 
 def waves(mesh: fr.Mesh, count: int) -> list[list[np.ndarray]]:
@@ -76,7 +92,8 @@ def peers(frames: int, samples: int, pythons: dict[str, str], folder: Path) -> N
         actions = {}
         for name, python in pythons.items():
             script = str(HERE / "peers" / f"{name}_clip.py")
-            files = str(HEAD), str(folder / "frames.npy")
+            head = folder / "plain.glb" if name == "pyvista" else HEAD
+            files = str(head), str(folder / "frames.npy")
             command = [python, script, *files, str(samples)]
             actions[name] = frames_of(started(stack, command))
         times = in_turns(frames, actions)
@@ -102,6 +119,7 @@ def main() -> None:
         poses = [mesh.with_pose(clip="talk", time=float(time)) for time in times]
         every = [np.concatenate([part.positions for part in pose.parts]) for pose in poses]
         np.save(Path(folder, "frames.npy"), np.array(every, dtype=np.float32))
+        without_targets(Path(folder, "plain.glb"))
         for samples in (1, 4):
             peers(options.frames, samples, pythons, Path(folder))
 
