@@ -274,7 +274,10 @@ def hits(mesh, origin, rays):
     return distance, number, cosine
 
 
-@lenses
+@pytest.mark.parametrize(
+    "lens",
+    [STRONG, *(pytest.param(own, marks=pytest.mark.slow) for own in LENSES if own != STRONG)],
+)
 def test_labels_are_those_of_distorted_rays(drawing, balls, lens):
     camera = camera_of(balls, lens, 2.2)
     scene = fr.Scene(balls, camera)

@@ -30,7 +30,7 @@ PAGES = sorted(
     for page in ROOT.glob(pattern)
 )
 COMMAND = re.compile(r"^facerender (.+?)(?: \| .*)?$", re.MULTILINE)
-SLOW = {"speed"}
+SLOW = {"moving", "speed"}
 
 
 def words(page: Path) -> int:

@@ -289,7 +289,15 @@ def test_landmarks_outside_the_image(skull, renderer):
         renderer.landmarks(away, "nose")
 
 
-@pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(90.0), fr.Camera(-35.0, 15.0)], ids=str)
+@pytest.mark.parametrize(
+    "camera",
+    [
+        pytest.param(fr.Camera(), marks=pytest.mark.slow),
+        pytest.param(fr.Camera(90.0), marks=pytest.mark.slow),
+        fr.Camera(-35.0, 15.0),
+    ],
+    ids=("front", "side", "oblique"),
+)
 def test_visibility_agrees_with_rays(skull, renderer, camera):
     """Of 500 random points, all that rays find visible are visible; 99 % of the others are hidden,
     unless a silhouette is within 1.5 pixels."""
