@@ -509,6 +509,7 @@ def test_jaw_opens_the_mouth(head: Head):
     assert not moves[upper_face | (vertices[:, 1] < -0.14) | (vertices[:, 2] < -0.01)].any()
 
 
+@pytest.mark.slow
 def test_mouth_is_closed_at_rest_and_has_a_lining(head: Head):
     require_module("skimage")
     for weight in (0.0, 1.0):

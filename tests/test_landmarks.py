@@ -294,7 +294,7 @@ def test_landmarks_outside_the_image(skull, renderer):
     [
         pytest.param(fr.Camera(), marks=pytest.mark.slow),
         pytest.param(fr.Camera(90.0), marks=pytest.mark.slow),
-        fr.Camera(-35.0, 15.0),
+        pytest.param(fr.Camera(-35.0, 15.0), marks=pytest.mark.slow),
     ],
     ids=("front", "side", "oblique"),
 )

@@ -47,6 +47,7 @@ def moved_away(mesh: fr.Mesh) -> fr.Mesh:
     return fr.Mesh.of(mesh.name, parts, mesh.materials)
 
 
+@pytest.mark.slow
 def test_motion_agrees_with_rays_in_float64(skull, drawing):
     now, before = (bent(skull, amount) for amount in (0.05, -0.02))
     scene = fr.Scene(now, CAMERAS[0], before=fr.Scene(before, CAMERAS[1]))
