@@ -66,7 +66,8 @@ const head = (await new GLTFLoader().loadAsync(headUrl)).scene.getObjectByName("
 const { map, normalMap, normalScale, aoMap } = head.material;
 const shapes = {
   head: {
-    geometry: head.geometry.center(),
+    // Without morph targets, which would also move the centre of the bounds.
+    geometry: Object.assign(head.geometry, { morphAttributes: {} }).center(),
     skin: { map, aoMap, color: new THREE.Color(1, 1, 1) },
     relief: { normalMap, normalScale },
   },
