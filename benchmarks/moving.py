@@ -71,9 +71,8 @@ def against_static(frames: int, samples: int, shadows: bool) -> None:
             "normals computed": lambda turn: draw(mesh.with_positions(moved[turn % 6])),
         }
         times = in_turns(frames, actions)
-        scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
         title = f"{samples} sample(s), {'shadows' if shadows else 'no shadows'}"
-        report(f"A frame of moving vertices, {title}", "ms", scaled)
+        report(f"A frame of moving vertices, {title}", "ms", times)
 
 
 def memory() -> None:
@@ -97,8 +96,7 @@ def peers(frames: int, samples: int, pythons: dict[str, str], folder: Path) -> N
             command = [python, script, *files, str(samples)]
             actions[name] = frames_of(started(stack, command))
         times = in_turns(frames, actions)
-        scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
-        report(f"A clip of the whole head, {samples} sample(s), readback", "ms", scaled)
+        report(f"A clip of the whole head, {samples} sample(s), readback", "ms", times)
         for name, values in times.items():
             print(f"  {name:24} {1.0 / statistics.median(values):7.1f} frames per second")
 

@@ -40,13 +40,17 @@ STEADY = {"facerender": (1, 4), "filly": (1, 4), "pyrender": (4,), "pyvista": (1
 
 
 def report(title: str, unit: str, times: dict[str, list[float]]) -> None:
-    base = next(iter(times))
+    """Print medians, ranges and ratios of times in seconds.
+
+    unit : unit of the printed times, "s" or "ms"
+    """
+    base, scale = next(iter(times)), {"s": 1.0, "ms": 1e3}[unit]
     print(f"\n{title}")
     for name, values in times.items():
         ratio = statistics.median(a / b for a, b in zip(values, times[base], strict=True))
         print(
-            f"  {name:24} {statistics.median(values):7.3f} {unit}"
-            f"  ({min(values):.3f} to {max(values):.3f})   {ratio:.2f} of {base}"
+            f"  {name:24} {scale * statistics.median(values):7.3f} {unit}"
+            f"  ({scale * min(values):.3f} to {scale * max(values):.3f})   {ratio:.2f} of {base}"
         )
 
 
@@ -146,8 +150,7 @@ def steady(frames: int, samples: int, peers: Mapping[str, str]) -> None:
         }
         actions |= {name: frames_of(own) for name, own in processes.items()}
         times = in_turns(frames, actions)
-        scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
-        report(f"Steady state, {samples} sample(s), moving camera, readback", "ms", scaled)
+        report(f"Steady state, {samples} sample(s), moving camera, readback", "ms", times)
         print("  resident MiB after the last frame:")
         pids = {name: own.pid for name, own in processes.items()}
         for name, pid in {"script and facerender": os.getpid(), **pids}.items():

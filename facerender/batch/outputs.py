@@ -27,8 +27,9 @@ from facerender.scenes.view import View, view_of
 if TYPE_CHECKING:
     from facerender.drawing.renderer import Renderer
 
-# Each of these outputs and motion take one draw; all other outputs come from one G-buffer.
-_SHADED: dict[str, Only | None] = {"image": None, "specular": "specular", "diffuse": "diffuse"}
+# Each of these outputs takes one draw; all other outputs come from one G-buffer.
+_APART: dict[str, Only | None]
+_APART = {"image": None, "specular": "specular", "diffuse": "diffuse", "motion": "motion"}
 # Channel names in layers.exr. The last letter of a name selects how compositing programs show the
 # channel: Y is grey. mask.A is the name of Nuke's own mask layer.
 _CHANNELS = {
@@ -137,16 +138,14 @@ def _frames(
     values = replace(detail, samples=min(detail.samples, renderer.samples)).values
     frames = {
         name: renderer.render(scene, job.shading, only, **values)
-        for name, only in _SHADED.items()
+        for name, only in _APART.items()
         if name in outputs
     }
-    if "motion" in outputs:
-        frames["motion"] = renderer.render(scene, job.shading, "motion")
-    if outputs - _SHADED.keys() - {"motion"}:
+    if shared := outputs - _APART.keys():
         gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
         metadata = {**renderer.metadata, "samples": "1"}
         for only in DATA:
-            if only in outputs and only != "motion":
+            if only in shared:
                 linear = data_view(gbuffer, scene, only)
                 frames[only] = Frame(linear, only, scene.background is None, metadata)
     return frames

@@ -13,12 +13,11 @@ from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
 from facerender.scenes.camera import DISTORTIONS
-from facerender.scenes.file import WEIGHTS
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS
 from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import Vector
+from facerender.scenes.vectors import SHAPE_WEIGHTS, Vector
 from facerender.shading import DIFFUSE, OUTSIDE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, GPower
 from facerender.terms.ranges import (
@@ -251,8 +250,8 @@ _SPECIAL: dict[str, Schema] = {
     **{
         f"{table}.weights": {
             "type": "object",
-            "patternProperties": {"^[^.]+$": _of_range(WEIGHTS)},
-            "additionalProperties": _of_range(WEIGHTS),
+            "patternProperties": {"^[^.]+$": _of_range(SHAPE_WEIGHTS)},
+            "additionalProperties": _of_range(SHAPE_WEIGHTS),
         }
         for table in ("pose", "before")
     },

@@ -161,9 +161,13 @@ def run(options: argparse.Namespace) -> int:
     step = step_log(options)
     still = replace(job, pose=Pose(), before=Pose())
     poses = [job.pose]
-    if playing:
+
+    def loaded() -> Scene:
         step("mesh")
-        scene = load(still, not options.no_cache, ahead=options.memory is None)
+        return load(still, not options.no_cache, ahead=options.memory is None)
+
+    scene = loaded() if playing else None  # the number of frames depends on the mesh
+    if scene is not None:
         poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
     names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
     target = Destination.of(
@@ -172,9 +176,7 @@ def run(options: argparse.Namespace) -> int:
     )
     written = [] if options.output == STANDARD_OUTPUT else target.files
     check_outputs(written, files_read(options, job))
-    if not playing:
-        step("mesh")
-        scene = load(still, not options.no_cache, ahead=options.memory is None)
+    scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size
     if target.kind == "sheet":

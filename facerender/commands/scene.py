@@ -41,7 +41,6 @@ from facerender.scenes.camera import (
 )
 from facerender.scenes.file import (
     STUDIO,
-    WEIGHTS,
     EnvironmentFile,
     Pose,
     load_scene,
@@ -55,6 +54,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
+from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
@@ -111,7 +111,7 @@ def add_scene(
 
 def _add_pose(scene: argparse._ArgumentGroup) -> None:
     text, note = "weight of a shape; repeat for others", "facerender info lists the names"
-    weight = Help(text, "the mesh file's", **bounds_of(WEIGHTS), note=note)
+    weight = Help(text, "the mesh file's", **bounds_of(SHAPE_WEIGHTS), note=note)
     scene.add_argument("--weight", action="append", metavar="NAME=WEIGHT", help=weight)
     clip = Help("animation of the mesh file", "none; the first with --time")
     scene.add_argument("--clip", metavar="NAME", help=clip)

@@ -15,6 +15,7 @@ from facerender.images.exr import exr_bytes, save_exr
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
 from facerender.scenes.scene import ONLY, Only, Scene
+from facerender.scenes.vectors import unit
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes
 from facerender.terms.ranges import EXPOSURES
@@ -309,9 +310,3 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
         values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
     view[covered, :3] = values
     return view
-
-
-def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (..., 3) scaled to length 1; zero vectors stay zero."""
-    length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
-    return np.asarray(vectors / np.maximum(length, 1e-300))

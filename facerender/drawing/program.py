@@ -267,9 +267,14 @@ def table_attributes(part: Part) -> NDArray[np.float32]:
     return padded.reshape(-1, texels, 3)
 
 
+def table_texels(part: Part) -> int:
+    """Return the number of texels per triangle in the triangle table of a part: plane, normal,
+    fixed attributes and tangent plane."""
+    fixed = (each for name, each in fixed_attributes(part).items() if name != "in_uv2")
+    return 5 + sum(int(each.shape[1]) for each in fixed)
+
+
 def table_features(part: Part) -> tuple[str, ...]:
     """Return the macros that describe the triangle table of a part; see
     ``shaders/host/triangle_table.frag``."""
-    widths = {name: values.shape[1] for name, values in fixed_attributes(part).items()}
-    fixed = sum(width for name, width in widths.items() if name != "in_uv2")
-    return f"TRIANGLES_IN_ROW {IN_ROW}", f"TRIANGLE_TEXELS {5 + fixed}"
+    return f"TRIANGLES_IN_ROW {IN_ROW}", f"TRIANGLE_TEXELS {table_texels(part)}"

@@ -8,12 +8,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.frame import GBuffer, unit
+from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
 from facerender.drawing.resolve import resolve
 from facerender.scenes.light import Light, half_sum
 from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene
+from facerender.scenes.vectors import unit
 from facerender.shading import Shading, Term
 from facerender.terms.albedo import (
     cook_torrance_albedo,

@@ -26,6 +26,7 @@ from facerender.drawing.program import (
     fixed_attributes,
     table_attributes,
     table_features,
+    table_texels,
 )
 from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.errors import ContextError, InputError
@@ -174,16 +175,13 @@ class TriangleTable:
     target: moderngl.Framebuffer
 
     @classmethod
-    def of(cls, gl: moderngl.Context, part: Part, width: int) -> TriangleTable:
-        """Return an empty table of a part.
-
-        width : number of texels per triangle
-        """
+    def of(cls, gl: moderngl.Context, part: Part) -> TriangleTable:
+        """Return an empty table of a part."""
         attributes = table_attributes(part)
         vertices = _empty(gl, len(part.positions), 2, 3)
         fixed = _empty(gl, len(part.positions), attributes.shape[1], 3)
         faces = _empty(gl, len(part.faces), 1, 3, "i4")
-        texels = _empty(gl, len(part.faces), width, 4)
+        texels = _empty(gl, len(part.faces), table_texels(part), 4)
         _fill(fixed, attributes)
         _fill(faces, np.asarray(part.faces, dtype=np.int32))
         return cls(None, vertices, fixed, faces, texels, gl.framebuffer([texels]))
@@ -479,17 +477,16 @@ class Resources:
     def _draw_table(self, part: Part, mesh: Mesh) -> None:
         """Draw the triangle table of a part, unless it is up to date."""
         gl, made = self.context.gl, self.geometry(part, mesh)
-        features = table_features(part)
         if made.table is None:
             self._settled = False
             gl.gc()
-            made.table = TriangleTable.of(gl, part.root, int(features[-1].split()[1]))
+            made.table = TriangleTable.of(gl, part.root)
         table = made.table
         if table.setup is made.setup:
             return
         _fill(table.vertices, made.setup.vertices)
         columns = table.attributes.width // IN_ROW
-        macros = *features, f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
+        macros = *table_features(part), f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
         inputs = {"vertices": table.vertices, "attributes": table.attributes, "faces": table.faces}
         for unit, (name, texture) in enumerate(inputs.items()):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.normals import face_normals
 from facerender.scenes.view import View
 
 _EDGE_ON = 0.01  # sine of the angle between view ray and triangle
@@ -57,16 +58,11 @@ class TriangleSetup:
 
     @cached_property
     def planes(self) -> NDArray[np.float32]:
-        """Normal of each triangle, with the length of the doubled area, and the distance of the
-        origin from the triangle's plane times this length, (4, F)."""
-        x, y, z = np.ascontiguousarray(self.positions.T)
-        a, b, c = np.ascontiguousarray(self.faces.T)
-        (ax, ux, vx), (ay, uy, vy), (az, uz, vz) = (
-            (first := np.take(each, a), np.take(each, b) - first, np.take(each, c) - first)
-            for each in (x, y, z)
-        )
-        normals = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        return np.stack([*normals, -(normals[0] * ax + normals[1] * ay + normals[2] * az)])
+        """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
+        columns, faces = (np.ascontiguousarray(own.T) for own in (self.positions, self.faces))
+        corners, normals = map(np.stack, face_normals([*columns], faces))
+        normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
+        return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
 
     def facing(self, camera: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the indices of the triangles that can face a camera at the given position (3,).
@@ -75,9 +71,7 @@ class TriangleSetup:
         of a pixel before it decides which triangles are back faces.
         """
         edge_on = _EDGE_ON * (1.0 + np.linalg.norm(camera))
-        along = np.append(camera, 1.0).astype(np.float32) @ self.planes
-        lengths = np.sqrt(np.einsum("ij,ij->j", self.planes[:3], self.planes[:3]))
-        return np.flatnonzero(along >= np.float32(-edge_on) * lengths)
+        return np.flatnonzero(np.append(camera, 1.0).astype(np.float32) @ self.planes > -edge_on)
 
     def area(self, view: View, size: tuple[int, int]) -> Area:
         """Return the bounds of the part in an image: left column, lowest row, width and height in

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from facerender.errors import clipped
 from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import TYPES, Doc, checked_animation
+from facerender.scenes.repair import unique
 from facerender.scenes.rig import Clip, Interpolation, Path, Shape, Track
 
 _T = TypeVar("_T")
@@ -55,7 +56,7 @@ class RigReader:
         if not isinstance(animations, list):
             return ()
         given = [each.get("name") if isinstance(each, dict) else None for each in animations]
-        names = _unique(given, "clip")
+        names = _named(given, "clip")
         return tuple(self._clip(i, name) for i, name in enumerate(names))
 
     def _clip(self, index: int, name: str) -> Clip:
@@ -157,7 +158,7 @@ class RigReader:
         given = names if isinstance(names, list) else []
         padded = [*given[: len(targets)], *[None] * (len(targets) - len(given))]
         found = []
-        for i, (target, name) in enumerate(zip(targets, _unique(padded, "shape"), strict=True)):
+        for i, (target, name) in enumerate(zip(targets, _named(padded, "shape"), strict=True)):
             rows: dict[str, _Rows] = {}
             try:
                 for key in ("POSITION", "NORMAL"):
@@ -187,16 +188,8 @@ class RigReader:
         return places[own].astype(np.uint32), moves[own]
 
 
-def _unique(names: Iterable[Any], kind: str) -> list[str]:
+def _named(names: Iterable[Any], kind: str) -> list[str]:
     """Return a unique name of one line for each name. A name that is empty or no text becomes
-    ``shape2`` for the second shape; a repeated name gets a number."""
-    numbers: dict[str, int] = {}
-    found = []
-    for i, given in enumerate(names, 1):
-        plain = name = (clipped(given, 80) if isinstance(given, str) else "") or f"{kind}{i}"
-        while name in numbers:
-            numbers[plain] += 1
-            name = f"{plain}.{numbers[plain]}"
-        numbers[name] = 1
-        found.append(name)
-    return found
+    ``shape2`` for the second shape."""
+    given = (clipped(each, 80) if isinstance(each, str) else "" for each in names)
+    return [*unique(own or f"{kind}{i}" for i, own in enumerate(given, 1))]

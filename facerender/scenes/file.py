@@ -19,7 +19,7 @@ from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS, preset
 from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import AZIMUTHS, HIGHEST
+from facerender.scenes.vectors import AZIMUTHS, HIGHEST, SHAPE_WEIGHTS
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
@@ -34,7 +34,6 @@ KEYS = (
 )
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
 STUDIO = "studio"  # name of the procedural environment map
-WEIGHTS = Range(-100.0, 100.0)  # accepted weights of shapes
 TIMES = Range(0.0, 1e6, "s")
 FRAMES = IntegerRange(0, 1 << 30)
 
@@ -86,7 +85,8 @@ class Pose:
     def __post_init__(self) -> None:
         check_type("pose weights", self.weights, Mapping, "a table of numbers by shape name")
         weights = {
-            str(name): WEIGHTS.check(f"weight {name}", own) for name, own in self.weights.items()
+            str(name): SHAPE_WEIGHTS.check(f"weight {name}", own)
+            for name, own in self.weights.items()
         }
         object.__setattr__(self, "weights", weights)
         check_type("pose clip", self.clip, str | None, "the name of a clip")
@@ -215,7 +215,7 @@ def parse_weight(text: str) -> tuple[str, float]:
         name = ""
     if not name:
         raise InputError(f"--weight {shown(text)}: give NAME=WEIGHT, such as jawOpen=0.6")
-    return name, WEIGHTS.check(f"weight {name}", weight)
+    return name, SHAPE_WEIGHTS.check(f"weight {name}", weight)
 
 
 def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:

@@ -18,7 +18,6 @@ from facerender.errors import (
     check_range,
     check_switch,
     check_type,
-    clipped,
     each_of,
     shown,
     warn,
@@ -27,7 +26,7 @@ from facerender.scenes.arrays import piece_of
 from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
 from facerender.scenes.presets import changed
-from facerender.scenes.repair import Piece, are_closed, clean, used
+from facerender.scenes.repair import Piece, are_closed, clean, unique, used
 from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
@@ -245,7 +244,7 @@ class Mesh:
                 source_count=piece.source_count,
                 rig=piece.rig,
             )
-            for piece, own in zip(pieces, _unique(names), strict=True)
+            for piece, own in zip(pieces, unique(names), strict=True)
         ]
         return cls.of(name, parts, [piece.material for piece in pieces], millimetres)
 
@@ -530,20 +529,6 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
     names = names.split(",") if isinstance(names, str) else names
     found = each_of(option, names, str, "names of parts")
     return tuple(name for each in found if (name := each.strip()))
-
-
-def _unique(names: Iterable[str]) -> Iterator[str]:
-    """Yield each name, clipped to one line. A repeated name gets a number: the second part that is
-    called ``eye`` becomes ``eye.2``."""
-    used = {""}
-    for full in names:
-        plain = name = clipped(full, 80)
-        number = 1
-        while name and name in used:
-            number += 1
-            name = f"{plain}.{number}"
-        used.add(name)
-        yield name
 
 
 def _sided(parts: Sequence[Part], materials: Sequence[Material]) -> Iterator[Material]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from facerender.scenes.repair import stacked
 
 Float = NDArray[np.float64]
+Column = NDArray[np.floating[Any]]
+Columns = tuple[Column, Column, Column]
 
 _SAME_NORMAL = 0.999  # minimum: cosine between two normals of one vertex that is split by a seam
 
@@ -59,14 +61,27 @@ class Corners:
 
         positions : (N, 3) for each part
         """
-        x, y, z = (np.concatenate([each[:, axis] for each in positions]) for axis in range(3))
-        ax, ay, az = (column[self.faces[0]] for column in (x, y, z))
-        ux, uy, uz = (c[self.faces[1]] - a for c, a in ((x, ax), (y, ay), (z, az)))
-        vx, vy, vz = (c[self.faces[2]] - a for c, a in ((x, ax), (y, ay), (z, az)))
-        normals = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        columns = [np.concatenate([each[:, axis] for each in positions]) for axis in range(3)]
+        _, normals = face_normals(columns, self.faces)
         sums = (np.add.reduceat(each[self.order], self.starts)[self.groups] for each in normals)
         ends = np.cumsum([len(each) for each in positions])[:-1]
         return np.split(np.stack([*sums], axis=1), ends)
+
+
+def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Columns, Columns]:
+    """Return the first corner and the normal of each triangle as columns x, y and z, (F,) each.
+    The length of a normal is twice the triangle's area.
+
+    Parameters
+    ----------
+    columns : x, y and z of the vertices, (N,) each
+    faces : (3, F)
+    """
+    (ax, ux, vx), (ay, uy, vy), (az, uz, vz) = (
+        (first := np.take(own, faces[0]), *(np.take(own, each) - first for each in faces[1:]))
+        for own in columns
+    )
+    return (ax, ay, az), (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
 
 
 def _split_at_creases(welded: NDArray[np.int64], normals: Float) -> NDArray[np.int64]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, warn
+from facerender.errors import InputError, clipped, warn
 from facerender.scenes.material import Material
 
 if TYPE_CHECKING:
@@ -71,6 +71,19 @@ def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> 
     for bit in range(_CURVE_BITS):
         codes |= ((cells >> bit & 1) @ (1, 2, 4)) << 3 * bit
     return faces[np.argsort(codes, kind="stable")]
+
+
+def unique(names: Iterable[str]) -> Iterator[str]:
+    """Yield each name, clipped to one line. A repeated name gets a number: the second part that is
+    called ``eye`` becomes ``eye.2``. Empty names stay empty."""
+    numbers: dict[str, int] = {}
+    for full in names:
+        plain = name = clipped(full, 80)
+        while name and name in numbers:
+            numbers[plain] += 1
+            name = f"{plain}.{numbers[plain]}"
+        numbers[name] = 1
+        yield name
 
 
 def check_count(count: int, name: str) -> None:

@@ -14,14 +14,13 @@ from facerender.errors import InputError, check_range, check_type, clipped, show
 from facerender.scenes.normals import Corners
 from facerender.scenes.repair import used
 from facerender.scenes.rig import Clip, Float, Moves, Rig
-from facerender.scenes.vectors import MOST_RADII
+from facerender.scenes.vectors import MOST_RADII, SHAPE_WEIGHTS, unit
 
 if TYPE_CHECKING:
     from facerender.scenes.mesh import Mesh, Part
 
 _Rows = list[Float | None]
 
-_MOST_WEIGHT = 100.0  # largest absolute weight that a caller may give
 _MOST_NAMES = 300  # characters of the names in a message
 
 
@@ -64,7 +63,7 @@ def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float
     for name, weight in (weights or {}).items():
         if name not in known:
             raise InputError(f"{mesh.name} has no shape {shown(name)}: {_known('shapes', known)}")
-        check_range(f"weight of {shown(name)}", weight, -_MOST_WEIGHT, _MOST_WEIGHT)
+        check_range(f"weight of {shown(name)}", weight, SHAPE_WEIGHTS.low, SHAPE_WEIGHTS.high)
     return {name: float(weight) for name, weight in (weights or {}).items()}
 
 
@@ -178,7 +177,7 @@ def _following(
     found: _Rows = []
     for part, own, step in zip(rest.parts, normals, steps, strict=True):
         moves = own is not None or step.any()
-        found.append(_unit(part.normals if own is None else own) + step if moves else None)
+        found.append(unit(part.normals if own is None else own) + step if moves else None)
     return found
 
 
@@ -191,13 +190,7 @@ def _face_normals(rest: Mesh, corners: Corners, positions: Sequence[Float]) -> l
     still = all(own is part.positions for own, part in zip(positions, rest.parts, strict=True))
     if still and corners in _stored:
         return _stored[corners]
-    found = [_unit(each) for each in corners.normal_sums(positions)]
+    found = [unit(each) for each in corners.normal_sums(positions)]
     if still:
         _stored[corners] = found
     return found
-
-
-def _unit(vectors: Float) -> Float:
-    """Return vectors (N, 3) scaled to length 1; vectors of length 0 stay 0."""
-    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-    return np.asarray(vectors / np.where(length > 0.0, length, 1.0)[:, None])

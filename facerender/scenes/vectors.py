@@ -13,6 +13,7 @@ from facerender.terms.ranges import Range, VectorRange
 
 Vector = tuple[float, float, float]
 
+SHAPE_WEIGHTS = Range(-100.0, 100.0)  # accepted weights of morph targets
 FARTHEST = 1e30  # largest coordinate of a position, in mesh units
 HIGHEST = 1e9  # limit of radiance, irradiance and albedo, so that images do not overflow float32
 MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
@@ -84,3 +85,9 @@ def rows_of(
             "leave them out"
         )
     return rows
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return vectors (..., 3) scaled to length 1; zero vectors stay zero."""
+    length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
+    return np.asarray(vectors / np.maximum(length, 1e-300))
