@@ -72,8 +72,11 @@ CAUGHT = {
 NEEDS_STRICT = {("scan", "front", "m 0.300 to 0.306"), ("scan", "front", "no masking")}
 # Further causes that may be named, because highlights are single pixels.
 ALSO = {
-    ("head", "three-quarter", 1, "green of the normals inverted"): {
-        *("false highlights", "a lobe or weight change"),
+    **{
+        ("head", "three-quarter", samples, "green of the normals inverted"): {
+            *("false highlights", "a lobe or weight change"),
+        }
+        for samples in (1, 4)
     },
     ("head", "three-quarter", 4, "no masking"): {"fireflies"},
     ("scan", "three-quarter", 1, "no masking"): {"fireflies"},

@@ -27,22 +27,13 @@ def noise(width, height, seed=0):
 
 
 @pytest.fixture(scope="module")
-def face(head):
-    """The built-in head without the mouth, whose hidden surface needs finer maps than the skin."""
-    part = head.parts[0]
-    middle = part.uv[part.faces].mean(axis=1)
-    outside = np.linalg.norm(middle - (2 / 9, 0.0375), axis=1) > 0.034
-    return fr.Mesh.of("face", [replace(part, faces=part.faces[outside])], head.materials)
-
-
-@pytest.fixture(scope="module")
-def detailed(face):
-    """The face with maps of noise."""
+def detailed(head):
+    """The head with maps of noise."""
     maps = {
         name: Texture(lambda seed=seed: noise(1024, 1024, seed), name)
         for seed, name in enumerate(("albedo_map", "roughness_map"))
     }
-    return face.with_material(**maps, roughness_factor=0.7)
+    return head.with_material(**maps, roughness_factor=0.7)
 
 
 @pytest.fixture
@@ -97,12 +88,12 @@ def test_textures_of_textures_can_be_coarse():
 
 
 @pytest.mark.parametrize(("camera", "texels"), [*zip(VIEWS, (512, 2048, 512), strict=True)])
-def test_computed_level_is_the_finest_that_the_driver_reads(face, camera, texels):
+def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels):
     """Each mip level has its own colour, which shows the levels that the driver reads."""
     sides = [texels >> level for level in range(texels.bit_length())]
     levels = [np.full((side, side, 4), 20 * number, np.uint8) for number, side in enumerate(sides)]
     texture = Texture.known(levels[0][..., :3], "levels", {"color": levels})
-    mesh = face.with_material(albedo_map=texture, albedo=(1.0, 1.0, 1.0))
+    mesh = head.with_material(albedo_map=texture, albedo=(1.0, 1.0, 1.0))
     scene = fr.Scene(mesh, camera)
     with fr.Renderer(SIZE, samples=1) as renderer:
         gbuffer = renderer.gbuffer(scene)
@@ -111,6 +102,24 @@ def test_computed_level_is_the_finest_that_the_driver_reads(face, camera, texels
     level = levels_to_spare(mesh, part, part.uv, (texels, texels), view_of(scene, 1.0), SIZE)
     assert np.quantile(seen, 1e-3) >= level - 0.05  # no finer level is read
     assert np.quantile(seen, 1e-2) < level + 1.0  # and this level is read
+
+
+def test_hidden_triangles_do_not_require_finer_levels():
+    """A plane with few texels per pixel requires level 0 unless another plane hides it."""
+    grid = np.linspace(-1.0, 1.0, 129)
+    x, y = (each.ravel() for each in np.meshgrid(grid, grid))
+    corner = (np.arange(128)[:, None] * 129 + np.arange(128)).reshape(-1, 1)
+    quads = np.concatenate([corner + (0, 1, 130), corner + (0, 130, 129)])
+    near, far = (np.stack([x, y, np.full_like(x, z)], axis=1) for z in (0.1, 0.0))
+    uv = np.stack([x, y], axis=1) * 0.5 + 0.5
+    for behind, expected in ((far * 0.9, 2), (far * (1.2, 1.0, 1.0), 0)):
+        mesh = fr.Mesh.from_arrays(
+            np.concatenate([near, behind]),
+            np.concatenate([quads, quads + len(x)]),
+            uv=np.concatenate([uv, uv * 0.01]),
+        )
+        part, view = mesh.parts[0], view_of(fr.Scene(mesh), 1.0)
+        assert levels_to_spare(mesh, part, part.uv, (1024, 1024), view, SIZE) == expected
 
 
 @pytest.mark.usefixtures("small_is_large")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
@@ -23,6 +24,8 @@ _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are
 SIZES = range_of(Camera, "size")
 # Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
 _UNSEEN = 2e-4
+_CELLS = 64  # cells along each side of a part in the image, in which vertices hide others
+_BEHIND = 0.03  # distance from which a vertex counts as behind another, in radii of the mesh
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
@@ -281,7 +284,8 @@ def levels_to_spare(
 
     A triangle reads the level log2(t), where t is the number of texels along the longer axis of a
     pixel's footprint (OpenGL 3.3, section 3.8.11). Anisotropic filtering divides t by the
-    anisotropy (EXT_texture_filter_anisotropic). Triangles behind other triangles also count.
+    anisotropy (EXT_texture_filter_anisotropic). Triangles that the part itself hides, such as the
+    inside of a closed mouth, do not count.
 
     Parameters
     ----------
@@ -309,7 +313,8 @@ def levels_to_spare(
         by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
         by_y = (second * across[:, :1] - first * along[:, :1]) / double[:, None]
         read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
-    visible = (area > 0.0) & np.isfinite(read)
+    hidden = _hidden(pixels / half, w)[faces].all(axis=1)
+    visible = (area > 0.0) & np.isfinite(read) & ~hidden
     if crossing.any() or not visible.any():
         return 0
     area, read = area[visible], read[visible]
@@ -317,6 +322,27 @@ def levels_to_spare(
     finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
     most = min(texels).bit_length() - 2  # the finest level that is left has at least 2 x 2 texels
     return max(min(math.floor(math.log2(max(finest, 1.0))), most), 0)
+
+
+def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which vertices are behind the others, in a grid of cells over their part of the image.
+
+    A vertex is hidden if it is behind the nearest vertices of its cell and of all eight cells
+    around it. A cell without vertices hides nothing.
+
+    Parameters
+    ----------
+    places, depth : x and y from -1 to 1 in the image, and distance from the camera, per vertex
+    """
+    shown = np.clip(places, -1.0, 1.0)
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    cells = np.clip((places - low) / np.maximum(high - low, 1e-9) * _CELLS, -1.0, _CELLS)
+    cells = np.floor(cells).astype(np.int64) + 1
+    nearest = np.full((_CELLS + 2, _CELLS + 2), np.inf)
+    np.minimum.at(nearest, tuple(cells.T), np.where(depth > 0.0, depth, np.inf))
+    around = np.pad(nearest[1:-1, 1:-1], 2, constant_values=np.inf)
+    farthest = sliding_window_view(around, (3, 3)).max(axis=(2, 3))
+    return np.asarray(depth > farthest[tuple(cells.T)] + _BEHIND)
 
 
 def _framing_distance(

@@ -47,6 +47,8 @@ LOWER_RINGS = (
 )
 END = (4.6, 0.1)  # distance and height below the line
 LIPS_RING, GUMS_RING, TEETH_RING, TONGUE_RING = 1, 4, 5, 8  # counted from the lips, which are 0
+# Radius of each ring in the chart. The lips and the teeth have as many texels as the skin around.
+CHART_RADII = (1.0, 0.985, 0.955, 0.885, 0.845, 0.72, 0.68, 0.48, 0.28, 0.13, 0.0)
 CHART_END = 1.02  # radius of the texels of the cavity
 ARCH_WIDTH = 0.82  # of the teeth, relative to the mouth
 LIP_ROUNDING = 0.7  # weight of the skin in the normals of the first ring
@@ -80,10 +82,8 @@ class Mouth:
     def chart(self) -> Floats:
         """Return a place in a disc of radius 1 for each cavity vertex; the lips are its border."""
         angle = 2 * np.pi * np.arange(len(self.cavity)) / len(self.loop)
-        flat = (
-            np.stack([np.cos(angle), np.sin(angle)], 1) * (1 - self.ring / self.ring[-1])[:, None]
-        )
-        return np.asarray(flat, np.float32)
+        radius = np.array(CHART_RADII)[self.ring.astype(int)]
+        return np.asarray(np.stack([np.cos(angle), np.sin(angle)], 1) * radius[:, None], np.float32)
 
 
 def above_line(points: Floats) -> tuple[Floats, Floats]:
@@ -232,6 +232,6 @@ def find_lining(flat: Floats) -> Lining:
     """Return the places in the cavity of points (N, 2) of :meth:`Mouth.chart`."""
     inside = np.linalg.norm(flat, axis=1) < CHART_END
     x, y = flat[inside].T
-    ring = (1 - np.minimum(np.hypot(x, y), 1)) * (len(UPPER_RINGS) + 1)
+    ring = np.interp(-np.hypot(x, y), -np.array(CHART_RADII), np.arange(len(CHART_RADII)))
     side = np.abs(1 - 2 / np.pi * np.abs(np.arctan2(y, x)))
     return Lining(inside, y > 0, ring.astype(np.float32), side.astype(np.float32))
