@@ -78,5 +78,6 @@ test-system:
 
 .venv/installed-dev: pyproject.toml | test-system
 	$(PYTHON) -m venv .venv
-	$(VENV)/pip install --quiet --editable '.[dev]'
+	$(VENV)/pip install --quiet --upgrade 'pip>=25.1'  # for dependency groups
+	$(VENV)/pip install --quiet --editable . --group dev
 	touch $@ .venv/installed

@@ -67,7 +67,7 @@ def require_module(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError:
-        missing(f"no {name}: pip install -e '.[dev]'")
+        missing(f"no {name}: pip install -e . --group dev")
 
 
 def node_tool(name: str) -> str:

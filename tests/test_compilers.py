@@ -145,9 +145,7 @@ def of_amd(replaced, remedy):
     [
         of_amd(WHICH, "apt-get install glslang-tools"),
         of_amd((amd, "ICD_FOLDERS", ()), "apt-get install mesa-vulkan-drivers libvulkan1"),
-        of_amd(
-            (importlib.util, "find_spec", lambda name: None), "pip install 'facerender[compilers]'"
-        ),
+        of_amd((importlib.util, "find_spec", lambda name: None), "pip install --group compilers"),
         of_amd(
             (amd.sys, "executable", "/bin/false"), "apt-get install mesa-vulkan-drivers libvulkan1"
         ),
@@ -156,7 +154,7 @@ def of_amd(replaced, remedy):
             (importlib.metadata, "files", FILES),
             offline,
             "sm_75",
-            "pip install 'facerender[compilers]'",
+            "pip install --group compilers",
         ),
     ],
 )

@@ -13,12 +13,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 import facerender as fr
 from facerender.drawing.prepare import start_maps
 from facerender.scenes.material import SKIN_ALBEDO
+from facerender.scenes.repair import joined
 from tests import awkward_files as files
 from tests.awkward_files import Head, mini_head
 
@@ -121,11 +125,19 @@ def test_suffix_in_capitals(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
-def test_obj_from_windows(encoding, tmp_path, control, draw):
+def test_obj_from_windows(encoding, tmp_path, control, draw, monkeypatch):
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # not a dependency
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head())
     text = "# von Jörg\n" + path.read_text()
     path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
     np.testing.assert_array_equal(draw(fr.load_mesh(path)), draw(control))
+
+
+def test_stl_from_windows(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)
+    text = trimesh.creation.box().export(file_type="stl_ascii").replace("solid", "solid Jörg", 1)
+    (tmp_path / "a.stl").write_bytes(text.encode("cp1252"))
+    assert len(fr.load_mesh(tmp_path / "a.stl").parts[0].faces) == 12
 
 
 def test_obj_texture_in_a_folder_with_a_space(tmp_path, control, draw):
@@ -263,6 +275,20 @@ def flipped(head, every):
     faces = head.faces.copy()
     faces[::every] = faces[::every, ::-1]
     return head.with_faces(faces)
+
+
+@pytest.mark.parametrize("edges", [0, 500, 1000, 3000])
+def test_connected_components_are_those_of_scipy(edges):
+    pairs = np.random.default_rng(edges).integers(0, 2000, (edges, 2))
+    graph = coo_array((np.ones(edges), pairs.T), shape=(2000, 2000))
+    _, label = connected_components(graph, directed=False)
+    _, first, index = np.unique(label, return_index=True, return_inverse=True)
+    np.testing.assert_array_equal(joined(pairs, 2000), first[index])
+
+
+def test_a_long_path_in_any_order_is_one_component():
+    path = np.random.default_rng(1).permutation(100_000)
+    assert not joined(np.stack([path[:-1], path[1:]], axis=1), len(path)).any()
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,25 @@ def material(folder, mtl, **images):
     return mesh.materials[0]
 
 
+@pytest.mark.parametrize(
+    ("encoding", "name"),
+    [
+        *(("utf-8-sig", "größe"), ("cp1252", "größe…"), ("cp1251", "голова")),
+        *(("cp932", "肌_テクスチャ"), ("gb18030", "头部皮肤"), ("cp949", "얼굴"), ("big5", "臉")),
+    ],
+)
+def test_names_in_old_encodings(encoding, name, tmp_path):
+    """Neither OBJ nor MTL files state their encoding."""
+    Image.new("RGB", (2, 2), "red").save(tmp_path / f"{name}.png")
+    path = files.write_obj(tmp_path / "a.obj", octahedron(), mtl=f"{name}.mtl")
+    text = f"newmtl skin\nmap_Kd {name}.png\n"
+    (tmp_path / f"{name}.mtl").write_bytes(text.encode(encoding))
+    path.write_bytes(path.read_text("utf-8").encode(encoding))
+    mesh, messages = loaded(path)
+    assert messages == []
+    assert (texels(mesh.materials[0].albedo_map) == (255, 0, 0)).all()
+
+
 def texels(texture):
     assert texture is not None
     return np.asarray(texture.rgb()).astype(int)

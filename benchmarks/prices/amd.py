@@ -1,7 +1,7 @@
 """Cost of GLSL expressions on AMD GPUs, as RADV, their compiler in Mesa, estimates it.
 
-Needs the Debian packages glslang-tools, mesa-vulkan-drivers and libvulkan1, and the extra
-facerender[compilers]. Needs no GPU: programs are compiled, not run.
+Needs the Debian packages glslang-tools, mesa-vulkan-drivers and libvulkan1, and the
+dependency group compilers. Needs no GPU: programs are compiled, not run.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def compile_programs(
         raise _not_measured(f"no RADV: no radeon_icd*.json in {folders}", _DRIVER_PACKAGES)
     if importlib.util.find_spec("vulkan") is None:
         raise NotMeasured(
-            "the Python package vulkan is not installed: pip install 'facerender[compilers]'"
+            "the Python package vulkan is not installed: pip install --group compilers"
         )
     # The user's settings of Mesa and Vulkan would change the measurement.
     environment = {

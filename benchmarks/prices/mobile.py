@@ -3,8 +3,8 @@
     python -m benchmarks.prices.mobile FOLDER
 
 Compiles with Mesa of Debian 13 for arm64 on Mesa's null drivers; nothing is rendered. Needs root on
-Debian, qemu-user-static, glslang-tools and facerender[compilers]. On first use, apt downloads the
-packages to FOLDER: 64 MB, 310 MB unpacked.
+Debian, qemu-user-static, glslang-tools and the dependency group compilers. On first use, apt
+downloads the packages to FOLDER: 64 MB, 310 MB unpacked.
 """
 
 from __future__ import annotations

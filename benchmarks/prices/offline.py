@@ -1,8 +1,8 @@
 """Machine instructions of GLSL expressions on Intel and NVIDIA GPUs, from their compilers of
 OpenCL C and CUDA C++.
 
-Needs the Debian package intel-opencl-icd and the extra facerender[compilers]. Needs neither a GPU
-nor a driver: programs are compiled, not run.
+Needs the Debian package intel-opencl-icd and the dependency group compilers. Needs neither a
+GPU nor a driver: programs are compiled, not run.
 """
 
 from __future__ import annotations
@@ -261,6 +261,6 @@ def _wheel(package: str, file: str) -> Path:
         files = importlib.metadata.files(package) or []
     except importlib.metadata.PackageNotFoundError:
         raise NotMeasured(
-            f"the Python package {package} is not installed: pip install 'facerender[compilers]'"
+            f"the Python package {package} is not installed: pip install --group compilers"
         ) from None
     return Path(next(each for each in files if each.name.startswith(file)).locate())

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from array import array
 from collections.abc import Iterator, Mapping
@@ -44,6 +43,8 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
     ------
     InputError : another command writes to the folder, or the folder is not writable
     """
+    import fcntl  # absent on Windows
+
     storage = Storage(settings.output)
     with ExitStack() as held:
         try:

@@ -17,15 +17,16 @@ from facerender.system import cache
 
 # Python packages, keyed by the extra that needs them; "" is facerender without extras.
 PACKAGES = {
-    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "scipy"),
+    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "tqdm"),
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),
     "lod": ("meshoptimizer",),
     "rays": ("embreex",),
+    "mp4": ("imageio-ffmpeg",),
     "batch": ("distributed", "fsspec", "pyarrow"),
     "completion": ("shtab",),
-    "measure": ("matplotlib", "flip-evaluator", "vulkan"),
+    "measure": ("matplotlib", "flip-evaluator"),
 }
 
 

@@ -39,7 +39,7 @@ _KIND = "meshes"
 _ALIGNMENT = 64
 _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
-_LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
+_LIBRARIES = ("numpy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
 # Keyed by map: the kind of mip chain with which the map is drawn.
 _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("albedo_map", "emissive_map"), "color"),

@@ -15,7 +15,7 @@ from facerender.errors import InputError, clipped, reason
 from facerender.images.srgb import srgb_to_linear
 from facerender.loading.conventions import preset_for
 from facerender.loading.materials import Look, WarnOnce, image_of, second_of, unreadable
-from facerender.loading.references import UDIM, References
+from facerender.loading.references import UDIM, References, text_of
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture, with_green_turned
@@ -181,7 +181,7 @@ class Library:
         self.textures: dict[tuple[Any, ...], Texture | None] = {}
         self.warn = WarnOnce()
         for line in dict.fromkeys(_LIBRARIES.findall(data)):
-            for content in self._contents(_decoded(line)):
+            for content in self._contents(text_of(line)):
                 self._parse(content)
         self.text = "".join(f"newmtl {each}\n" for each in self.materials).encode()
 
@@ -189,7 +189,7 @@ class Library:
         """Yield the content of the MTL file with the name ``line``. If this file is missing, yield
         the contents of the files with the words of ``line`` as names."""
         try:
-            yield _decoded(self.referred.read(line, "an MTL file"))
+            yield text_of(self.referred.read(line, "an MTL file"))
             return
         except FileNotFoundError:
             pass
@@ -200,7 +200,7 @@ class Library:
             except FileNotFoundError:
                 continue
             found = True
-            yield _decoded(content)
+            yield text_of(content)
         if found:
             del self.referred.files[line]
 
@@ -480,9 +480,3 @@ def _is_number(word: str) -> bool:
         return math.isfinite(float(word))
     except ValueError:
         return False
-
-
-def _decoded(content: bytes) -> str:
-    from trimesh.util import decode_text
-
-    return str(decode_text(content))

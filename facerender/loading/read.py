@@ -18,7 +18,7 @@ from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
 from facerender.loading.materials import image_of, missing_image, unreadable
 from facerender.loading.obj import has_relative, number_vertices, with_absolute, with_parts
-from facerender.loading.references import References
+from facerender.loading.references import References, text_of
 from facerender.loading.source import GLTF, Source, check_format
 from facerender.scenes.repair import Piece, check_count
 from facerender.scenes.texture import Texture
@@ -57,7 +57,7 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
     end = data.find(b"end_header", 0, _MOST_HEADER)
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("it has no PLY header")
-    lines = [" ".join(line.split()) for line in data[:end].decode("utf-8", "replace").splitlines()]
+    lines = [" ".join(line.split()) for line in text_of(data[:end]).splitlines()]
     lines = [line for line in lines if line]
     rest = data[end:]
     is_text = any(line.startswith("format ascii") for line in lines)
@@ -191,6 +191,7 @@ def _read_ply_or_stl(
 def _read_obj(data: bytes, name: str, references: References, albedo_given: bool) -> list[Piece]:
     from facerender.loading.mtl import Library
 
+    data = text_of(data).encode()
     library = Library(data, references, name, albedo_given)
     data, names = with_parts(data, name)
     check_count(len(names), name)
@@ -322,14 +323,15 @@ def _give_texture(
 
 
 def _checked_stl(data: bytes, name: str) -> bytes:
-    """Return the content of an STL file. Bytes after a binary file's last triangle are dropped.
+    """Return the content of an STL file: text in UTF-8, or binary data without the bytes after
+    the last triangle.
 
     Raises
     ------
     ValueError : a binary file is too short
     """
     if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
-        return data
+        return text_of(data).encode()
     (count,) = struct.unpack_from("<I", data, 80)
     needed = 84 + _TRIANGLE * count
     if needed > len(data):

@@ -7,6 +7,8 @@ import glob
 import json
 import os
 import re
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import unquote, unquote_to_bytes
 
@@ -20,6 +22,11 @@ _TILE = 4 * "[0-9]"
 _MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
 _TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.*\S)", re.MULTILINE)
+# Windows-1252, in which the five unused bytes are control characters.
+_WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte in range(256)}
+_BYTES = {ord(char): byte for byte, char in _WINDOWS.items()}
+# Other encodings of file names in OBJ and MTL files, which do not state their encoding.
+_ENCODINGS = ("cp932", "gb18030", "cp949", "big5", "cp1250", "cp1251")
 
 
 class References:
@@ -102,10 +109,18 @@ def inline(uri: str) -> bytes | None:
     return unquote_to_bytes(content)
 
 
+def text_of(content: bytes) -> str:
+    """Decode the text of a file: UTF-8, or else Windows-1252, which decodes all bytes."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1").translate(_WINDOWS)
+
+
 def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
     """Find a referenced file at its path relative to ``folder``, or else by its file name in
     ``folder``. Return its path, or None if it does not exist or is not allowed."""
-    for each in _spellings(name):
+    for each in (path for name in (name, *_recoded(name)) for path in _spellings(name)):
         if allow_outside or _is_inside(folder, each):
             try:
                 if os.path.exists(folder / each):
@@ -119,6 +134,13 @@ def _spellings(name: str) -> tuple[str, ...]:
     path = name.replace("\\", "/").strip()
     plain = unquote(path)
     return path, plain, path.lstrip("/"), os.path.basename(path), os.path.basename(plain)
+
+
+def _recoded(name: str) -> Iterator[str]:
+    """Yield the names that the bytes of a name have in other encodings than Windows-1252."""
+    for encoding in () if name.isascii() else _ENCODINGS:
+        with suppress(UnicodeError):
+            yield name.translate(_BYTES).encode("latin-1").decode(encoding)
 
 
 def _is_inside(folder: Path, name: str) -> bool:
@@ -173,5 +195,5 @@ def _maps(library: Path) -> list[Path]:
 
 
 def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:
-    names = pattern.findall(read_file(path, "a mesh file"))
-    return [name.decode("utf-8", "replace").replace("\\", "/") for name in names]
+    names = pattern.findall(text_of(read_file(path, "a mesh file")).encode())
+    return [name.decode().replace("\\", "/") for name in names]

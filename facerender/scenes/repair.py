@@ -141,15 +141,19 @@ def _corners(piece: Piece) -> NDArray[np.float64]:
     return np.take(piece.positions, piece.faces, axis=0)  # twice as fast as positions[faces]
 
 
-def joined(groups: NDArray[np.integer], labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return labels in which all indices of each row of `groups` have the same label."""
-    while True:
-        lowest = labels.copy()
-        np.minimum.at(lowest, groups, labels[groups].min(axis=1, keepdims=True))
-        lowest = lowest[lowest]
-        if (lowest == labels).all():
-            return labels
-        labels = lowest
+def joined(groups: NDArray[np.integer], count: int) -> NDArray[np.int64]:
+    """Return a label for each index below `count`. Indices of one row of `groups`, (N, K), share a
+    label: the lowest index of their connected component."""
+    labels = np.arange(count)
+    a, b = groups[:, :-1].ravel(), groups[:, 1:].ravel()
+    while len(a):
+        np.minimum.at(labels, np.maximum(a, b), np.minimum(a, b))
+        while (labels != (lower := labels[labels])).any():
+            labels = lower
+        a, b = labels[a], labels[b]
+        apart = a != b
+        a, b = a[apart], b[apart]
+    return labels
 
 
 def are_closed(
@@ -178,7 +182,7 @@ def are_closed(
     users = np.unique(corners.ravel() * len(faces) + np.repeat(own, 3))
     vertices, parts = np.divmod(users, len(faces))
     pairs = np.stack([parts[:-1], parts[1:]], axis=1)[vertices[:-1] == vertices[1:]]
-    label = joined(pairs, np.arange(len(faces)))
+    label = joined(pairs, len(faces))
     volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
     inwards = np.bincount(label[own], volumes, len(faces)) < 0.0
     has_hole = np.bincount(label[own], at_hole, len(faces)) > 0.0
@@ -395,9 +399,6 @@ def _wind_consistently(
     if len(np.unique(directed)) == len(directed):
         return faces
 
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     edge = np.minimum(first, second) * count + np.maximum(first, second)
     order = np.argsort(edge, kind="stable")
     _, start, uses = np.unique(edge[order], return_index=True, return_counts=True)
@@ -407,13 +408,12 @@ def _wind_consistently(
     face_a, face_b, n = a // 3, b // 3, len(faces)
     rows = np.concatenate([face_a, face_a + n])
     columns = np.concatenate([face_b + n * disagree, face_b + n * (1 - disagree)])
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * n, 2 * n))
-    components, label = connected_components(graph, directed=False)
+    label = joined(np.stack([rows, columns], axis=1), 2 * n)
 
     corners = positions[faces]
     middle = corners.mean(axis=1)
     outward = (_face_normals(corners) * (middle - middle.mean(axis=0))).sum(axis=1)
-    score = np.bincount(label, np.concatenate([outward, -outward]), components)
+    score = np.bincount(label, np.concatenate([outward, -outward]), 2 * n)
     turn = score[label[n:]] > score[label[:n]]
     if not turn.any():
         return faces

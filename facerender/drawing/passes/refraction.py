@@ -142,7 +142,7 @@ def _labels(setup: TriangleSetup) -> Numbers:
     """Return a label for each triangle, (F,). Connected triangles have the same label, and so have
     regions whose bounding boxes overlap, such as the front and the back of a shell."""
     corners = np.unique(setup.positions, axis=0, return_inverse=True)[1].reshape(-1)[setup.faces]
-    labels = joined(np.asarray(corners), np.arange(corners.max() + 1))[corners[:, 0]]
+    labels = joined(np.asarray(corners), int(corners.max()) + 1)[corners[:, 0]]
     names, labels = np.unique(labels, return_inverse=True)
     low, high = np.full((2, len(names), 3), np.inf)
     for i in range(3):
@@ -152,7 +152,7 @@ def _labels(setup: TriangleSetup) -> Numbers:
         return np.asarray(labels)
     overlap = (low[:, None] <= -high[None]).all(axis=-1)
     pairs = np.argwhere(overlap & overlap.T)
-    return np.asarray(joined(pairs, np.arange(len(names)))[labels])
+    return np.asarray(joined(pairs, len(names))[labels])
 
 
 @dataclass(frozen=True, eq=False)
