@@ -156,12 +156,6 @@ def test_the_api_reference_has_every_public_name():
     assert documented | modules == set(fr.__all__) - {"__version__"}
 
 
-def test_the_description_of_the_package_has_no_links():
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    text = re.search(r'^text = """(.*?)^"""', project, re.DOTALL | re.MULTILINE)[1]
-    assert not re.search(r"\]\(|!\[|<img", text)
-
-
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", DOCS, tmp_path]
