@@ -131,8 +131,12 @@ def _load_mesh(source: Any) -> Any:
     return __getattr__("load_mesh")(source)
 
 
-sources.reader = _load_mesh
+def _load_environment(file: Any) -> Any:
+    return __getattr__("load_environment")(file)
+
+
+sources.reader, sources.environment_reader = _load_mesh, _load_environment
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

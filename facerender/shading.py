@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_type, shown
+from facerender.system.reprs import short_repr
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
 from facerender.terms.lobe import SLOPES
@@ -33,7 +34,7 @@ SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Term:
     """A specular term.
 
@@ -57,6 +58,8 @@ class Term:
     masking: str = "v-cavity"
     m: float | None = ranged(SLOPES, None)
     small_slope: bool | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         lobe_entry(self.lobe)
@@ -140,7 +143,7 @@ _TERM_FIELDS = tuple(field.name for field in fields(Term))
 _OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True, init=False, repr=False)
 class Shading:
     """The specular terms of the lights, and the features that are left out of a scene.
 
@@ -195,6 +198,8 @@ class Shading:
     specular_lights: tuple[int, ...] | None = None
     shadow_lights: tuple[int, ...] | None = None
     lights: tuple[tuple[int, Changes], ...] = ()
+
+    __repr__ = short_repr
 
     def __init__(
         self,

@@ -12,6 +12,7 @@ from facerender.errors import InputError, check_switch, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import COLORS, HIGHEST, Vector
 from facerender.shading import WEIGHTS
+from facerender.system.reprs import short_repr
 from facerender.terms.lobe import MIN_SLOPE, SLOPES
 from facerender.terms.ranges import FRACTION, Range, check_fields, ranged
 
@@ -32,7 +33,7 @@ MAPS = (
 MAX_NORMAL_STRENGTH = 100.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Material:
     """Reflectance of a part: factors and maps.
 
@@ -102,6 +103,8 @@ class Material:
     transmission: float = ranged(FRACTION, 0.0)
     refraction: float = ranged(Range(1.0, 3.0), 1.0)
     double_sided: bool | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -68,9 +68,14 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
 
     Raises
     ------
-    InputError : the preset is unknown, or a value is outside its range
+    InputError : the preset is unknown, a value is outside its range, or the table has both ``m``
+        and ``roughness_map``
     """
     values = dict(table)
+    if "m" in values and values.get("roughness_map") is not None:
+        raise InputError(
+            f"m = {shown(values['m'])} and roughness_map exclude each other: leave one out"
+        )
     if (name := values.pop("preset", None)) is not None:
         values = _fields_for(material, preset(name)) | values
     if "m" in values:
