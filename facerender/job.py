@@ -41,7 +41,7 @@ from facerender.terms.ranges import (
 )
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class MeshFile:
     """The files of a mesh, its selected parts, and its number of triangles. Parameters as in
     :func:`facerender.load_mesh` (paths as text), :meth:`facerender.Mesh.select` and
@@ -115,7 +115,7 @@ def parse_size(text: str, name: str = "size") -> tuple[int, int]:
     return width, height
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Output:
     """An image file to write.
 
@@ -141,7 +141,7 @@ class Output:
         check_fields(self)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Job:
     """A render job: scene, shading, settings of the renderer, and the images to write.
 

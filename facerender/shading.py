@@ -34,7 +34,7 @@ SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Term:
     """A specular term.
 
@@ -143,7 +143,7 @@ _TERM_FIELDS = tuple(field.name for field in fields(Term))
 _OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
-@dataclass(frozen=True, init=False, repr=False)
+@dataclass(frozen=True, init=False)
 class Shading:
     """The specular terms of the lights, and the features that are left out of a scene.
 

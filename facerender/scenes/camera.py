@@ -3,7 +3,7 @@ units."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -36,7 +36,7 @@ _PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
 _ORBITING = ("elevation", "zoom")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Camera:
     """A perspective camera that orbits and frames the mesh, or has a given position.
 
@@ -245,6 +245,17 @@ def camera_of(camera: Camera | str) -> Camera:
         return orbiting(Camera(), **orbit_of(camera))
     check_type("camera", camera, Camera, f"a facerender.Camera, or {ORBITS}")
     return camera
+
+
+def cameras_of(cameras: Any) -> tuple[Camera, ...]:
+    """Return cameras, each given as in :func:`camera_of`.
+
+    cameras : several cameras, or one
+    """
+    several = [cameras] if isinstance(cameras, str | Camera) else cameras
+    if isinstance(several, Iterable):
+        return tuple(map(camera_of, several))
+    raise InputError(f"cameras = {shown(cameras)}: give several facerender.Camera, or {ORBITS}")
 
 
 def turntable(camera: Camera | str = Camera(), count: int = 8) -> tuple[Camera, ...]:

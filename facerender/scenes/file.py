@@ -70,7 +70,7 @@ class EnvironmentFile:
         check_fields(self, "environment ")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class ImageSettings:
     """Settings of the renderer; parameters as in :class:`facerender.Renderer`, which checks whether
     the driver supports them."""
@@ -87,7 +87,7 @@ class ImageSettings:
         check_fields(self, "image ")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Pose:
     """Pose of a mesh. Without values, it is the pose that the mesh file stores.
 

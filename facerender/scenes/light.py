@@ -34,7 +34,7 @@ Float = NDArray[np.float64]
 NEAREST = 1.05  # smallest distance of a shadow-casting point light from the centre, in mesh radii
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Light:
     """A distant light, or a point light if it has a position.
 

@@ -33,7 +33,7 @@ MAPS = (
 MAX_NORMAL_STRENGTH = 100.0
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Material:
     """Reflectance of a part: factors and maps.
 

@@ -61,7 +61,7 @@ def background_of(value: Any) -> Vector | None:
     if value is None or (isinstance(value, str) and value == "none"):
         return None
     try:
-        numbers = [*map(float, value.split(","))] if isinstance(value, str) else value
+        numbers = (*map(float, value.split(",")),) if isinstance(value, str) else value
         if isinstance(value, str) and len(numbers) != 3:
             raise ValueError
     except ValueError:
@@ -72,7 +72,7 @@ def background_of(value: Any) -> Vector | None:
     return color
 
 
-@dataclass(frozen=True, init=False, repr=False)
+@dataclass(frozen=True, init=False)
 class Scene:
     """A mesh with camera, lights, environment map and background.
 
