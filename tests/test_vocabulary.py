@@ -293,6 +293,18 @@ def test_options_override_the_image_of_a_scene_file(tmp_path):
     assert job_of(parser_of(line).parse_args(line), (9, 9))[0].image.size == (9, 9)
 
 
+@pytest.mark.parametrize(
+    "name", [each.name for each in fields(fr.Material) if each.name not in MAPS]
+)
+def test_the_option_part_has_every_field_of_a_material(name):
+    values = MATERIAL[name] if isinstance(MATERIAL[name], list) else [MATERIAL[name]]
+    words = ",".join(str(each).lower() for each in values)
+    (table,) = job_of_options("--part", f"head,{name}={words}").parts.values()
+    assert getattr(fr.Material(**table), name) == getattr(
+        fr.Material(**{name: MATERIAL[name]}), name
+    )
+
+
 # --- arguments that exclude each other -----------------------------------------------------------
 
 IN_FRONT = {"position": (0.0, 0.0, 1.0)}
@@ -417,7 +429,7 @@ def test_the_table_has_every_field():
     text = "\n".join(vocabulary.blocks().values())
     for kind in vocabulary.KINDS:
         for each in fields(kind):
-            assert f"`fr.{kind.__name__}({each.name}=...)`" in text or each.name == "term"
+            assert f"`{vocabulary.python(kind, each.name)}`" in text or each.name == "term"
     names = inspect.signature(fr.render).parameters
     assert {*names} - {"mesh", "size", "samples", "backend", "only", "outside", "m"} <= {
         each.name for kind in vocabulary.KINDS for each in fields(kind)

@@ -115,6 +115,7 @@ class Material:
                 f"unknown alpha {shown(self.alpha)}; known: {', '.join(get_args(Alpha))}"
             )
         names = self.second_uv
+        names = names.split(",") if isinstance(names, str) else names  # the text of --part
         if not isinstance(names, tuple | list) or any(each not in MAPS for each in names):
             raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
         object.__setattr__(self, "second_uv", tuple(names))

@@ -133,8 +133,8 @@ class Scene:
 
 
 def default_light(lights: Any, ambient: Any, has_environment: bool) -> tuple[Any, Any]:
-    """Return the lights and the ambient light of a scene. Replace None by the default value: none
-    with an environment map, otherwise those of :class:`Scene`."""
+    """Return the lights and the ambient light of a scene. Replace None by the default: no
+    light with an environment map, otherwise the lights of :class:`Scene`."""
     return (
         (() if has_environment else Scene.lights) if lights is None else lights,
         (0.0 if has_environment else Scene.ambient) if ambient is None else ambient,

@@ -68,6 +68,11 @@ _OPTIONS: Mapping[type, Mapping[str, str]] = {
     Shading: dict.fromkeys(("ks", "normal_map", "ambient", "environment", "lights"), ""),
     Material: {"albedo": "--part NAME,albedo=R,G,B", "albedo_map": "--albedo FILE"},
 }
+_CALLS: Mapping[tuple[type, str], str] = {
+    (MeshFile, "path"): "fr.load_mesh(FILE)",
+    (MeshFile, "triangles"): "fr.simplified(mesh, triangles)",
+    (MeshFile, "occlusion"): "fr.with_occlusion(mesh)",
+}
 # Arguments without a field of their own: Python, scene file, option.
 _OTHERS = (
     ("mesh.with_material(PART, ...)", "[parts.PART]", "--part NAME,FACTOR=VALUE"),
@@ -129,15 +134,23 @@ def _fields() -> str:
     """Return a table: each field of the public classes, and the places that accept it."""
     options = _options()
     rows = [
-        (f"fr.{kind.__name__}({each.name}=...)", _key(kind, each.name), _option(kind, each.name))
+        (python(kind, each.name), _key(kind, each.name), _option(kind, each.name))
         for kind in KINDS
         for each in fields(kind)
         if (kind, each.name) != (Shading, "term")  # its fields are rows
     ]
-    rows = [(python, key, options.get(option, option)) for python, key, option in rows]
+    rows = [(own, key, options.get(option, option)) for own, key, option in rows]
     return markdown_table(
         ("Python", "scene file", "option"), [[*map(_code, row)] for row in (*rows, *_OTHERS)]
     )
+
+
+def python(kind: type, name: str) -> str:
+    """Return the Python expression that sets a field."""
+    if (kind, name) in _CALLS:
+        return _CALLS[kind, name]
+    owner = {ImageSettings: "Renderer", MeshFile: "load_mesh"}.get(kind, kind.__name__)
+    return f"fr.{owner}({name}=...)"
 
 
 def _key(kind: type, name: str) -> str:
@@ -177,4 +190,4 @@ def _metavar(action: Action) -> str:
 
 
 def _code(text: str) -> str:
-    return f"`{text}`" if text else "–"
+    return f"`{text}`".replace("|", r"\|") if text else "–"
