@@ -158,7 +158,7 @@ class Shading:
     shadow_lights : indices of the lights whose shadows are drawn; None (default) for all lights
         that cast shadows
     frontal_lights : indices of lights near the camera. Their terms omit masking and use f0 as the
-        Fresnel term; only for Cook-Torrance
+        Fresnel term; only for Cook-Torrance, without other terms in ``lights``
     outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
         for the exact lobe
     ks : one specular weight that replaces the weights of materials and specular maps; default None
@@ -361,6 +361,14 @@ def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[
     others = {light: _without_frontal(own) for light, own in changes.items()}
     for own in others.values():
         replace(term, **dict(own))  # Validates values that the frontal term overrides.
+    for light in frontal:
+        own_terms = dict(others.get(light, ()))
+        for name, value in FRONTAL:
+            if own_terms.get(name, value) != value:
+                raise InputError(
+                    f"{name} = {shown(own_terms[name])} of light {light} and frontal_lights "
+                    "exclude each other: leave one out"
+                )
     near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
     return others | near
 

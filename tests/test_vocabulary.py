@@ -325,6 +325,10 @@ IN_FRONT = {"position": (0.0, 0.0, 1.0)}
             lambda mesh: fr.view_of(fr.Scene(mesh, fr.Camera(3.0, **IN_FRONT)), 1.0),
             "camera azimuth = 3 and position exclude each other, unless",
         ),
+        (
+            lambda mesh: fr.Shading(lights={1: {"fresnel": "dielectric"}}, frontal_lights=[1]),
+            "fresnel = 'dielectric' of light 1 and frontal_lights exclude each other",
+        ),
         (lambda mesh: fr.Pose(frame=3), "pose frame = 3 needs vertices"),
         (
             lambda mesh: mesh.with_skin(m=0.2, roughness_map=mesh.materials[0].albedo_map),
