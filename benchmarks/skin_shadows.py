@@ -37,7 +37,12 @@ def key(mesh: fr.Mesh, radius: float, distance: float | None = None) -> fr.Light
     light = fr.Light(-50.0, 42.0, 3.5, radius=radius, shadow=True)
     if distance is None:
         return light
-    return replace(light, position=tuple(mesh.center + distance * mesh.radius * light.direction))
+    return replace(
+        light,
+        azimuth=0.0,
+        elevation=0.0,
+        position=tuple(mesh.center + distance * mesh.radius * light.direction),
+    )
 
 
 def errors(renderer: fr.Renderer) -> list[dict[str, Any]]:

@@ -10,8 +10,9 @@ Mesh            from_arrays creates a mesh; with_material changes materials, sel
 Material        reflectance of a part; a Texture is a map from a file, an array or a Pillow image
 simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion, and
                 tracked makes cameras follow a moving head
-Scene           mesh, Camera, Light, ambient light, background and environment
-Environment     environment map from a Panorama; load_environment reads an EnvironmentFile
+Scene           mesh, Camera, Light, ambient light, background and environment; accepts names of the
+                command line, such as "three-quarter", "key" and "studio"; load_scene reads a file
+Environment     environment map from a Panorama; load_environment reads a file, an EnvironmentFile
 Shading         the specular Term of each light, and the terms to omit
 Job             a scene with its outputs as plain data, for files and other machines; a Pose
                 moves its mesh
@@ -131,8 +132,12 @@ def _load_mesh(source: Any) -> Any:
     return __getattr__("load_mesh")(source)
 
 
-sources.reader = _load_mesh
+def _load_environment(file: Any) -> Any:
+    return __getattr__("load_environment")(file)
+
+
+sources.reader, sources.environment_reader = _load_mesh, _load_environment
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -4,43 +4,41 @@ and programs create jobs; the renderer draws their scenes. This module does not 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from facerender.errors import InputError, check_path, check_type, each_of, shown, warn
-from facerender.images.decode import MAX_SIDE
 from facerender.images.write import format_of
 from facerender.loading import cached_mesh, load_mesh
 from facerender.loading.source import check_normal_map_y
-from facerender.scenes.camera import Camera
+from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.file import (
     KEYS,
     EnvironmentFile,
     Pose,
+    environment_file,
     from_table,
     part_tables,
     scene_value,
     toml_text,
 )
-from facerender.scenes.light import Light
+from facerender.scenes.file import MAX_SAMPLES as MAX_SAMPLES
+from facerender.scenes.file import ImageSettings as ImageSettings
+from facerender.scenes.light import Light, lights_of
 from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
-from facerender.scenes.scene import ONLY, Only, Scene
+from facerender.scenes.scene import ONLY, Only, Scene, background_of, default_light
 from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
+from facerender.system.reprs import short_repr
 from facerender.terms.ranges import (
     EXPOSURES,
-    IntegerRange,
-    Range,
-    SizeRange,
     check_fields,
     range_of,
     ranged,
 )
-
-MAX_SAMPLES = 64
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,8 @@ class MeshFile:
     normal_map_y: str = "up"
     as_is: bool = False
     double_sided: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for name in ("parts", "hide"):
@@ -116,21 +116,6 @@ def parse_size(text: str, name: str = "size") -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class ImageSettings:
-    """Settings of the renderer; parameters as in :class:`facerender.Renderer`, which checks whether
-    the driver supports them."""
-
-    size: tuple[int, int] = ranged(SizeRange(1, MAX_SIDE, "pixels"), (1024, 1024))
-    samples: int = ranged(IntegerRange(1, MAX_SAMPLES), 4)
-    anisotropy: float = ranged(Range(1.0, 16.0), 1.0)
-    float_albedo: bool = False
-    full_maps: bool = False
-
-    def __post_init__(self) -> None:
-        check_fields(self, "image ")
-
-
-@dataclass(frozen=True)
 class Output:
     """An image file to write.
 
@@ -144,6 +129,8 @@ class Output:
     path: str
     only: Only | None = None
     exposure: float = ranged(EXPOSURES, 0.0)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_path("output path", self.path)
@@ -167,12 +154,12 @@ class Job:
         name of parts, with wildcards, a table of factors and ``preset``; see
         :meth:`facerender.Mesh.with_material`
     camera, lights, ambient, background : see :class:`facerender.Scene`
-    environment : file of the environment map, or None
-    shading : see :class:`facerender.Shading`
+    environment : file of the environment map, as in :func:`facerender.load_environment`, or None
+    shading : a :class:`facerender.Shading`, or a table for :meth:`Shading.from_dict`
     pose : pose of the mesh
     before : pose of the mesh in the frame before, from which motion vectors start
     planned : images for which the shading was planned, with their level of detail; or None
-    image : settings of the renderer
+    image : settings of the renderer, or a table of them
     outputs : image files
     landmarks : path of a landmark file, or None; see :func:`facerender.load_landmarks`
 
@@ -184,8 +171,8 @@ class Job:
     mesh: MeshFile = MeshFile()
     material: Mapping[str, Any] = field(default_factory=dict)
     camera: Camera = Camera()
-    lights: tuple[Light, ...] = Scene.lights
-    ambient: float | Vector = ranged(COLORS, Scene.ambient)
+    lights: tuple[Light, ...] = None  # type: ignore[assignment]  # None: see default_light
+    ambient: float | Vector = ranged(COLORS, None)
     background: Vector | None = ranged(COLORS, Scene.background)
     shading: Shading = Shading()
     planned: Planned | None = None
@@ -197,20 +184,40 @@ class Job:
     before: Pose = Pose()
     landmarks: str | None = None
 
+    __repr__ = short_repr
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            mesh: MeshFile = ...,
+            material: Mapping[str, Any] = ...,
+            camera: Camera | str = ...,
+            lights: Sequence[Light | str] | None = ...,
+            ambient: float | Vector | None = ...,
+            background: Vector | str | None = ...,
+            shading: Shading | Mapping[str, Any] = ...,
+            planned: Planned | None = ...,
+            image: ImageSettings | Mapping[str, Any] = ...,
+            outputs: Sequence[Output] = ...,
+            environment: EnvironmentFile | str | os.PathLike[str] | None = ...,
+            parts: Mapping[str, Mapping[str, Any]] = ...,
+            pose: Pose = ...,
+            before: Pose = ...,
+            landmarks: str | None = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
+        self._convert()
         check_type("mesh", self.mesh, MeshFile, "a MeshFile")
-        check_type("camera", self.camera, Camera, "a Camera")
         check_type("shading", self.shading, Shading, "a Shading")
         check_type("image", self.image, ImageSettings, "an ImageSettings")
         for name in ("pose", "before"):
             check_type(name, getattr(self, name), Pose, "a facerender.Pose")
         check_type("planned", self.planned, Planned | None, "a facerender.scenes.lod.Planned")
-        remedy = "a facerender.EnvironmentFile"
-        check_type("environment", self.environment, EnvironmentFile | None, remedy)
-        for name, each in (("lights", Light), ("outputs", Output)):
-            values, remedy = getattr(self, name), f"a list of {each.__name__}"
-            check_type(name, values, list | tuple, remedy)
-            object.__setattr__(self, name, each_of(name, values, each, remedy))
+        check_type("outputs", self.outputs, list | tuple, "a list of Output")
+        outputs = each_of("outputs", self.outputs, Output, "a list of Output")
+        object.__setattr__(self, "outputs", outputs)
         if self.landmarks is not None:
             check_path("landmarks", self.landmarks)
             object.__setattr__(self, "landmarks", os.fspath(self.landmarks))
@@ -222,6 +229,20 @@ class Job:
         object.__setattr__(self, "material", material)
         object.__setattr__(self, "parts", part_tables("parts", self.parts))
         check_fields(self)
+
+    def _convert(self) -> None:
+        """Convert names, texts and tables to values, and set the default lights."""
+        lights, ambient = default_light(self.lights, self.ambient, self.environment is not None)
+        values = {"ambient": ambient, "lights": lights_of(lights), "camera": camera_of(self.camera)}
+        values["background"] = background_of(self.background)
+        if self.environment is not None:
+            values["environment"] = environment_file(self.environment)
+        if isinstance(self.shading, Mapping):
+            values["shading"] = Shading.from_dict(self.shading)
+        if isinstance(self.image, Mapping):
+            values["image"] = from_table(ImageSettings, "image", self.image)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     def scene(self, mesh: Mesh | None = None, moves: bool = False) -> Scene:
         """Return the scene.
@@ -320,7 +341,6 @@ class Job:
         known = [
             *(each for each in KEYS if each != "cameras"),
             "mesh",
-            "image",
             "outputs",
             "landmarks",
         ]
@@ -328,9 +348,8 @@ class Job:
         for key, value in tables.items():
             if key not in known:
                 raise InputError(f"unknown key {shown(key)}; known: {', '.join(known)}")
-            if key in ("mesh", "image"):
-                kind = MeshFile if key == "mesh" else ImageSettings
-                values[key] = from_table(kind, key, value)
+            if key == "mesh":
+                values[key] = from_table(MeshFile, key, value)
             elif key == "outputs":
                 check_type(key, value, list, "a list of tables")
                 values[key] = tuple(from_table(Output, key, each) for each in value)
@@ -338,8 +357,6 @@ class Job:
                 values[key] = value
             else:
                 values[key] = scene_value(key, value)
-        if "shading" in values:
-            values["shading"] = Shading.from_dict(values["shading"])
         return cls(**values)
 
     def toml(self) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_type, shown
+from facerender.system.reprs import short_repr
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
 from facerender.terms.lobe import SLOPES
@@ -57,6 +58,8 @@ class Term:
     masking: str = "v-cavity"
     m: float | None = ranged(SLOPES, None)
     small_slope: bool | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         lobe_entry(self.lobe)
@@ -155,7 +158,7 @@ class Shading:
     shadow_lights : indices of the lights whose shadows are drawn; None (default) for all lights
         that cast shadows
     frontal_lights : indices of lights near the camera. Their terms omit masking and use f0 as the
-        Fresnel term; only for Cook-Torrance
+        Fresnel term; only for Cook-Torrance, without other terms in ``lights``
     outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
         for the exact lobe
     ks : one specular weight that replaces the weights of materials and specular maps; default None
@@ -195,6 +198,8 @@ class Shading:
     specular_lights: tuple[int, ...] | None = None
     shadow_lights: tuple[int, ...] | None = None
     lights: tuple[tuple[int, Changes], ...] = ()
+
+    __repr__ = short_repr
 
     def __init__(
         self,
@@ -356,6 +361,14 @@ def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[
     others = {light: _without_frontal(own) for light, own in changes.items()}
     for own in others.values():
         replace(term, **dict(own))  # Validates values that the frontal term overrides.
+    for light in frontal:
+        own_terms = dict(others.get(light, ()))
+        for name, value in FRONTAL:
+            if own_terms.get(name, value) != value:
+                raise InputError(
+                    f"{name} = {shown(own_terms[name])} of light {light} and frontal_lights "
+                    "exclude each other: leave one out"
+                )
     near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
     return others | near
 

@@ -772,7 +772,7 @@ INVALID = [
     {"mesh": {"file": "a.glb"}},
     {"mesh.flip_v": 1},
     {"camera": 3},
-    {"camera.azimuth": "front"},
+    {"camera.azimuth": "west"},
     {"camera.target": [1, 2]},
     {"lights": [3]},
     {"lights": [{"intensity": 1}]},
@@ -883,6 +883,8 @@ def test_a_number_in_its_range_is_valid(key, limits, validator):
     common = {
         "environment": {"environment.file": "studio"},
         "planned": {"planned.sizes": [[48, 48]], "planned.samples": 4},
+        "pose": {"pose.vertices": "a.npy"} if key == "pose.frame" else {},
+        "before": {"before.vertices": "a.npy"} if key == "before.frame" else {},
     }.get(key.partition(".")[0], {})
     for end in (limits.low, limits.high):
         if math.isfinite(end) and key != "camera.size":  # valid only with extrinsics

@@ -555,6 +555,14 @@ def test_copied_scene_draws_the_same():
     np.testing.assert_array_equal(*frames)
 
 
+def test_reprs_are_one_short_line(everything, renderer):
+    for name, value in {**everything, "Renderer": renderer}.items():
+        text = repr(value)
+        assert "\n" not in text, name
+        assert "array(" not in text, name
+        assert len(text) < 500, name
+
+
 @pytest.mark.parametrize("name", ["Mesh", "Part", "Texture"])
 def test_repr_of_large_objects_is_short(name, everything):
     assert re.fullmatch(rf"<{name} '.*>", repr(everything[name]))

@@ -74,8 +74,8 @@ MESSAGES = [
     (
         "render --camera west -o x.png",
         (
-            "--camera 'west': give 1 or 2 or 3 numbers separated by commas, or front, "
-            "three-quarter, profile, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for"
+            "unknown camera 'west'; give front, three-quarter, profile, or "
+            "AZIMUTH[,ELEVATION[,ZOOM]] in degrees, where AZIMUTH may be a name; turntable[:N], for"
             " N views around the mesh (8); gltf[:NAME], for cameras of the mesh file; or a camera"
             " file: .toml with [[cameras]], .json or .npz with K and [R|t]"
         ),
@@ -106,7 +106,7 @@ MESSAGES = [
     ),
     (
         "render --background 1,2 -o x.png",
-        "--background '1,2': give 3 numbers separated by commas",
+        "background = '1,2': give R,G,B in linear RGB, or none for transparent",
     ),
     (
         "render --environment gone.hdr -o x.png",
@@ -141,7 +141,7 @@ MESSAGES = [
         "render --scene unknown.toml -o x.png",
         (
             "unknown.toml: unknown key 'unknown'; known: camera, cameras, lights, environment, "
-            "material, parts, shading, planned, ambient, background, pose, before"
+            "material, parts, shading, planned, ambient, background, pose, before, image"
         ),
     ),
     (

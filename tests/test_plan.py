@@ -778,9 +778,10 @@ def test_scene_file_omits_factors_that_differ_between_parts(head, tmp_path):
 
 
 def test_turntable():
-    camera = fr.Camera(10.0, 20.0, 30.0, 2.0, (0.0, 0.1, 0.0), position=(1.0, 2.0, 3.0))
+    camera = fr.Camera(10.0, 20.0, 30.0, 2.0, (0.0, 0.1, 0.0))
     around = turntable(camera, 5)
     assert [each.azimuth for each in around] == pytest.approx([10.0, 82.0, 154.0, 226.0, 298.0])
     for each in around:
-        assert each == replace(camera, azimuth=each.azimuth, position=None)
+        assert each == replace(camera, azimuth=each.azimuth)
+    assert turntable(fr.Camera(position=(1.0, 2.0, 3.0)), 1) == (fr.Camera(),)
     assert len(turntable()) == 8

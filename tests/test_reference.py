@@ -188,7 +188,12 @@ def key(mesh: fr.Mesh, radius: float, distance: float | None) -> fr.Light:
     light = fr.Light(-50.0, 42.0, 3.0, radius=radius, shadow=True)
     if distance is None:
         return light
-    return replace(light, position=tuple(mesh.center + distance * mesh.radius * light.direction))
+    return replace(
+        light,
+        azimuth=0.0,
+        elevation=0.0,
+        position=tuple(mesh.center + distance * mesh.radius * light.direction),
+    )
 
 
 def shadows(mesh: fr.Mesh) -> fr.Scene:

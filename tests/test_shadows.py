@@ -192,7 +192,7 @@ def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
     edge, width = 0.2, 2.0 * 0.8 * np.tan(np.radians(radius))
     if distance is not None:
         z = 1.2 * distance
-        light = replace(light, position=(0.0, 0.0, z))
+        light = replace(light, azimuth=0.0, elevation=0.0, position=(0.0, 0.0, z))
         edge = 0.2 * (z + 0.4) / (z - 0.4)
         width = 2.0 * z * np.tan(np.radians(radius)) * 0.8 / (z - 0.4)
     camera = fr.Camera(position=(1.5, 0.0, 0.5), target=(0.3, 0.0, -0.4))

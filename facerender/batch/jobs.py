@@ -31,7 +31,7 @@ from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
-TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image", "landmarks")
+TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "landmarks")
 OWN = ("id", "outputs", "exposure", "scene")  # Keys of a row that are not in TABLES.
 TABLE_KINDS: dict[str, Any] = {
     "mesh": MeshFile,
@@ -365,8 +365,8 @@ def _check(row: Row, position: str, good: set[int]) -> None:
         for key, value in row.tables.items():
             for each in value if key == "lights" and type(value) is list else [value]:
                 if (name := hash(f"{key} {_without_valid(key, each)!r}")) not in good:
-                    if key in ("mesh", "image"):
-                        from_table(TABLE_KINDS[key], key, each)
+                    if key == "mesh":
+                        from_table(MeshFile, key, each)
                     elif key == "landmarks":
                         check_path(key, each)
                     else:

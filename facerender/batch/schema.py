@@ -12,7 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
-from facerender.scenes.camera import DISTORTIONS
+from facerender.scenes.camera import AZIMUTHS_BY_NAME, DISTORTIONS, Camera
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS
@@ -41,7 +41,7 @@ def schema() -> Schema:
     text = {"type": "string"}
     tables = {name: _table(name, kind) for name, kind in TABLE_KINDS.items()}
     lights = tables.pop("lights")
-    tables |= {name: {"anyOf": [text, tables[name]]} for name in ("mesh", "environment")}
+    tables |= {name: {"anyOf": [text, tables[name]]} for name in ("mesh", "environment", "camera")}
     for name in ("ambient", "background"):
         tables[name] = _default(_of_range(range_of(Scene, name)), getattr(Scene, name))
     tables["background"]["anyOf"].insert(0, {"const": "none"})
@@ -223,6 +223,7 @@ _SPECIAL: dict[str, Schema] = {
     "mesh.parts": _NAMES,
     "mesh.hide": _NAMES,
     "mesh.normal_map_y": _enum(NORMAL_MAP_Y),
+    "camera.azimuth": {"anyOf": [_of_range(range_of(Camera, "azimuth")), _enum(AZIMUTHS_BY_NAME)]},
     "camera.extrinsics": _array(_ROW_OF_4, 3),
     "camera.intrinsics": _array(_ROW_OF_3, 3),
     "camera.distortion": {"anyOf": [_array({"type": "number"}, count) for count in DISTORTIONS]},

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from facerender.errors import InputError, clipped, shown
+from facerender.scenes.camera import orbit_of
 from facerender.scenes.file import EnvironmentFile, parse_environment
 from facerender.scenes.light import parse_light
 
@@ -28,14 +29,14 @@ _MOST_BITS = 64  # largest size of a whole number, in bits
 def nested(row: Any) -> Table:
     """Return a row as nested tables of plain data.
 
-    Dotted keys become nested tables, and None values are removed. A mesh, an environment or a
-    light that is given as text becomes a table. Numbered items (``lights.0.azimuth``) stay tables
-    with numbers as keys until :func:`listed` converts them.
+    Dotted keys become nested tables, and None values are removed. A mesh, an environment, a camera
+    or a light that is given as text becomes a table. Numbered items (``lights.0.azimuth``) stay
+    tables with numbers as keys until :func:`listed` converts them.
 
     Raises
     ------
     InputError : the row is not a table, a key is given twice, a value is not plain data, or the
-        text of a light or an environment is invalid
+        text of a light, a camera or an environment is invalid
     """
     if type(row) is not dict and not isinstance(row, Mapping):
         raise InputError(f"row = {shown(row)}: give a table")
@@ -47,6 +48,9 @@ def nested(row: Any) -> Table:
             found = parse_environment(value)
             for name in [each.name for each in fields(EnvironmentFile)][: value.count(",") + 1]:
                 values[f"environment.{name}"] = getattr(found, name)
+            continue
+        elif key == "camera" and isinstance(value, str):
+            values |= {f"camera.{name}": each for name, each in orbit_of(value).items()}
             continue
         if key in values:
             raise InputError(f"{key} is given twice: leave one out")

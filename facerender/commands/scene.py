@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -31,11 +31,12 @@ from facerender.errors import InputError, clipped, warn
 from facerender.job import ImageSettings, Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y
 from facerender.scenes.camera import (
-    AZIMUTHS_BY_NAME,
     CAMERA_FILES,
     FRAMES,
     MOST_CAMERAS,
+    ORBITS,
     Camera,
+    orbit_of,
     orbiting,
     turntable,
 )
@@ -53,7 +54,7 @@ from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import Scene, background_of, default_light
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
@@ -64,9 +65,9 @@ _FACTORS = (
 )
 _OR_FILE = "{:g} or the mesh file's"  # default in the help, for factors that a mesh file may set
 WHERE = (
-    f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for "
-    "N views around the mesh (8); gltf[:NAME], for cameras of the mesh file; or a camera file: "
-    ".toml with [[cameras]], .json or .npz with K and [R|t]"
+    f"{ORBITS}, where AZIMUTH may be a name; turntable[:N], for N views around the mesh (8); "
+    "gltf[:NAME], for cameras of the mesh file; or a camera file: .toml with [[cameras]], .json or "
+    ".npz with K and [R|t]"
 )
 
 
@@ -251,6 +252,9 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
+    names = [each.name for each in fields(ImageSettings) if each.name != "size"]
+    image = settings.pop("image", {}) | values_of(options, *names)
+    size = size or image.get("size")
     shading = _shading(options, settings.pop("shading", {}))
     camera, cameras = _cameras(options, settings, size)
     material = settings.pop("material", {})
@@ -259,28 +263,47 @@ def job_of(
         material.pop("m", None)
     settings |= _scene_settings(options)
     settings["pose"] = _pose(options, settings.get("pose", Pose()))
-    if "environment" in settings:
-        settings.setdefault("lights", ())
-        settings.setdefault("ambient", 0.0)
     if options.shadows is not None:
-        lights = settings.get("lights", Job.lights)
+        around = settings.get("environment") is not None
+        lights, _ = default_light(settings.get("lights"), None, around)
         settings["lights"] = tuple(replace(light, shadow=options.shadows) for light in lights)
         if options.shadows and not (lights or options.occlusion):
-            warn(no_shadows(settings.get("environment") is not None))
+            warn(no_shadows(around))
+    _check_unused(options, settings, [material, *parts.values()])
     names = [each.name for each in fields(MeshFile) if each.name != "path"]
-    images = ("samples", "anisotropy", "float_albedo", "full_maps")
     job = Job(
         mesh=MeshFile(options.mesh, **values_of(options, *names)),
         material=material | values_of(options, *_FACTORS),
         parts=parts,
         camera=camera,
         shading=shading,
-        image=ImageSettings(
-            size or camera.size or ImageSettings.size, **values_of(options, *images)
-        ),
+        image=ImageSettings(**image | {"size": size or camera.size or ImageSettings.size}),
         **settings,
     )
     return job, cameras
+
+
+def _check_unused(
+    options: argparse.Namespace, settings: Mapping[str, Any], materials: Sequence[Mapping[str, Any]]
+) -> None:
+    """Raise InputError for options without effect.
+
+    Parameters
+    ----------
+    settings : keyword arguments of the job
+    materials : tables of material factors of the scene file and of --part
+    """
+    if options.environment_samples and settings.get("environment") is None:
+        raise InputError(
+            f"--environment-samples {options.environment_samples} has no environment map: add "
+            "--environment FILE"
+        )
+    scatters = [options.scattering, *(each.get("scattering") for each in materials)]
+    if options.scatter_samples and all(each in (None, "none") for each in scatters):
+        raise InputError(
+            f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
+            "--scattering skin"
+        )
 
 
 def _pose(options: argparse.Namespace, known: Pose) -> Pose:
@@ -435,7 +458,7 @@ def _placed(
         file = mesh if word == "gltf" else place
         found = _file_cameras(place, file, rest, size)
         return {name: replace(each, **changes) for name, each in found.items()}
-    return {place.replace(",", "_"): _orbit(place, camera)}
+    return {place.replace(",", "_"): orbiting(camera, **orbit_of(place, WHERE))}
 
 
 def _is_file(place: str) -> bool:
@@ -458,16 +481,6 @@ def _file_cameras(
     return {name: found[name]}
 
 
-def _orbit(place: str, camera: Camera) -> Camera:
-    if place in AZIMUTHS_BY_NAME:
-        return orbiting(camera, azimuth=AZIMUTHS_BY_NAME[place], elevation=0.0)
-    try:
-        numbers = numbers_of("camera", place, (1, 2, 3))
-    except InputError as error:
-        raise InputError(f"{error}, or {WHERE}") from None
-    return orbiting(camera, **dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False)))
-
-
 def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return the fields of Scene that the options set, except the camera."""
     settings: dict[str, Any] = {}
@@ -479,8 +492,5 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
         numbers = numbers_of("ambient", options.ambient, (1, 3))
         settings["ambient"] = tuple(numbers) if len(numbers) == 3 else numbers[0]
     if options.background is not None:
-        transparent = options.background == "none"
-        settings["background"] = (
-            None if transparent else tuple(numbers_of("background", options.background, (3,)))
-        )
+        settings["background"] = background_of(options.background)
     return settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import warnings
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
@@ -47,6 +47,7 @@ from facerender.errors import (
     InputError,
     check_switch,
     check_type,
+    clipped,
     warn,
 )
 from facerender.job import ImageSettings, Job
@@ -65,7 +66,8 @@ from facerender.scenes.scene import (
     ShadingRate,
     check_shading_rate,
 )
-from facerender.scenes.sources import MeshSource
+from facerender.scenes.sources import EnvironmentSource, MeshSource
+from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
@@ -199,6 +201,11 @@ class Renderer:
             return
         _free(self.context, self._resources)
         self._free.detach()
+
+    def __repr__(self) -> str:
+        width, height = self.size
+        driver = clipped(self.context.renderer, 60)
+        return f"<Renderer {width} x {height}, samples {self.samples}, {driver}>"
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -661,8 +668,11 @@ def render(
     size: tuple[int, int] = (1024, 1024),
     samples: int = 4,
     backend: Backend = "auto",
-    camera: Camera = Camera(),
-    lights: tuple[Light, ...] | None = None,
+    camera: Camera | str = Camera(),
+    lights: Sequence[Light | str] | None = None,
+    ambient: float | Vector | None = None,
+    background: Vector | str | None = Scene.background,
+    environment: EnvironmentSource | None = None,
     only: Only | None = None,
 ) -> Frame:
     """Render one image of a mesh.
@@ -677,7 +687,7 @@ def render(
     m : RMS slope of the microfacets of the skin (:attr:`Mesh.skin`), which replaces the roughness
         map; default: the values of the mesh
     size, samples, backend : see :class:`Renderer`
-    camera, lights : see :class:`Scene`
+    camera, lights, ambient, background, environment : see :class:`Scene`
     only : see :meth:`Renderer.render`
 
     Raises
@@ -690,6 +700,6 @@ def render(
     if m is not None:
         loaded = loaded.with_skin(m=m)
     start_maps(loaded)
-    scene = Scene(loaded, camera) if lights is None else Scene(loaded, camera, lights)
+    scene = Scene(loaded, camera, lights, ambient, background, environment)
     with Renderer(size, samples=samples, backend=backend) as renderer:
         return renderer.render(scene, shading, only)

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, clipped
+from facerender.errors import InputError, clipped, shown
 from facerender.images.decode import MAX_BYTES, check_pixels
 from facerender.images.read import read_image
 from facerender.scenes.environment import Environment, Panorama, studio
-from facerender.scenes.file import STUDIO, EnvironmentFile
+from facerender.scenes.file import STUDIO, EnvironmentFile, environment_file
 from facerender.system.files import read_file
 
 
-def load_environment(file: EnvironmentFile) -> Environment:
+def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:
     """Load an environment map. The panoramas of the two files used last are cached, with all data
     derived from these panoramas. All environments loaded from one file share its panorama.
+
+    file : a path, "studio", a text such as "room.hdr,ROTATION,SCALE", or an
+        :class:`EnvironmentFile`
 
     Raises
     ------
     InputError : the file is missing, damaged, or of an unknown format or shape; a radiance is not a
         number in [0, 1e9]; OpenImageIO (.hdr) or OpenEXR (.exr) is not installed
     """
-    check_type("environment", file, EnvironmentFile, "a facerender.EnvironmentFile")
+    file = environment_file(file)
     panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
     return Environment(panorama, file.rotation, file.scale)
 
@@ -46,6 +50,11 @@ def _panorama(path: str, written: int, size: int) -> Panorama:
 
 def _read(path: Path) -> NDArray[np.float32]:
     suffix = path.suffix.lower()
+    if not suffix and not os.path.exists(path):
+        raise InputError(
+            f"unknown environment {shown(str(path))}; give {STUDIO}, or a file: .hdr, .exr, .npy, "
+            ".npz"
+        )
     if suffix == ".hdr":
         return _read_hdr(path)
     if suffix not in (".exr", ".npy", ".npz"):

@@ -30,7 +30,7 @@ from facerender.planning.search import Choice, Cost, Region, Witnesses, constant
 from facerender.planning.views import DrawnViews, Viewpoint
 from facerender.pricing.interval import Interval
 from facerender.pricing.table import FRAME
-from facerender.scenes.camera import Camera
+from facerender.scenes.camera import Camera, cameras_of
 from facerender.scenes.file import scene_toml
 from facerender.scenes.lod import LevelOfDetail, Planned
 from facerender.scenes.mesh import drawn_alpha
@@ -114,6 +114,9 @@ class Plan:
     candidates: int
     tried: int
     error_map: NDArray[np.float64] = field(repr=False)
+
+    def __repr__(self) -> str:
+        return f"<Plan within {self.budget.text(self.budget.limit)}, {self.shading!r}>"
 
     def explain(self) -> str:
         """Return the plan as text: lines for budget, basis, each decision, error and cost."""
@@ -263,7 +266,7 @@ def plan(
     budget: str | float,
     *,
     full: Shading = Shading(),
-    cameras: Sequence[Camera] | None = None,
+    cameras: Sequence[Camera | str] | None = None,
     sizes: Sequence[tuple[int, int]] | None = None,
     within: str | float = 1.0,
     cost: str = FRAME,
@@ -282,8 +285,8 @@ def plan(
     budget : the largest error of a pixel: "1/255" of the displayed image, "0.5%" of the linear
         radiance, "0.02 flip"; see :class:`facerender.planning.budget.Budget`
     full : the shading that counts as exact; it must have the exact lobe
-    cameras : cameras at which errors are measured, such as :func:`facerender.turntable`;
-        default: the scene's camera
+    cameras : cameras at which errors are measured, each as in :class:`facerender.Scene`, such as
+        :func:`facerender.turntable`; default: the scene's camera
     sizes : width and height of the measured images, for every camera; default: the renderer's size
     within : fraction of each image's covered pixels that must meet the budget: 0.999 or "99.9%"
     cost : "frame": time of whole frames on this driver, estimated from a few measured ones. Other
@@ -304,10 +307,8 @@ def plan(
     """
     _check_types(scene, budget, full, cost, renderer)
     check_switch("verify_cost", verify_cost)
-    if cameras is not None:
-        cameras = each_of("cameras", cameras, Camera, "several facerender.Camera")
     allowed = Budget.parse(budget, exposure, within)
-    at = (scene.camera,) if cameras is None else tuple(cameras)
+    at = (scene.camera,) if cameras is None else cameras_of(cameras)
     task = _Task(scene, allowed, _checked(scene, full), at, cost, verify_cost, progress)
     with ExitStack() as stack:
         return _planned(task, _renderers(renderer, sizes, stack))

@@ -3,29 +3,37 @@ units."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, shown
 from facerender.scenes.distortion import undistort
 from facerender.scenes.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector
+from facerender.system.reprs import short_repr
 from facerender.terms.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
 
 Frame = Literal["auto", "all", "head", "face"]
 Pose = tuple[float, float, float, float]
+Matrix = NDArray[np.float64]
 
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
+# Texts that parse_camera accepts, for messages and help.
+ORBITS = f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
 DISTORTIONS = (4, 5, 8)  # possible numbers of distortion coefficients
 _COEFFICIENTS, _ZERO = Range(-1e6, 1e6), Range(0.0, 0.0)
 _CHECKED = 33  # points per side of the grid on which the distortion is checked
 _NOT_ROTATED = 1e-3  # largest accepted element of |R R^T - I|; not 0, because users may round R
-# Fields that must keep their defaults if extrinsics are given.
+# Fields that must keep their defaults if extrinsics, or a position, are given. A camera with a
+# position uses its azimuth only if it looks straight up or down; view_of() checks that.
 _PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
+_ORBITING = ("elevation", "zoom")
 
 
 @dataclass(frozen=True)
@@ -35,11 +43,13 @@ class Camera:
     Parameters
     ----------
     azimuth, elevation : direction from the target to the camera, in degrees. At azimuth 0 and
-        elevation 0 the camera sees the face; at azimuth 90 it sees the side at +x
+        elevation 0 the camera sees the face; at azimuth 90 it sees the side at +x. The azimuth may
+        be a name: "front", "three-quarter" (-35) or "profile" (90)
     fov : vertical field of view, degrees in [1, 150]
     zoom : magnification; at 1, the framed region fits into the image at every azimuth
     target : point at the centre of the image; None for the centre of the framed region
-    position : position of the camera; None to orbit the target
+    position : position of the camera; None to orbit the target. Excludes elevation and zoom, with a
+        target also frame, and azimuth unless the camera looks straight up or down
     frame : region to frame: "all" (the whole mesh), "head", "face" (from hairline to chin) or
         "auto": the head if the mesh is clearly larger than the head that is found in it, otherwise
         the whole mesh; see ``facerender.scenes.framing``
@@ -68,7 +78,28 @@ class Camera:
     size: tuple[int, int] | None = ranged(SizeRange(1, 1 << 30, "pixels"), None)
     distortion: tuple[float, ...] | None = None
 
+    __repr__ = short_repr
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            azimuth: float | str = ...,
+            elevation: float = ...,
+            fov: float = ...,
+            zoom: float = ...,
+            target: Vector | None = ...,
+            position: Vector | None = ...,
+            frame: Frame = ...,
+            extrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
+            intrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
+            size: tuple[int, int] | None = ...,
+            distortion: Sequence[float] | Matrix | None = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
+        if isinstance(self.azimuth, str):
+            object.__setattr__(self, "azimuth", _azimuth(self.azimuth))
         check_fields(self, "camera ")
         for name in ("azimuth", "elevation", "fov", "zoom"):
             object.__setattr__(self, name, float(getattr(self, name)))
@@ -79,6 +110,9 @@ class Camera:
                 object.__setattr__(self, name, _matrix(f"camera {name}", value, columns))
         if self.extrinsics is not None:
             self._check_extrinsics()
+        elif self.position is not None:
+            unused = _ORBITING if self.target is None else (*_ORBITING, "frame")
+            self._check_unused(unused, "position")
         if (self.intrinsics is None) != (self.size is None):
             raise InputError("camera intrinsics and camera size belong together: give both")
         if self.intrinsics is not None:
@@ -94,10 +128,13 @@ class Camera:
                 f"camera extrinsics = {shown(self.extrinsics)}: give [R|t] with a rotation R, "
                 "whose rows are orthogonal unit vectors: x to the right, y down, z forward"
             )
+        self._check_unused(_PLACED, "extrinsics")
+
+    def _check_unused(self, names: Sequence[str], other: str) -> None:
         for each in fields(self):
-            if each.name in _PLACED and (value := getattr(self, each.name)) != each.default:
+            if each.name in names and (value := getattr(self, each.name)) != each.default:
                 raise InputError(
-                    f"camera {each.name} = {shown(value)} and extrinsics exclude each other: leave "
+                    f"camera {each.name} = {shown(value)} and {other} exclude each other: leave "
                     "one out"
                 )
 
@@ -172,17 +209,66 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
     return tuple(tuple(float(each) for each in row) for row in rows)
 
 
-def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
+def _azimuth(name: str) -> float:
+    if name not in AZIMUTHS_BY_NAME:
+        known = ", ".join(AZIMUTHS_BY_NAME)
+        raise InputError(f"camera azimuth = {shown(name)}: give degrees, or {known}")
+    return AZIMUTHS_BY_NAME[name]
+
+
+def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:
+    """Parse a name of AZIMUTHS_BY_NAME, or ``AZIMUTH[,ELEVATION[,ZOOM]]``, where AZIMUTH may be
+    such a name. Return the fields of an orbiting :class:`Camera`.
+
+    known : text of the accepted values, for the message
+
+    Raises
+    ------
+    InputError : the name is unknown, or the text has another form
+    """
+    if text in AZIMUTHS_BY_NAME:
+        return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}
+    first, *others = text.split(",")
+    try:
+        numbers = [AZIMUTHS_BY_NAME[first] if first in AZIMUTHS_BY_NAME else float(first)]
+        numbers += map(float, others)
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 3:
+        raise InputError(f"unknown camera {shown(text)}; give {known}")
+    return dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
+
+
+def camera_of(camera: Camera | str) -> Camera:
+    """Return a camera, which may be given as a text that :func:`orbit_of` parses."""
+    if isinstance(camera, str):
+        return orbiting(Camera(), **orbit_of(camera))
+    check_type("camera", camera, Camera, f"a facerender.Camera, or {ORBITS}")
+    return camera
+
+
+def cameras_of(cameras: Any) -> tuple[Camera, ...]:
+    """Return cameras, each given as in :func:`camera_of`.
+
+    cameras : several cameras, or one
+    """
+    several = [cameras] if isinstance(cameras, str | Camera) else cameras
+    if isinstance(several, Iterable):
+        return tuple(map(camera_of, several))
+    raise InputError(f"cameras = {shown(cameras)}: give several facerender.Camera, or {ORBITS}")
+
+
+def turntable(camera: Camera | str = Camera(), count: int = 8) -> tuple[Camera, ...]:
     """Return cameras at equal steps of azimuth around the mesh, at the given camera's elevation.
 
-    The first camera has the azimuth of the given camera. Position, extrinsics, intrinsics and
-    distortion of the given camera are not used.
+    The first camera has the azimuth of the given camera, which may be a name, as in
+    :class:`Scene`. Its position, extrinsics, intrinsics and distortion are not used.
 
     Raises
     ------
     InputError : camera is not a Camera, or count is not a whole number in [1, 100000]
     """
-    check_type("camera", camera, Camera, "a facerender.Camera")
+    camera = camera_of(camera)
     count = IntegerRange(1, MOST_CAMERAS).check("count", count)
     turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
     return tuple(orbiting(camera, azimuth=azimuth) for azimuth in turns)

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, shown
+from facerender.errors import InputError, check_type, clipped, shown
 from facerender.scenes.vectors import AZIMUTHS, HIGHEST, direction_to
 from facerender.terms.environment import harmonics
 from facerender.terms.ranges import Range, check_fields, ranged
@@ -65,6 +65,10 @@ class Panorama:
                 f" give numbers in [0, {HIGHEST:g}]"
             )
         object.__setattr__(self, "radiance", values)
+
+    def __repr__(self) -> str:
+        height, width = self.radiance.shape[:2]
+        return f"<Panorama {clipped(self.name)!r}, {width} x {height}>"
 
     @cached_property
     def coefficients(self) -> Float:

@@ -13,16 +13,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facerender.errors import InputError, check_path, check_type, clipped, shown
-from facerender.scenes.camera import Camera
+from facerender.images.decode import MAX_SIDE
+from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS, preset
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import Scene, background_of
 from facerender.scenes.vectors import AZIMUTHS, HIGHEST, SHAPE_WEIGHTS
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
-from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
+from facerender.system.reprs import short_repr
+from facerender.terms.ranges import (
+    IntegerRange,
+    Range,
+    SizeRange,
+    check_fields,
+    range_of,
+    ranged,
+)
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Environment
@@ -30,8 +39,9 @@ if TYPE_CHECKING:
 
 KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "parts", "shading", "planned"),
-    *("ambient", "background", "pose", "before"),
+    *("ambient", "background", "pose", "before", "image"),
 )
+MAX_SAMPLES = 64
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
 STUDIO = "studio"  # name of the procedural environment map
 TIMES = Range(0.0, 1e6, "s")
@@ -61,6 +71,23 @@ class EnvironmentFile:
 
 
 @dataclass(frozen=True)
+class ImageSettings:
+    """Settings of the renderer; parameters as in :class:`facerender.Renderer`, which checks whether
+    the driver supports them."""
+
+    size: tuple[int, int] = ranged(SizeRange(1, MAX_SIDE, "pixels"), (1024, 1024))
+    samples: int = ranged(IntegerRange(1, MAX_SAMPLES), 4)
+    anisotropy: float = ranged(Range(1.0, 16.0), 1.0)
+    float_albedo: bool = False
+    full_maps: bool = False
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        check_fields(self, "image ")
+
+
+@dataclass(frozen=True)
 class Pose:
     """Pose of a mesh. Without values, it is the pose that the mesh file stores.
 
@@ -71,7 +98,7 @@ class Pose:
     time : time in the clip in seconds; default 0
     vertices : path of a file with vertex positions: .npy of shape (frames, vertices, 3), or .npz
         with one such array for each part; see :meth:`facerender.Mesh.with_positions`
-    frame : index of the frame in ``vertices``
+    frame : index of the frame in ``vertices``; 0 without vertices
     track : whether the framing follows the head; see :func:`facerender.tracked`
     """
 
@@ -81,6 +108,8 @@ class Pose:
     vertices: str | None = None
     frame: int = ranged(FRAMES, 0)
     track: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_type("pose weights", self.weights, Mapping, "a table of numbers by shape name")
@@ -99,6 +128,8 @@ class Pose:
                     "one of them out"
                 )
         check_fields(self, "pose ")
+        if self.frame and self.vertices is None:
+            raise InputError(f"pose frame = {self.frame} needs vertices: give the file as well")
 
 
 def parse_environment(text: str) -> EnvironmentFile:
@@ -122,7 +153,24 @@ def parse_environment(text: str) -> EnvironmentFile:
         ) from None
 
 
-_TABLES: dict[str, Any] = {"camera": Camera, "planned": Planned, "pose": Pose, "before": Pose}
+def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:
+    """Return the file of an environment map, given as an :class:`EnvironmentFile`, as a path, or as
+    a text that :func:`parse_environment` parses.
+
+    Raises
+    ------
+    InputError : a value of another type, or an error of :func:`parse_environment`
+    """
+    if isinstance(value, str):
+        return parse_environment(value)
+    if isinstance(value, os.PathLike):
+        return EnvironmentFile(os.fspath(value))
+    remedy = f"a path, {STUDIO}, or a facerender.EnvironmentFile"
+    check_type("environment", value, EnvironmentFile, remedy)
+    return value
+
+
+_TABLES: dict[str, Any] = {"planned": Planned, "pose": Pose, "before": Pose}
 
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -134,7 +182,8 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     path of ``facerender plan``), lights (tuple of Light), environment (EnvironmentFile), ambient
     and background (as in :class:`Scene`), material (dict of the factors of :class:`Material`),
     parts (see :func:`part_tables`), shading (dict for :meth:`Shading.from_dict`), planned,
-    pose and before (Planned and Pose)
+    pose and before (Planned and Pose), image (dict of the fields of :class:`ImageSettings`).
+    Without cameras, they are keyword arguments of :class:`facerender.Job`
 
     Raises
     ------
@@ -164,10 +213,12 @@ def scene_value(key: str, value: Any) -> Any:
             parse_light(item) if isinstance(item, str) else from_table(Light, key, item)
             for item in value
         )
+    if key == "camera":
+        return _camera(key, value)
     if key == "cameras":
         if not isinstance(value, list) or not value:
-            raise InputError(f"cameras = {shown(value)}: give a list of tables")
-        return tuple(from_table(Camera, key, item) for item in value)
+            raise InputError(f"cameras = {shown(value)}: give a list of names or tables")
+        return tuple(_camera(key, item) for item in value)
     if key == "shading":
         Shading.from_dict(value)  # only checks the values
         return value
@@ -179,11 +230,19 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "environment":
         text = isinstance(value, str)
         return parse_environment(value) if text else from_table(EnvironmentFile, key, value)
-    if key == "background" and value == "none":
-        return None
-    if key in ("ambient", "background"):
+    if key == "background":
+        return background_of(value)
+    if key == "ambient":
         return range_of(Scene, key).check(key, value)
+    if key == "image":
+        from_table(ImageSettings, key, value)  # only checks the values
+        return value
     raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
+
+
+def _camera(key: str, value: Any) -> Camera:
+    found: Camera = camera_of(value) if isinstance(value, str) else from_table(Camera, key, value)
+    return found
 
 
 def parse_vertices(text: str) -> tuple[str, int | None]:

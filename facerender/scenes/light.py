@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, each_of, shown
 from facerender.scenes.vectors import (
     AZIMUTHS,
     COLORS,
@@ -22,6 +22,7 @@ from facerender.scenes.vectors import (
     direction_to,
     within_reach,
 )
+from facerender.system.reprs import short_repr
 from facerender.terms.ranges import Range, check_fields, ranged
 from facerender.terms.slope_variance import MAX_RADIUS
 
@@ -43,7 +44,7 @@ class Light:
     irradiance : irradiance of a surface that faces the light, one number or linear RGB in [0, 1e9].
         For a point light, the surface is at the mesh's centre. An irradiance of pi shows a white
         diffuse surface as 1.
-    position : position of a point light in mesh units; replaces azimuth and elevation
+    position : position of a point light in mesh units; excludes azimuth and elevation
     radius : angular radius in degrees, in [0, 20]; for a point light, as seen from the mesh's
         centre. A light of radius 0 has no area.
     shadow : whether the mesh casts shadows in this light; default true. Area lights have soft
@@ -57,8 +58,15 @@ class Light:
     radius: float = ranged(Range(0.0, MAX_RADIUS, "degrees"), 0.0)
     shadow: bool = True
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_fields(self, "light ")
+        for name in ("azimuth", "elevation"):
+            if self.position is not None and (value := getattr(self, name)):
+                raise InputError(
+                    f"light {name} = {value:g} and position exclude each other: leave one out"
+                )
 
     @property
     def direction(self) -> Float:
@@ -302,6 +310,22 @@ def light_axes(light: Light, mesh: Mesh) -> Float:
     across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)
     across /= np.linalg.norm(across)
     return np.stack([across, np.cross(towards, across), towards], axis=1)
+
+
+def lights_of(lights: Any) -> tuple[Light, ...]:
+    """Return lights, each given as a :class:`Light` or as a text that :func:`parse_light` parses.
+
+    lights : several lights, or one
+
+    Raises
+    ------
+    InputError : a value is neither a light nor the text of one
+    """
+    several = [lights] if isinstance(lights, str | Light) else lights
+    if isinstance(several, Iterable):
+        several = [parse_light(each) if isinstance(each, str) else each for each in several]
+    remedy = f"several facerender.Light, or names: {', '.join(LIGHTS)}"
+    return each_of("lights", several, Light, remedy)
 
 
 def parse_light(text: str) -> Light:

@@ -12,6 +12,7 @@ from facerender.errors import InputError, check_switch, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import COLORS, HIGHEST, Vector
 from facerender.shading import WEIGHTS
+from facerender.system.reprs import short_repr
 from facerender.terms.lobe import MIN_SLOPE, SLOPES
 from facerender.terms.ranges import FRACTION, Range, check_fields, ranged
 
@@ -103,6 +104,8 @@ class Material:
     refraction: float = ranged(Range(1.0, 3.0), 1.0)
     double_sided: bool | None = None
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_fields(self)
         if self.two_lobes and self.roughness_map is None:
@@ -112,6 +115,7 @@ class Material:
                 f"unknown alpha {shown(self.alpha)}; known: {', '.join(get_args(Alpha))}"
             )
         names = self.second_uv
+        names = names.split(",") if isinstance(names, str) else names  # the text of --part
         if not isinstance(names, tuple | list) or any(each not in MAPS for each in names):
             raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
         object.__setattr__(self, "second_uv", tuple(names))

@@ -25,7 +25,7 @@ from facerender.errors import (
 from facerender.scenes.arrays import piece_of
 from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
-from facerender.scenes.presets import changed
+from facerender.scenes.presets import changed, without_effect
 from facerender.scenes.repair import Piece, are_closed, clean, unique, used
 from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
@@ -361,7 +361,8 @@ class Mesh:
         shares geometry and maps with this mesh.
 
         A new ``m`` also removes the roughness maps. A new ``second_slope``, ``lobe_weight`` or
-        ``lobe_map`` that leaves a material with one lobe causes a warning.
+        ``lobe_map`` that leaves a material with one lobe causes a warning, as does any other field
+        without effect, such as ``opacity`` without ``alpha``.
 
         Parameters
         ----------
@@ -417,6 +418,8 @@ class Mesh:
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
         new = {i: changed(self.materials[i], changes) for i in chosen}
         _warn_of_lobes(self.name, changes, new.values())
+        for fault in without_effect(changes, [self.materials[i] for i in new], [*new.values()]):
+            warn(f"{fault}: give both for a part of {self.name}")
         materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
         return replace(self, materials=materials)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -49,6 +49,17 @@ _OWN: dict[str, dict[str, Any]] = {
 PRESETS: Mapping[str, Mapping[str, Any]] = {name: {**COMMON, **own} for name, own in _OWN.items()}
 
 
+# Fields that need another field: the other field, and whether a material has it.
+_NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
+    "roughness_factor": ("a roughness map", lambda own: own.roughness_map is not None),
+    "normal_strength": ("a normal map", lambda own: own.normal_map is not None),
+    "occlusion_strength": ("an occlusion map", lambda own: own.occlusion_map is not None),
+    "alpha_cutoff": ("alpha mask", lambda own: own.alpha == "mask"),
+    "opacity": ("alpha blend or mask", lambda own: own.alpha != "opaque" or own.transmission > 0.0),
+    "refraction": ("transmission", lambda own: own.transmission > 0.0),
+}
+
+
 def preset(name: Any) -> Mapping[str, Any]:
     """Return the fields of a preset; raise InputError if the name is unknown."""
     if not isinstance(name, str) or name not in PRESETS:
@@ -68,14 +79,32 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
 
     Raises
     ------
-    InputError : the preset is unknown, or a value is outside its range
+    InputError : the preset is unknown, a value is outside its range, or the table has both ``m``
+        and ``roughness_map``
     """
     values = dict(table)
+    if "m" in values and values.get("roughness_map") is not None:
+        raise InputError(
+            f"m = {shown(values['m'])} and roughness_map exclude each other: leave one out"
+        )
     if (name := values.pop("preset", None)) is not None:
         values = _fields_for(material, preset(name)) | values
     if "m" in values:
         values = {"roughness_map": None, **values}
     return replace(material, **values)
+
+
+def without_effect(
+    table: Mapping[str, Any], old: Sequence[Material], new: Sequence[Material]
+) -> Iterator[str]:
+    """Yield the names of the changed fields that have no effect, with the reason.
+
+    table, old, new : changes as in :func:`changed`, and the materials before and after
+    """
+    for name, (needed, has) in _NEEDED.items():
+        differs = name in table and any(table[name] != getattr(each, name) for each in old)
+        if differs and not any(map(has, new)):
+            yield f"{name} = {shown(table[name])} has no effect without {needed}"
 
 
 def preset_of(material: Material) -> str | None:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_type, each_of, shown
+from facerender.errors import InputError, check_type, shown
 from facerender.scenes import sources
-from facerender.scenes.camera import Camera
-from facerender.scenes.light import LIGHTS, Light
+from facerender.scenes.camera import Camera, camera_of
+from facerender.scenes.light import LIGHTS, Light, lights_of
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.vectors import COLORS, Vector
-from facerender.terms.ranges import check_fields, ranged
+from facerender.system.reprs import short_repr
+from facerender.terms.ranges import check_fields, range_of, ranged
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from facerender.scenes.environment import Environment
-    from facerender.scenes.sources import MeshSource
+    from facerender.scenes.sources import EnvironmentSource, MeshSource
 
 Only = Literal[
     "specular",
@@ -41,23 +42,53 @@ ONLY: tuple[Only, ...] = get_args(Only)
 DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
 
 
+_BACKGROUND: Vector = (0.012, 0.013, 0.016)
+
+
 def check_shading_rate(name: str, value: object) -> None:
     """Raise InputError if a value is not in SHADING_RATES."""
     if not isinstance(value, str) or value not in SHADING_RATES:
         raise InputError(f"{name} = {shown(value)}: give {' or '.join(SHADING_RATES)}")
 
 
-@dataclass(frozen=True)
+def background_of(value: Any) -> Vector | None:
+    """Return a background colour, which may be given as text: ``R,G,B``, or ``none``.
+
+    Raises
+    ------
+    InputError : the text has another form, or a value is outside its range
+    """
+    if value is None or (isinstance(value, str) and value == "none"):
+        return None
+    try:
+        numbers = (*map(float, value.split(",")),) if isinstance(value, str) else value
+        if isinstance(value, str) and len(numbers) != 3:
+            raise ValueError
+    except ValueError:
+        raise InputError(
+            f"background = {shown(value)}: give R,G,B in linear RGB, or none for transparent"
+        ) from None
+    color: Vector = range_of(Scene, "background").check("background", numbers)
+    return color
+
+
+@dataclass(frozen=True, init=False)
 class Scene:
     """A mesh with camera, lights, environment map and background.
 
     Parameters
     ----------
     mesh : a :class:`Mesh`, or any source that :func:`facerender.load_mesh` accepts
-    camera, lights : see :class:`Camera` and :class:`Light`
-    ambient : irradiance of uniform ambient light, one number or linear RGB
-    background : linear RGB behind the mesh, or None for a transparent background
-    environment : environment map that lights the mesh but is not visible behind it, or None
+    camera : a :class:`Camera`, or text: "front", "three-quarter", "profile", or
+        "AZIMUTH,ELEVATION,ZOOM", of which the last two may be left out
+    lights : each a :class:`Light`, or text: "key", "rim", "fill", "front", "top", or another text
+        of ``--light``, such as "key,no-shadow". None (default) for key, rim and fill, or for no
+        lights if there is an environment map
+    ambient : irradiance of uniform ambient light, one number or linear RGB. None (default) for
+        (0.26, 0.28, 0.31), or for 0 if there is an environment map
+    background : linear RGB behind the mesh, or None or "none" for a transparent background
+    environment : environment map that lights the mesh but is not visible behind it, or any value
+        that :func:`facerender.load_environment` accepts, or None
     before : the scene in the frame before, for motion vectors, or None. Its mesh has the same
         triangles, usually in another pose, and its camera may differ
     """
@@ -66,34 +97,55 @@ class Scene:
     camera: Camera = Camera()
     lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
     ambient: float | Vector = ranged(COLORS, (0.26, 0.28, 0.31))
-    background: Vector | None = ranged(COLORS, (0.012, 0.013, 0.016))
+    background: Vector | None = ranged(COLORS, _BACKGROUND)
     environment: Environment | None = None
     before: Scene | None = None
 
-    if TYPE_CHECKING:
+    __repr__ = short_repr
 
-        def __init__(
-            self,
-            mesh: Mesh | MeshSource,
-            camera: Camera = ...,
-            lights: Sequence[Light] = ...,
-            ambient: float | Vector = ...,
-            background: Vector | None = ...,
-            environment: Environment | None = ...,
-            before: Scene | None = ...,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        if sources.reader and not isinstance(self.mesh, Mesh) and self.mesh is not None:
-            object.__setattr__(self, "mesh", sources.reader(self.mesh))
-        check_type("mesh", self.mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
-        check_type("camera", self.camera, Camera, "a facerender.Camera")
-        lights = each_of("lights", self.lights, Light, "several facerender.Light")
-        object.__setattr__(self, "lights", lights)
+    def __init__(
+        self,
+        mesh: Mesh | MeshSource,
+        camera: Camera | str = camera,
+        lights: Sequence[Light | str] | None = None,
+        ambient: float | Vector | None = None,
+        background: Vector | str | None = _BACKGROUND,
+        environment: EnvironmentSource | None = None,
+        before: Scene | None = None,
+    ) -> None:
+        if sources.reader and not isinstance(mesh, Mesh) and mesh is not None:
+            mesh = sources.reader(mesh)
+        check_type("mesh", mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
+        check_type("before", before, Scene | None, "the facerender.Scene of the frame before")
+        lights, ambient = default_light(lights, ambient, environment is not None)
+        values = {
+            "mesh": mesh,
+            "camera": camera_of(camera),
+            "lights": lights_of(lights),
+            "ambient": ambient,
+            "background": background_of(background),
+            "environment": None if environment is None else _environment(environment),
+            "before": before,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
         check_fields(self)
-        check_type("before", self.before, Scene | None, "the facerender.Scene of the frame before")
-        if self.environment is not None:
-            from facerender.scenes.environment import Environment
 
-            remedy = "an Environment, as facerender.load_environment returns it"
-            check_type("environment", self.environment, Environment, remedy)
+
+def default_light(lights: Any, ambient: Any, has_environment: bool) -> tuple[Any, Any]:
+    """Return the lights and the ambient light of a scene. Replace None by the default: no
+    light with an environment map, otherwise the lights of :class:`Scene`."""
+    return (
+        (() if has_environment else Scene.lights) if lights is None else lights,
+        (0.0 if has_environment else Scene.ambient) if ambient is None else ambient,
+    )
+
+
+def _environment(value: EnvironmentSource) -> Environment:
+    from facerender.scenes.environment import Environment
+
+    if sources.environment_reader and not isinstance(value, Environment):
+        value = sources.environment_reader(value)
+    remedy = "an Environment, as facerender.load_environment returns it"
+    check_type("environment", value, Environment, remedy)
+    return value  # type: ignore[return-value]

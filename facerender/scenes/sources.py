@@ -1,18 +1,26 @@
-"""Types that :class:`facerender.Scene` accepts in place of a mesh."""
+"""Types that :class:`facerender.Scene` accepts in place of a mesh and an environment map, and the
+functions that load them."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     import trimesh
 
-    MeshSource = str | os.PathLike[str] | bytes | IO[bytes] | trimesh.Trimesh | trimesh.Scene
-else:
-    MeshSource = Any
+    from facerender.scenes.environment import Environment
+    from facerender.scenes.file import EnvironmentFile
 
-# The package facerender sets this to load_mesh. The subpackage scenes cannot import load_mesh from
-# the subpackage loading, which imports scenes.
+    MeshSource: TypeAlias = (
+        str | os.PathLike[str] | bytes | IO[bytes] | trimesh.Trimesh | trimesh.Scene
+    )
+    EnvironmentSource: TypeAlias = Environment | EnvironmentFile | str | os.PathLike[str]
+else:
+    MeshSource = EnvironmentSource = Any
+
+# The package facerender sets these to load_mesh and load_environment. The subpackage scenes cannot
+# import them from the subpackage loading, which imports scenes.
 reader: Callable[[Any], Any] | None = None
+environment_reader: Callable[[Any], Any] | None = None

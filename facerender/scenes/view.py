@@ -47,6 +47,10 @@ class View:
     matrix: NDArray[np.float64]
     distortion: tuple[float, ...] | None = None
 
+    def __repr__(self) -> str:
+        places = (", ".join(f"{each:.4g}" for each in own) for own in (self.position, self.forward))
+        return "<View from ({}) along ({})>".format(*places)
+
     def project(
         self, mesh: Mesh, points: NDArray[np.float64], size: tuple[int, int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -165,7 +169,13 @@ def view_of(scene: Scene, aspect: float) -> View:
         raise InputError(f"camera position {camera.position} is at its target; move one of them")
     forward = gaze / distance
     up = np.array([0.0, 1.0, 0.0])
-    if abs(forward[1]) > 0.9999:  # from above, the image's top shows the back of the head
+    vertical = abs(forward[1]) > 0.9999
+    if camera.position is not None and camera.azimuth and not vertical:
+        raise InputError(
+            f"camera azimuth = {camera.azimuth:g} and position exclude each other, unless the "
+            "camera looks straight up or down: leave one out"
+        )
+    if vertical:  # from above, the image's top shows the back of the head
         up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
     lens = _projection(camera.fov, aspect, eye, forward)
     return View(eye, forward, _look(eye, target, up) @ lens)
