@@ -22,6 +22,7 @@ from facerender.commands.common import (
     bounds_of,
     import_trimesh,
     mesh_files,
+    number_parser,
     numbers_of,
     part_materials,
 )
@@ -183,7 +184,7 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     counts = f"{', '.join(map(str, most))} or {last}"
     note = "0 disables subsurface scattering"
     samples = Help("subsurface samples per pixel", f"{Shading.scatter_samples}", counts, note=note)
-    terms.add_argument("--scatter-samples", type=int, metavar="N", help=samples)
+    terms.add_argument("--scatter-samples", type=number_parser(True, counts), metavar="N", help=samples)
 
 
 def _add_maps(maps: argparse._ArgumentGroup) -> None:
@@ -479,8 +480,8 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
         numbers = numbers_of("ambient", options.ambient, (1, 3))
         settings["ambient"] = tuple(numbers) if len(numbers) == 3 else numbers[0]
     if options.background is not None:
-        transparent = options.background == "none"
+        text, other = options.background, ", or none for a transparent background"
         settings["background"] = (
-            None if transparent else tuple(numbers_of("background", options.background, (3,)))
+            None if text == "none" else tuple(numbers_of("background", text, (3,), other))
         )
     return settings

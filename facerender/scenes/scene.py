@@ -10,7 +10,7 @@ from facerender.scenes import sources
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.vectors import COLORS, Vector
+from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
 from facerender.terms.ranges import check_fields, ranged
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Scene:
     camera: Camera = Camera()
     lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
     ambient: float | Vector = ranged(COLORS, (0.26, 0.28, 0.31))
-    background: Vector | None = ranged(COLORS, (0.012, 0.013, 0.016))
+    background: Vector | None = ranged(BACKGROUNDS, (0.012, 0.013, 0.016))
     environment: Environment | None = None
     before: Scene | None = None
 
