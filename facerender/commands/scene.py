@@ -184,7 +184,9 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     counts = f"{', '.join(map(str, most))} or {last}"
     note = "0 disables subsurface scattering"
     samples = Help("subsurface samples per pixel", f"{Shading.scatter_samples}", counts, note=note)
-    terms.add_argument("--scatter-samples", type=number_parser(True, counts), metavar="N", help=samples)
+    terms.add_argument(
+        "--scatter-samples", type=number_parser(True, counts), metavar="N", help=samples
+    )
 
 
 def _add_maps(maps: argparse._ArgumentGroup) -> None:

@@ -96,7 +96,9 @@ class VectorRange(Range):
         numbers = [*several] if isinstance(several, list | tuple) else [several] * 3
         if len(numbers) != 3 or not all(each in self for each in numbers):
             ends = f"[{self.low:g}, {self.high:g}]"
-            raise InputError(f"{name} = {shown(value)}: give a number in {ends}, or three{self.other}")
+            raise InputError(
+                f"{name} = {shown(value)}: give a number in {ends}, or three{self.other}"
+            )
         x, y, z = map(float, numbers)
         return x, y, z
 
