@@ -226,8 +226,9 @@ def test_files_with_samplers_are_for_glsl(name):
     for language in glsl.LANGUAGES:
         title = language.upper()
         message = (
-            rf"facerender/{name}\.glsl in {title}: not translated: function fr_\w+: ('sampler2D'|an "
-            rf"array); only [a-z, ]+ are supported; write this code in {title}, or cross-compile .*"
+            rf"facerender/{name}\.glsl in {title}: not translated: function fr_\w+: "
+            rf"('sampler2D'|an array); only [a-z, ]+ are supported; write this code in {title}, or "
+            "cross-compile .*"
         )
         with pytest.raises(InputError) as caught:
             fr.shader_source(name, language)

@@ -56,6 +56,8 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     try:
         mode = file.stat().st_mode
         if (read := _FORMATS.get(file.suffix.lower())) is None:
+            if S_ISDIR(mode):
+                raise InputError(f"{file} is a directory; give a job table")
             known = ", ".join(_FORMATS)
             raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}")
         if not (S_ISREG(mode) or S_ISDIR(mode)):

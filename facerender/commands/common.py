@@ -18,11 +18,11 @@ from facerender.commands.streams import print_message
 from facerender.errors import InputError, shown
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile, parse_size
 from facerender.loading.references import named_files
-from facerender.loading.source import GLTF
+from facerender.loading.source import FORMATS, GLTF
 from facerender.scenes.file import STUDIO, parse_part
 from facerender.scenes.presets import PRESETS
 from facerender.system.atomic import check_writable, remove_abandoned
-from facerender.system.files import check_file
+from facerender.system.files import check_file, suffix_of
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, Range, range_of
 
@@ -274,9 +274,11 @@ def part_materials(
 
 def check_inputs(job: Job) -> None:
     """Raise InputError if an input file of a job is missing, before other checks refer to it."""
+    if job.mesh.path is not None:
+        suffix_of(job.mesh.path, (*FORMATS,), "mesh", "a mesh file")
     for name in MESH_PATHS:
-        if (path := getattr(job.mesh, name)) is not None:
-            check_file(path, "a mesh file" if name == "path" else "an image file")
+        if name != "path" and (path := getattr(job.mesh, name)) is not None:
+            check_file(path, "an image file")
     for pose in (job.pose, job.before):
         if pose.vertices is not None:
             check_file(pose.vertices, "a file of vertices", sys.maxsize)
