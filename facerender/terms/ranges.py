@@ -75,7 +75,7 @@ class SizeRange(IntegerRange):
         width, height = sides
         if width not in self or height not in self:
             whole = all(is_number(side) and isinstance(side, Integral) for side in sides)
-            ends = f"{'' if whole else 'a whole number from '}{self.low:g} to {self.high:.0f}"
+            ends = f"{'' if whole else 'whole numbers from '}{self.low:g} to {self.high:.0f}"
             raise InputError(
                 f"{name} {shown(width)} x {shown(height)}: give {ends} {self.unit} a side"
             )
