@@ -57,6 +57,7 @@ from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
+from facerender.system.files import check_file
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
 
@@ -448,6 +449,8 @@ def _is_file(place: str) -> bool:
 def _file_cameras(
     place: str, file: str | None, name: str, size: tuple[int, int] | None
 ) -> dict[str, Camera]:
+    if place.startswith("gltf") and file is not None:
+        check_file(file, "a mesh file")
     if place.startswith("gltf") and not (file or "").lower().endswith(GLTF):
         raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
     from facerender.loading.cameras import load_cameras
