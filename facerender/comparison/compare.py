@@ -44,7 +44,7 @@ from facerender.errors import InputError, warn
 from facerender.images.decode import MAX_BYTES
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
 from facerender.images.read import SUFFIXES, read_image
-from facerender.system.files import suffix_of
+from facerender.system.files import check_file
 
 MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
@@ -177,10 +177,8 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
     InputError : one path is a file and the other a folder, or the folders contain no image
     """
     a, b = Path(a), Path(b)
-    for each in (a, b):
-        if not os.path.isdir(each):
-            suffix_of(each, SUFFIXES, "image", "an image file", MAX_BYTES)
     if os.path.isdir(a) != os.path.isdir(b):
+        check_file(b if os.path.isdir(a) else a, "an image file", MAX_BYTES)
         raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
     if not os.path.isdir(a):
         return [(b.name, a, b)]
