@@ -37,7 +37,7 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     if not rest:
         return [first]
     ranges = [*zip(first, *rest, strict=True)]
-    if not all(0 < low <= high for low, high in ranges):
+    if not all(low <= high for low, high in ranges):
         raise InputError(f"sizes {text!r}: give the smaller size first, such as 512..1024")
     steps = math.ceil(2.0 * max(math.log2(high / low) for low, high in ranges) - 1e-9)
     widths, heights = (np.geomspace(low, high, steps + 1).round() for low, high in ranges)
