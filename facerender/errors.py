@@ -84,10 +84,18 @@ def reason(error: Exception) -> str:
     return clipped(str(error)) or type(error).__name__
 
 
+def is_number(value: Any) -> bool:
+    """Return whether a value is a real number; true and false are not."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
 def check_range(name: str, value: Any, low: float, high: float) -> None:
     """Raise InputError unless a value is a number in [low, high]."""
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not (number and low <= value <= high):
+    if not is_number(value):
+        raise InputError(
+            f"{name} = {shown(value)} is not a number: give a number in [{low:g}, {high:g}]"
+        )
+    if not low <= value <= high:
         raise InputError(
             f"{name} = {shown(value)} is outside [{low:g}, {high:g}]: give a value in this range"
         )
@@ -105,8 +113,10 @@ def check_switch(name: str, value: Any) -> None:
 
 
 def check_path(name: str, value: Any) -> None:
-    """Raise InputError unless a value is a path."""
+    """Raise InputError unless a value is a path with at least one character."""
     check_type(name, value, str | os.PathLike, "a path as text")
+    if not os.fspath(value):
+        raise InputError(f"{name} is empty: give a path")
 
 
 def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:

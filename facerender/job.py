@@ -30,7 +30,7 @@ from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
 from facerender.scenes.scene import ONLY, Only, Scene, background_of, default_light
-from facerender.scenes.vectors import COLORS, Vector
+from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
 from facerender.shading import Shading
 from facerender.system.reprs import short_repr
 from facerender.terms.ranges import (
@@ -106,13 +106,14 @@ MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str |
 
 
 def parse_size(text: str, name: str = "size") -> tuple[int, int]:
-    """Parse width and height from ``N`` or ``WxH``; raise InputError for other text."""
+    """Parse width and height from ``N`` or ``WxH``; raise InputError for other text, and for a size
+    that no image can have."""
     try:
         numbers = [int(word) for word in text.lower().split("x")]
         width, height = numbers * 2 if len(numbers) == 1 else numbers
     except ValueError:
         raise InputError(f"{name} {shown(text)}: give N or WxH, such as 1024 or 640x480") from None
-    return width, height
+    return ImageSettings((width, height)).size
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ class Job:
     camera: Camera = Camera()
     lights: tuple[Light, ...] = None  # type: ignore[assignment]  # None: see default_light
     ambient: float | Vector = ranged(COLORS, None)
-    background: Vector | None = ranged(COLORS, Scene.background)
+    background: Vector | None = ranged(BACKGROUNDS, Scene.background)
     shading: Shading = Shading()
     planned: Planned | None = None
     image: ImageSettings = ImageSettings()

@@ -584,7 +584,7 @@ BAD_FILES = [
     ("rows.jsonl", '{"outputs": "image,shine"}', "unknown output 'shine'; known: image"),
     ("rows.jsonl", '{"outputs": [["image"]]}', r"unknown output \['image'\]"),
     ("rows.jsonl", '{"outputs": "mask,mask"}', "output mask is given twice"),
-    ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is outside"),
+    ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is not a number"),
     (  # values of unexpected types
         "rows.jsonl",
         '{"shading": {"frontal_lights": [0], "lights": {"0": {"fresnel": [[]]}}}}',

@@ -192,7 +192,7 @@ BAD = {
         ("PK nonsense", "a.npz: it is not a NumPy file"),
     ],
     "a.toml": [("ambient = 1", r"a.toml has no cameras")],
-    "a.txt": [("", "a.txt: unknown camera format '.txt'; give .toml, .json, .npz, .glb, .gl")],
+    "a.txt": [("", "a.txt: unknown camera format '.txt'; give .toml, .json, .npz, .glb or")],
     "a.glb": [("{}", "a.glb is not glTF but other JSON")],
 }
 

@@ -183,7 +183,7 @@ def faulty(folder, name):
     [
         ("missing.hdr", "cannot read .*missing.hdr: no such file"),
         ("damaged.hdr", "OpenImageIO cannot read .*damaged.hdr .*write the file again"),
-        ("other.jpg", "unknown format '.jpg'; give .hdr, .exr, .npy, .npz, or studio"),
+        ("other.jpg", "unknown environment format '.jpg'; give .hdr, .exr, .npy or .npz"),
         ("shape.npy", "has 7 x 4 x 3 values: give an RGB image, twice as wide as"),
         ("grey.npy", "has 8 x 4 x 1 values"),
         ("bytes.npy", "holds 8-bit values"),
@@ -199,6 +199,8 @@ def faulty(folder, name):
 def test_invalid_environments_print_one_line(tmp_path, capsys, name, message):
     require_module("OpenImageIO")
     given = name if name.startswith("studio") else faulty(tmp_path, name)
+    if name == "other.jpg":
+        (tmp_path / name).touch()
     output = tmp_path / "out.png"
     code = main(["render", "--environment", given, "-o", str(output), "--size", "16"])
     printed = capsys.readouterr()

@@ -74,7 +74,7 @@ def test_every_command_has_a_description_and_an_example_and_every_option_a_text(
     ("words", "told", "command"),
     [
         (("render", "--colour", "-o", "x.png"), "unrecognized arguments: --colour", "render"),
-        (("render",), "the following arguments are required: -o/--output", "render"),
+        (("plan",), "the following arguments are required: --budget", "plan"),
         (("shaders", "list", "--all"), "unrecognized arguments: --all", "shaders list"),
         (("plan", "--budget"), "argument --budget: expected one argument", "plan"),
         (("--nope", "doctor"), "unrecognized arguments: --nope", ""),
@@ -122,6 +122,7 @@ def test_completion_completes(tmp_path, capsys):
         "render --lobe d": "d4 d8 d16",
         "render he": "head.glb",
         "render --albedo he": "head.glb",
+        "render --vertices he": "head.glb",
         "shaders fl": "flatten",
     }
     for words in asked:

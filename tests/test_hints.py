@@ -190,7 +190,10 @@ def test_small_dull_parts_give_no_hint():
 
 @pytest.mark.parametrize(
     ("scale", "remedy"),
-    [(1.0, None), (10.0, "100 (dm)"), (100.0, "10 (cm)"), (1000.0, "1 (mm)")],
+    [
+        *[(1.0, None), (10.0, "96"), (100.0, "10 (cm)"), (1000.0, "1 (mm)"), (1400.0, "1 (mm)")],
+        (39.4, "25.4 (inches)"),
+    ],
 )
 def test_unit_of_a_glb(scale, remedy, tmp_path, capsys):
     head = mini_head()
@@ -201,6 +204,17 @@ def test_unit_of_a_glb(scale, remedy, tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1].startswith("hint: ") is (remedy is not None)
     millimetres = float((remedy or "1000").split()[0])
     assert hints.wrong_unit(fr.load_mesh(path, millimetres=millimetres)) is None
+
+
+def test_a_unit_beyond_the_limits_is_not_proposed(tmp_path, capsys, renderer):
+    head = mini_head()
+    path = write_glb(tmp_path / "a.glb", replace(head, positions=1e-6 * head.positions))
+    assert (hints.wrong_unit(fr.load_mesh(path)) or "").endswith(": scale the mesh to mm")
+    path = write_obj(tmp_path / "a.obj", replace(head, positions=1e-6 * head.positions))
+    assert main(["info", str(path)]) == 0
+    assert " units of unknown length\n" in capsys.readouterr().out
+    with pytest.raises(fr.InputError, match="unit: scale the mesh to mm, and give --millimetres 1"):
+        renderer.render(fr.Scene(fr.load_mesh(path).with_skin(scattering="skin")))
 
 
 def test_renderer_warns_once_for_each_mesh(renderer):

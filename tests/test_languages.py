@@ -222,5 +222,14 @@ def test_untranslatable_glsl_is_refused(text, message, tmp_path):
 
 @pytest.mark.parametrize("name", UNTRANSLATED)
 def test_files_with_samplers_are_for_glsl(name):
-    with pytest.raises(InputError, match=f"{name} in HLSL: not translated"):
-        fr.shader_source(name, "hlsl")
+    """The message names file and function, and quotes no source text."""
+    for language in glsl.LANGUAGES:
+        title = language.upper()
+        message = (
+            rf"facerender/{name}\.glsl in {title}: not translated: function fr_\w+: "
+            rf"('sampler2D'|an array); only [a-z, ]+ are supported; write this code in {title}, or "
+            "cross-compile .*"
+        )
+        with pytest.raises(InputError) as caught:
+            fr.shader_source(name, language)
+        assert re.fullmatch(message, str(caught.value))

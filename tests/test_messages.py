@@ -30,7 +30,7 @@ MESSAGES = [
     ),
     (
         "render note.txt -o x.png",
-        "note.txt: unknown mesh format '.txt'; give .glb, .gltf, .obj, .ply, .stl",
+        "note.txt: unknown mesh format '.txt'; give .glb, .gltf, .obj, .ply or .stl",
     ),
     (
         "render -o x.gif2",
@@ -110,7 +110,7 @@ MESSAGES = [
     ),
     (
         "render --environment gone.hdr -o x.png",
-        "cannot read gone.hdr: no such file or directory; give an environment map",
+        "cannot read gone.hdr: no such file or directory; give an environment map, or studio",
     ),
     (
         "render --environment-samples 7 -o x.png",
@@ -224,8 +224,8 @@ MESSAGES = [
         "unrecognized arguments: --lobes; see facerender render --help",
     ),
     (
-        "render",
-        "the following arguments are required: -o/--output; see facerender render --help",
+        "render head.glb --samples 1",
+        "head.png exists: give -o head.png to replace it, or another name",
     ),
     (
         "info gone.glb",
@@ -287,7 +287,7 @@ MESSAGES = [
     ),
     (
         "compare a.png note.txt",
-        "note.txt: unknown image format '.txt'; give .exr, .npz, .npy, .png or .jpg",
+        "note.txt: unknown image format '.txt'; give .exr, .npz, .npy, .png, .jpg or .jpeg",
     ),
     (
         "compare a.png a.png --point -1",
@@ -369,8 +369,96 @@ MESSAGES = [
         "info head.glb --jsn",
         "unrecognized arguments: --jsn; see facerender info --help",
     ),
+    (
+        "info nofile",
+        "cannot read nofile: no such file or directory; give a mesh file",
+    ),
+    (
+        "info head",
+        "cannot read head: no such file or directory; give head.glb",
+    ),
+    (
+        "info nosuffix",
+        "nosuffix has no suffix, which sets the mesh format; give .glb, .gltf, .obj, .ply or .stl",
+    ),
+    (
+        "compare a b",
+        "cannot read a: no such file or directory; give a.png",
+    ),
+    (
+        "compare . gone",
+        "cannot read gone: no such file or directory; give an image file",
+    ),
+    (
+        "render --environment nofile -o x.png",
+        "cannot read nofile: no such file or directory; give an environment map, or studio",
+    ),
+    (
+        "render --vertices nofile -o x.png",
+        "cannot read nofile: no such file or directory; give a file of vertices",
+    ),
+    (
+        "batch nofile -o out",
+        "cannot read nofile: no such file or directory; give a job table",
+    ),
+    (
+        "render --background red -o x.png",
+        "--background 'red': give 3 numbers separated by commas, or none for a transparent "
+        "background",
+    ),
+    (
+        "render --scene red.toml -o x.png",
+        "red.toml: background = 'red': give a number in [0, 1e+09], or three, or \"none\" (None in "
+        "Python) for a transparent background",
+    ),
+    (
+        "render --scene west.toml -o x.png",
+        "west.toml: camera azimuth = 'west' is not a number: give a number in [-3600, 3600]",
+    ),
+    (
+        "render --camera rig.json --size 0 -o x.png",
+        "image size 0 x 0: give 1 to 16384 pixels a side",
+    ),
+    (
+        "plan --size 99999 --budget 1/255",
+        "image size 99999 x 99999: give 1 to 16384 pixels a side",
+    ),
+    (
+        "render --m rough -o x.png",
+        "argument --m: 'rough' is not a number: give 0.0001 to 2; see facerender render --help",
+    ),
+    (
+        "render --samples 1.5 -o x.png",
+        "argument --samples: '1.5' is not a whole number: give 1 to 64; see facerender render "
+        "--help",
+    ),
+    (
+        "render --albedo '' -o x.png",
+        "the value of --albedo is empty: give a value, or leave it out",
+    ),
+    (
+        "render --scene= -o x.png",
+        "the value of --scene is empty: give a value, or leave it out",
+    ),
+    (
+        "info ''",
+        "an argument is empty: give a value, or leave it out",
+    ),
+    (
+        "shaders flatten gone.frag",
+        "cannot read gone.frag: no such file or directory; give a GLSL file",
+    ),
+    (
+        "shaders flatten shadow --target hlsl",
+        "facerender/shadow.glsl in HLSL: not translated: function fr_shadow_depth: 'sampler2D'; "
+        "only functions and constants of numbers, vectors and matrices are supported; write this "
+        "code in HLSL, or cross-compile the GLSL of the target vulkan",
+    ),
 ]
 FILES = {
+    "nosuffix": "x",
+    "red.toml": "background = 'red'\n",
+    "west.toml": "[camera]\nazimuth = 'west'\n",
     "tri.obj": "o a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
     "empty.obj": "v 0 0 0\n",
     "bad.glb": "x",
@@ -391,6 +479,7 @@ def folder(tmp_path_factory):
         (folder / name).write_text(content)
     shutil.copy(ROOT / "assets" / "head.glb", folder)
     Image.new("RGB", (8, 8)).save(folder / "a.png")
+    Image.new("RGB", (8, 8)).save(folder / "head.png")
     Image.new("RGB", (9, 9)).save(folder / "b.png")
     return folder
 

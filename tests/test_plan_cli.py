@@ -308,7 +308,7 @@ def test_exposure_counts(plan):
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
         (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give the smaller size first"),
         (("--budget", "1/255", "--size", "24x48..48x24"), r"give the smaller size first"),
-        (("--budget", "1/255", "--size", "0..4"), r"give the smaller size first"),
+        (("--budget", "1/255", "--size", "0..4"), r"size 0 x 0: give 1 to 16384 pixels a side"),
         (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
         (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a fraction of the pixels"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),

@@ -316,7 +316,7 @@ class TestSequences:
         [
             ("f.npy", b"no", "damaged"),
             ("f.npz", b"PK no", "damaged"),
-            ("f.txt", b"1 2 3", "unknown format"),
+            ("f.txt", b"1 2 3", "unknown vertices format"),
             ("f.npy", np.zeros((2, 3)), "shape"),
             ("f.npy", np.zeros((0, 4, 3)), "0"),
             ("f.npy", np.zeros((1, 4, 3)), "rows: give"),

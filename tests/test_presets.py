@@ -128,7 +128,7 @@ def test_part_options_are_parsed_and_written(text, expected):
         ("=skin", "give NAME=PRESET or NAME,FIELD=VALUE"),
         ("eye=glass", "unknown preset 'glass'"),
         ("eye,m=3", r"m = 3.0 is outside \[0.0001, 2\]"),
-        ("eye,m=soft", r"m = 'soft' is outside \[0.0001, 2\]"),
+        ("eye,m=soft", r"m = 'soft' is not a number: give a number in \[0.0001, 2\]"),
         ("eye,gloss=1", "unknown key 'gloss' in --part.eye"),
         ("eye,albedo_map=a.png", "unknown key 'albedo_map'"),
     ],
@@ -410,16 +410,39 @@ def test_other_commands_take_materials_of_parts(command, tmp_path, capsys, monke
         assert (status, "its parts are eye, shirt" in err) == (2, True)
 
 
-def test_info_prints_a_row_for_each_part(tmp_path, capsys):
+def test_info_prints_a_screenful_for_many_parts(tmp_path, capsys):
+    few = obj(tmp_path / "few.obj", *(f"part_{number}" for number in range(19)), "Std_Eyelash")
+    lines = run(capsys, "info", few)[1].splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("part  "))
+    rows = lines[start + 1 : start + 21]
+    assert [each.split()[0] for each in rows] == [*(f"part_{n}" for n in range(19)), "Std_Eyelash"]
+    assert rows[19].split() == ["Std_Eyelash", "4", "-", "lashes", "no", "uv", "-"]
+    assert lines[start + 21].startswith("warning: few.obj: presets by name")
+    assert rows[0].endswith("no uv  albedo 0.48 0.28 0.21, m 0.3, f0 0.028, ks 1")
+
     path = obj(tmp_path / "a.obj", *(f"part_{number}" for number in range(139)), "Std_Eyelash")
     status, out, err = run(capsys, "info", path)
     assert (status, err) == (0, "")
     lines = out.splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith("part  "))
-    rows = lines[start + 1 : start + 141]
-    assert [each.split()[0] for each in rows] == [*(f"part_{n}" for n in range(139)), "Std_Eyelash"]
-    assert rows[139].split() == ["Std_Eyelash", "4", "-", "lashes", "no", "uv", "-"]
-    assert lines[start + 141].startswith("warning: a.obj: presets by name")
-    assert rows[0].endswith("no uv  albedo 0.48 0.28 0.21, m 0.3, f0 0.028, ks 1")
+    assert lines[start + 1].split()[:4] == ["part_0", "(+138)", str(139 * 4), "yes"]
+    assert lines[start + 2].split() == rows[19].split()
+    assert lines[start + 3].startswith("part_0 (+138): part_1, part_2, part_3, ")
+    assert lines[start + 4] == "--json lists all parts with their materials"
+    assert max(map(len, lines[: start + 5])) <= 120
     facts = json.loads(run(capsys, "info", path, "--json", "--as-is")[1])
+    assert [each["name"] for each in facts["parts"][:139]] == [f"part_{n}" for n in range(139)]
     assert (facts["parts"][139]["preset"], facts["warnings"]) == (None, [])
+
+
+def test_info_lists_the_largest_of_many_different_parts(tmp_path, capsys):
+    names = [f"part_{number}" for number in range(50)]
+    path = obj(tmp_path / "a.obj", *names)
+    path.write_text(f"mtllib a.mtl\n{path.read_text()}")
+    colors = (f"newmtl {name}\nKd 0.5 0.5 {i / 100}\n" for i, name in enumerate(names))
+    (tmp_path / "a.mtl").write_text("".join(colors))
+    lines = run(capsys, "info", path)[1].splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("part  "))
+    assert [line.split()[0] for line in lines[start + 1 : start + 21]] == names[:20]
+    assert lines[start + 21] == "and 30 more parts with 120 triangles"
+    assert len(lines) < 40

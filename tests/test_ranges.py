@@ -75,7 +75,7 @@ def test_constructors_accept_exactly_the_range(kind, name):
 
 def test_none_is_refused_unless_allowed():
     assert of(fr.Shading, "ks", None) is None
-    with pytest.raises(fr.InputError, match="^m = None is outside"):
+    with pytest.raises(fr.InputError, match="^m = None is not a number: give a number in"):
         of(fr.Material, "m", None)
 
 

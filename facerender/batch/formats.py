@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG
 from typing import Any
 
 from facerender.batch.grid import grid_rows
@@ -53,12 +54,13 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     """
     file = Path(path)
     try:
-        read = _FORMATS[file.suffix.lower()]
-    except KeyError:
-        known = ", ".join(_FORMATS)
-        raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}") from None
-    try:
-        if file.exists() and not (file.is_file() or file.is_dir()):
+        mode = file.stat().st_mode
+        if (read := _FORMATS.get(file.suffix.lower())) is None:
+            if S_ISDIR(mode):
+                raise InputError(f"{file} is a directory; give a job table")
+            known = ", ".join(_FORMATS)
+            raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}")
+        if not (S_ISREG(mode) or S_ISDIR(mode)):
             raise InputError(f"{file} is not a regular file; give a table")
         yield from read(file)
     except OSError as error:

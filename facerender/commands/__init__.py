@@ -94,6 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _warning_printer(caught)
         try:
             words = sys.argv[1:] if arguments is None else arguments
+            _check_words(words)
             options = parser_of(words).parse_args(words)
             options.warnings = caught
             command: Callable[[argparse.Namespace], int] = options.command
@@ -115,6 +116,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "that FACERENDER_DEBUG=1 prints"
             )
             return INTERNAL_ERROR
+
+
+def _check_words(words: Sequence[str]) -> None:
+    """Raise InputError for an empty argument, such as a shell variable that is not set."""
+    for before, word in zip(["", *words], words, strict=False):
+        option = word[:-1] if re.fullmatch(r"--[\w-]+=", word) else before
+        if not word or option != before:
+            of = f"the value of {option}" if option.startswith("-") else "an argument"
+            raise InputError(f"{of} is empty: give a value, or leave it out")
 
 
 def _warning_printer(caught: list[str]) -> Callable[..., None]:

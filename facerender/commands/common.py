@@ -15,13 +15,14 @@ import numpy as np
 
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message
-from facerender.errors import InputError
-from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
+from facerender.errors import InputError, shown
+from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile, parse_size
 from facerender.loading.references import named_files
-from facerender.loading.source import GLTF
-from facerender.scenes.file import parse_part
+from facerender.loading.source import FORMATS, GLTF
+from facerender.scenes.file import STUDIO, parse_part
 from facerender.scenes.presets import PRESETS
 from facerender.system.atomic import check_writable, remove_abandoned
+from facerender.system.files import check_file, suffix_of
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, Range, range_of
 
@@ -36,22 +37,27 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     if not rest:
         return [first]
     ranges = [*zip(first, *rest, strict=True)]
-    if not all(0 < low <= high for low, high in ranges):
+    if not all(low <= high for low, high in ranges):
         raise InputError(f"sizes {text!r}: give the smaller size first, such as 512..1024")
     steps = math.ceil(2.0 * max(math.log2(high / low) for low, high in ranges) - 1e-9)
     widths, heights = (np.geomspace(low, high, steps + 1).round() for low, high in ranges)
     return [(int(width), int(height)) for width, height in zip(widths, heights, strict=True)]
 
 
-def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
-    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
+def numbers_of(option: str, text: str, counts: Sequence[int], other: str = "") -> list[float]:
+    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`.
+
+    other : further valid text of the option, for the message, such as ", or none"
+    """
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in counts:
         wanted = " or ".join(map(str, counts))
-        raise InputError(f"--{option} {text!r}: give {wanted} numbers separated by commas")
+        raise InputError(
+            f"--{option} {shown(text)}: give {wanted} numbers separated by commas{other}"
+        )
     return numbers
 
 
@@ -89,6 +95,27 @@ def bounds_of(limits: Range) -> dict[str, str]:
     return {"values": str(limits).removesuffix(limits.unit).strip(), "unit": limits.unit}
 
 
+def number_parser(whole: bool, values: str) -> Callable[[str], float]:
+    """Return a function that parses the number of an option, for argparse.
+
+    Parameters
+    ----------
+    whole : whether the number is an integer
+    values : valid values, for the message on other text
+    """
+
+    def parse(text: str) -> float:
+        try:
+            return int(text) if whole else float(text)
+        except ValueError:
+            kind = "a whole number" if whole else "a number"
+            raise argparse.ArgumentTypeError(
+                f"{shown(text)} is not {kind}: give {values}"
+            ) from None
+
+    return parse
+
+
 def add_number(
     group: argparse._ActionsContainer,
     name: str,
@@ -109,7 +136,7 @@ def add_number(
     """
     group.add_argument(
         f"--{name.replace('_', '-')}",
-        type=int if isinstance(limits, IntegerRange) else float,
+        type=number_parser(isinstance(limits, IntegerRange), str(limits)),
         help=Help(text, without, **bounds_of(limits), note=note),
         **keywords,
     )
@@ -243,6 +270,22 @@ def part_materials(
     for name, table in map(parse_part, options.part or ()):
         tables[name] = {**tables.pop(name, {}), **table}
     return tables
+
+
+def check_inputs(job: Job) -> None:
+    """Raise InputError if an input file of a job is missing, before other checks refer to it."""
+    if job.mesh.path is not None:
+        suffix_of(job.mesh.path, (*FORMATS,), "mesh", "a mesh file")
+    for name in MESH_PATHS:
+        if name != "path" and (path := getattr(job.mesh, name)) is not None:
+            check_file(path, "an image file")
+    for pose in (job.pose, job.before):
+        if pose.vertices is not None:
+            check_file(pose.vertices, "a file of vertices", sys.maxsize)
+    if job.environment is not None and job.environment.file != STUDIO:
+        from facerender.loading.environment import WANTED
+
+        check_file(job.environment.file, WANTED)
 
 
 def check_outputs(

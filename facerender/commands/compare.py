@@ -96,7 +96,8 @@ def run(options: argparse.Namespace) -> int:
     if options.output:
         raise InputError("-o writes the limits of --calibrate: leave -o out, or add --calibrate")
     if options.b is None:
-        raise InputError("only one image: give A and B, or --calibrate with a folder")
+        given = "no images" if options.a is None else "only one image"
+        raise InputError(f"{given}: give A and B, or --calibrate with a folder")
     names = pairs_of(options.a, options.b)
     limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
     limits["limits"] = read_limits(options.limits) if options.limits else {}

@@ -11,8 +11,8 @@ from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 
-# Metavars that stand for a file. A metavar that begins with OUT also does.
-_FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")
+# Metavars that stand for a file. Metavars that begin with FILE or OUT also do.
+_FILES = ("MESH", "JOBS", "IN", "A", "B")
 
 
 def add(completion: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     parser = parser_of([*EXAMPLES])
     for action in _actions(parser):
         name = str(action.metavar or "")
-        if action.choices is None and (name in _FILES or name.startswith("OUT")):
+        if action.choices is None and (name in _FILES or name.startswith(("FILE", "OUT"))):
             action.complete = shtab.FILE  # type: ignore[attr-defined]
         elif name == "DIR":
             action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
+import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields
@@ -29,6 +31,8 @@ from facerender.system.data import data_dir
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
 _NAMES_PER_LINE, _MOST_NAMES = 8, 64  # names of shapes and of clips in the text output
+_MOST_ROWS = 20  # rows of the table of parts in the text output
+_WIDTH = 120  # width of this table for more parts than rows, if the output is no terminal
 _HEAD_OF_TABLE = ("part", "triangles", "skin", "preset", "maps", "material")
 
 
@@ -37,8 +41,9 @@ def add(info: argparse.ArgumentParser) -> None:
     info.description = (
         "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
         "of a unit, and for each part triangles, preset, maps and factors; shapes and clips\n"
-        "of its rig, repairs, omissions, and hints on probable mistakes. Factors and maps of\n"
-        "other commands apply to the parts that are skin. The command draws nothing."
+        "of its rig, repairs, omissions, and hints on probable mistakes. Equal parts of a\n"
+        f"mesh with more than {_MOST_ROWS} parts share a row. Factors and maps of other commands\n"
+        "apply to the parts that are skin. The command draws nothing."
     )
     add_mesh(info)
     add_allow_outside(info)
@@ -129,7 +134,9 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         f"from ({low}) to ({high})",
         _size(facts),
     ]
-    lines += _table([_HEAD_OF_TABLE, *map(_row, parts)])
+    lines += (
+        _table([_HEAD_OF_TABLE, *map(_row, parts)]) if len(parts) <= _MOST_ROWS else _few(parts)
+    )
     lines += _list("shapes", facts["shapes"])
     lines += _list("clips", [f"{name} {_seconds(own)}" for name, own in facts["clips"].items()])
     lines += [f"warning: {each}" for each in facts["warnings"]]
@@ -147,6 +154,35 @@ def _list(kind: str, names: Sequence[str]) -> list[str]:
     ]
     more = len(names) - _MOST_NAMES
     return [*lines, f"  and {more} more: --json lists all"] if more > 0 else lines
+
+
+def _few(parts: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a table of many parts, in which parts with equal materials share a row. The rows with
+    the most triangles are listed, then the names of the parts that share a row."""
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for part in parts:
+        groups.setdefault(_row(part)[2:], []).append(part)
+    sizes = {key: sum(each["triangles"] for each in own) for key, own in groups.items()}
+    largest = sorted(groups, key=lambda key: -sizes[key])[:_MOST_ROWS]
+    rows: list[tuple[str, ...]] = [_HEAD_OF_TABLE]
+    shared = []
+    for key in (each for each in groups if each in largest):
+        names = [_row(part)[0] for part in groups[key]]
+        title = names[0] if len(names) == 1 else f"{names[0]} (+{len(names) - 1})"
+        rows.append((title, str(sizes[key]), *key))
+        if len(names) > 1:
+            shared.append(f"{title}: {', '.join(names[1:])}")
+    lines = _table(rows)
+    if rest := [part for key, own in groups.items() if key not in largest for part in own]:
+        triangles = sum(each["triangles"] for each in rest)
+        lines.append(f"and {len(rest)} more parts with {triangles} triangles")
+    lines += shared
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH
+    return [*(_cut(each, width) for each in lines), "--json lists all parts with their materials"]
+
+
+def _cut(line: str, width: int) -> str:
+    return line if len(line) <= width else f"{line[: width - 4]} ..."
 
 
 def _seconds(length: float | None) -> str:

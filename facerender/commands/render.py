@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from facerender.commands.common import (
@@ -16,6 +18,7 @@ from facerender.commands.common import (
     add_number,
     add_size,
     add_verbose,
+    check_inputs,
     check_outputs,
     step_log,
 )
@@ -59,9 +62,9 @@ from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 def add(render: argparse.ArgumentParser) -> None:
     render.set_defaults(command=run)
     render.description = (
-        "Render a mesh file, or the built-in head, to an image. Several cameras, or the\n"
-        "frames of a clip, give several files, an animation or a sheet. Options override\n"
-        "a scene file."
+        "Render a mesh file, or the built-in head, to an image, and print the name of the\n"
+        "image. Several cameras, or the frames of a clip, give several files, an animation\n"
+        "or a sheet. Options override a scene file."
     )
     kinds = ".png, .jpg or .webp (8-bit sRGB), .exr (linear float32), or - for standard output"
     views = (
@@ -69,8 +72,9 @@ def add(render: argparse.ArgumentParser) -> None:
         ".webp or .mp4 holds all views. Requires pip install 'facerender[exr]' for .exr, "
         "'facerender[mp4]' for .mp4"
     )
-    output = Help(f"output file: {kinds}", "required", note=views)
-    render.add_argument("-o", "--output", required=True, metavar="OUT", help=output)
+    default = "the mesh's name with .png in the current directory, which must not exist yet"
+    output = Help(f"output file: {kinds}", default, note=views)
+    render.add_argument("-o", "--output", metavar="OUT", help=output)
     terms, scene = add_scene(render)
     note = "facerender measure prints their errors"
     lobe = Help("exact lobe, or an approximation", "exact", note=note)
@@ -142,11 +146,13 @@ def _scenes(
 
 def run(options: argparse.Namespace) -> int:
     _check(options)
+    output = options.output or f"{Path(options.mesh or 'head').stem}.png"
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
+    check_inputs(job)
     playing = plays(options, job.pose)
-    if playing and options.fps is None and not (is_several(options.output) or options.sheet):
+    if playing and options.fps is None and not (is_several(output) or options.sheet):
         raise InputError(
-            f"-o {options.output} holds one image of the clip: give --time SECONDS (or --vertices "
+            f"-o {output} holds one image of the clip: give --time SECONDS (or --vertices "
             "FILE,FRAME), or for all frames a .gif, an .mp4 or {index} in the name"
         )
     if playing and len(cameras) > 1:
@@ -171,10 +177,12 @@ def run(options: argparse.Namespace) -> int:
         poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
     names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
     target = Destination.of(
-        *(options.output, names, options.sheet, options.format, options.fps),
+        *(output, names, options.sheet, options.format, options.fps),
         *(job.background is None, playing),
     )
-    written = [] if options.output == STANDARD_OUTPUT else target.files
+    written = [] if output == STANDARD_OUTPUT else target.files
+    if options.output is None and (existing := [*filter(os.path.lexists, written)]):
+        raise InputError(f"{existing[0]} exists: give -o {output} to replace it, or another name")
     check_outputs(written, files_read(options, job))
     scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")

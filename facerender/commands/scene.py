@@ -22,6 +22,7 @@ from facerender.commands.common import (
     bounds_of,
     import_trimesh,
     mesh_files,
+    number_parser,
     numbers_of,
     part_materials,
 )
@@ -57,6 +58,7 @@ from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene, background_of, default_light
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
+from facerender.system.files import check_file
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
 
@@ -184,7 +186,9 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     counts = f"{', '.join(map(str, most))} or {last}"
     note = "0 disables subsurface scattering"
     samples = Help("subsurface samples per pixel", f"{Shading.scatter_samples}", counts, note=note)
-    terms.add_argument("--scatter-samples", type=int, metavar="N", help=samples)
+    terms.add_argument(
+        "--scatter-samples", type=number_parser(True, counts), metavar="N", help=samples
+    )
 
 
 def _add_maps(maps: argparse._ArgumentGroup) -> None:
@@ -468,6 +472,8 @@ def _is_file(place: str) -> bool:
 def _file_cameras(
     place: str, file: str | None, name: str, size: tuple[int, int] | None
 ) -> dict[str, Camera]:
+    if place.startswith("gltf") and file is not None:
+        check_file(file, "a mesh file")
     if place.startswith("gltf") and not (file or "").lower().endswith(GLTF):
         raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
     from facerender.loading.cameras import load_cameras

@@ -41,8 +41,10 @@ from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, warn
+from facerender.images.decode import MAX_BYTES
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
 from facerender.images.read import SUFFIXES, read_image
+from facerender.system.files import check_file
 
 MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
@@ -176,6 +178,7 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
     """
     a, b = Path(a), Path(b)
     if os.path.isdir(a) != os.path.isdir(b):
+        check_file(b if os.path.isdir(a) else a, "an image file", MAX_BYTES)
         raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
     if not os.path.isdir(a):
         return [(b.name, a, b)]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from facerender.errors import InputError, reason
+from facerender.system.files import read_file
 
 DEEPEST = 64  # Largest number of nested includes.
 IF = ("if", "ifdef", "ifndef")
@@ -141,13 +142,11 @@ class Includes:
         """
         path = str(path)
         try:
-            with open(path, encoding="utf-8") as file:
-                text = file.read().removeprefix("\ufeff")
-            identity = _identity(os.stat(path))
-        except OSError as error:
-            raise InputError(f"cannot read {path}: {reason(error)}") from None
+            text = read_file(path, "a GLSL file").decode("utf-8-sig")
+            text = text.replace("\r\n", "\n").replace("\r", "\n")
         except UnicodeDecodeError:
-            raise InputError(f"cannot read {path}: it is not UTF-8 text") from None
+            raise InputError(f"cannot read {path}: it is not UTF-8 text; give GLSL") from None
+        identity = _identity(os.stat(path))
         self.files.append(self._name(path))
         self._chain.append((identity, path))
         self.append(text, path)

@@ -137,7 +137,8 @@ def _flat(
         if version:
             raise InputError(f"{name} contains {version}: leave out that line or the target")
         version = f"#version {TARGETS[target]}" if target in TARGETS else ""
-    label = flat.files[0] if path.is_relative_to(shader_dir()) else path.name
+    own = path.is_relative_to(shader_dir())
+    label = flat.files[0] if own else path.name
     origin = f"{label.encode(errors='replace').decode()} with what it includes of facerender"
     slope = "" if m is None else f", m = {m:g} whatever the caller passes"
     head = [
@@ -153,7 +154,11 @@ def _flat(
         try:
             text = translate(text.split("\n"), target)
         except InputError as error:
-            raise InputError(f"{name} in {target.upper()}: {error}") from None
+            language = target.upper()
+            raise InputError(
+                f"{label if own else name} in {language}: {error}; write this code in {language}, "
+                "or cross-compile the GLSL of the target vulkan"
+            ) from None
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
@@ -202,7 +207,7 @@ def _path(name: str) -> Path:
     own = Path(name)
     if stem in library() and (stem == name or not os.path.isfile(own)):
         return root / f"{stem}.glsl"
-    if own.suffix or os.path.isfile(own):
+    if own.suffix or os.path.exists(own):
         return own
     for file in library():
         path = root / f"{file}.glsl"

@@ -105,7 +105,7 @@ def tokens(text: str) -> list[Token]:
     while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise InputError(f"not translated: {text[at : at + 20]!r} is not GLSL")
+            raise InputError(f"not translated: {text[at]!r} is not a character of GLSL")
         if match.lastgroup == "space":
             before = match[0]
         else:
@@ -231,6 +231,7 @@ class Parser:
         self._scopes: list[dict[str, str]] = [{}]
         self.functions: dict[str, Function] = {}
         self._function = Function("", [])
+        self._name = ""  # The function that is parsed, for messages.
         self._conditions = 0  # Number of enclosing ?:, && and || expressions.
 
     def program(self) -> list[Node]:
@@ -261,10 +262,11 @@ class Parser:
         return token
 
     def _error(self, message: str) -> InputError:
-        line = "".join(
-            each.before + each.text for each in self._code[max(0, self._at - 12) : self._at]
-        )
-        return InputError(f"not translated: {message}; after {' '.join(line.split())[-60:]!r}")
+        place = f"function {self._name}: " if self._name else ""
+        return InputError(f"not translated: {place}{message}")
+
+    def _array(self) -> InputError:
+        return self._error("an array; only numbers, vectors and matrices are supported")
 
     def _type(self) -> str:
         token = self._take()
@@ -274,17 +276,18 @@ class Parser:
                 "are supported"
             )
         if self._next.text == "[":
-            raise self._error("an array")
+            raise self._array()
         return SQUARE.get(token.text, token.text)
 
     def _declaration(self) -> Node:
-        start = self._at
+        start, self._name = self._at, ""
         if self._next.text == "const":
             return self._variables()
         type_ = "void" if self._next.text == "void" and self._take() else self._type()
         name = self._take()
         if name.kind != "name" or self._next.text != "(":
             raise self._error(f"{name.text!r}; only functions and constants are supported")
+        self._name = name.text
         self._take("(")
         parameters: list[Token | Node] = []
         known = Function(type_, [])
@@ -295,7 +298,7 @@ class Parser:
                 qualifier = word if word in ("out", "inout") else qualifier
             kind, own = self._type(), self._take().text
             if self._next.text == "[":
-                raise self._error("an array")
+                raise self._array()
             known.parameters.append((qualifier, kind, own))
             parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, own))
             if self._next.text == ",":
@@ -377,7 +380,7 @@ class Parser:
             name = self._take()
             own: list[Token | Node] = [name]
             if self._next.text == "[":
-                raise self._error("an array")
+                raise self._array()
             if self._next.text == "=":
                 own += [self._take(), self._expression()]
             self._scopes[-1][name.text] = type_
@@ -485,7 +488,7 @@ class Parser:
         if token.kind != "name":
             raise self._error(f"{token.text!r}")
         if token.text in TYPES and self._next.text == "[":
-            raise self._error("an array")
+            raise self._array()
         if self._next.text == "(":
             return self._call(token)
         for scope in reversed(self._scopes):

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason
+from facerender.errors import InputError, check_path, clipped, reason
 from facerender.images.decode import MAX_BYTES, check_pixels, open_image, texels
 from facerender.images.exr import read_exr
 from facerender.images.image import ImageData, image_from_array
-from facerender.system.files import check_downloaded, open_file
+from facerender.system.files import check_downloaded, open_file, suffix_of
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
@@ -36,12 +36,9 @@ def read_image(path: str | os.PathLike[str]) -> ImageData:
     ------
     InputError : the file is missing, damaged, too large or of another format
     """
+    check_path("image file", path)
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"{path}: unknown image format {suffix!r}; give .exr, .npz, .npy, .png or .jpg"
-        )
+    suffix = suffix_of(path, SUFFIXES, "image", "an image file", MAX_BYTES)
     with open_file(path, "an image file", MAX_BYTES) as file:
         size = os.fstat(file.fileno()).st_size
         content = file.read(_LONGEST_EXR if suffix == ".exr" else size)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_switch, check_type, noting, warn
+from facerender.errors import InputError, check_path, check_switch, check_type, noting, warn
 from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.mesh_cache import MeshFiles
@@ -185,6 +185,7 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
         elif isinstance(value, np.ndarray):
             textures[name] = Texture.from_array(value, f"the array of {name}")
         elif isinstance(value, str | os.PathLike):
+            check_path(name, value)
             paths[name] = Path(value)
         elif hasattr(value, "getbands"):  # a Pillow image: isinstance would import Pillow
             textures[name] = Texture.from_image(value, f"the image of {name}")

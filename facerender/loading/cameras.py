@@ -21,7 +21,7 @@ from facerender.loading.source import GLTF
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
-from facerender.system.files import MOST, read_file
+from facerender.system.files import MOST, read_file, suffix_of
 
 _DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
 _IGNORED = ("name", "transform_matrix")  # ignored keys: both transform_matrix and Rt hold the pose
@@ -52,10 +52,8 @@ def load_cameras(
     """
     check_path("camera file", path)
     size = None if size is None else SIZES.check("size", size)
-    suffix, name = Path(path).suffix.lower(), clipped(Path(path).name)
-    if suffix not in (*CAMERA_FILES, *GLTF):
-        known = ", ".join((*CAMERA_FILES, *GLTF))
-        raise InputError(f"{name}: unknown camera format {suffix!r}; give {known}")
+    suffix = suffix_of(path, (*CAMERA_FILES, *GLTF), "camera", "a camera file")
+    name = clipped(Path(path).name)
     if suffix == ".toml":
         scene = load_scene(path)
         own = [scene["camera"]] if "camera" in scene else []

@@ -14,7 +14,10 @@ from facerender.images.decode import MAX_BYTES, check_pixels
 from facerender.images.read import read_image
 from facerender.scenes.environment import Environment, Panorama, studio
 from facerender.scenes.file import STUDIO, EnvironmentFile, environment_file
-from facerender.system.files import read_file
+from facerender.system.files import read_file, suffix_of
+
+_SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
+WANTED = f"an environment map, or {STUDIO}"  # description of the expected file, for messages
 
 
 def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:
@@ -49,19 +52,8 @@ def _panorama(path: str, written: int, size: int) -> Panorama:
 
 
 def _read(path: Path) -> NDArray[np.float32]:
-    suffix = path.suffix.lower()
-    if not suffix and not os.path.exists(path):
-        raise InputError(
-            f"unknown environment {shown(str(path))}; give {STUDIO}, or a file: .hdr, .exr, .npy, "
-            ".npz"
-        )
-    if suffix == ".hdr":
+    if suffix_of(path, _SUFFIXES, "environment", WANTED, MAX_BYTES) == ".hdr":
         return _read_hdr(path)
-    if suffix not in (".exr", ".npy", ".npz"):
-        raise InputError(
-            f"environment {path}: unknown format {suffix!r}; give .hdr, .exr, .npy, .npz, or "
-            f"{STUDIO}"
-        )
     picture = read_image(path)
     if picture.encoding != "linear":
         raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
@@ -69,7 +61,7 @@ def _read(path: Path) -> NDArray[np.float32]:
 
 
 def _read_hdr(path: Path) -> NDArray[np.float32]:
-    content = read_file(path, "an environment map", MAX_BYTES)
+    content = read_file(path, WANTED, MAX_BYTES)
     try:
         import OpenImageIO as oiio
     except ImportError:

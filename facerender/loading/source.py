@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from facerender.errors import InputError, check_switch, clipped, reason, shown
+from facerender.errors import InputError, check_path, check_switch, clipped, reason, shown
 from facerender.system.data import data_dir
-from facerender.system.files import MOST, check_downloaded, read_file
+from facerender.system.files import MOST, check_downloaded, read_file, suffix_of
 
 GLTF = (".glb", ".gltf")
 NORMAL_MAP_Y = ("up", "down")
@@ -91,13 +91,8 @@ class Source:
         """
         if self.content is not None:
             return self.content
-        shown = clipped(str(self.path))
-        if os.path.isdir(self.path):
-            raise InputError(f"{shown} is a directory; give a mesh file in it")
         if self.suffix not in FORMATS:
-            known = ", ".join(FORMATS)
-            suffix = clipped(self.suffix, 40)
-            raise InputError(f"{shown}: unknown mesh format {suffix!r}; give {known}")
+            suffix_of(self.path, (*FORMATS,), "mesh", "a mesh file")
         return read_file(self.path, "a mesh file")
 
 
@@ -112,6 +107,7 @@ def source_of(source: Any, kind: str | None = None) -> Source:
     if source is None:
         source = data_dir("assets") / "head.glb"
     if isinstance(source, str | os.PathLike):
+        check_path("mesh file", source)
         path = Path(source)
         return Source(path, suffix or path.suffix.lower(), None, path.parent)
     folder, path = None, Path("bytes")

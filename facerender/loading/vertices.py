@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason, shown
+from facerender.errors import InputError, clipped, reason
 from facerender.scenes.file import Pose
 from facerender.scenes.framing import tracked
 from facerender.scenes.mesh import Mesh
+from facerender.system.files import suffix_of
 from facerender.system.memory import MIB, limit
 
 _SUFFIXES = (".npy", ".npz")
@@ -54,20 +56,14 @@ def _frame(path: str, frame: int) -> Any:
 
 def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
     """Return the arrays (frames, vertices, 3) of a file, keyed by part name; "" for a .npy."""
-    try:
-        facts = os.stat(path)
-        if not os.path.isfile(path):
-            raise OSError("not a file")
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {shown(path)}: {reason(error)}") from None
+    suffix_of(path, _SUFFIXES, "vertices", "a file of vertices", sys.maxsize)
+    facts = os.stat(path)
     return _opened(path, facts.st_size, facts.st_mtime_ns)
 
 
 @lru_cache(4)
 def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
     name, suffix = _name(path), Path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise InputError(f"{name}: unknown format {suffix!r} of vertices; give .npy or .npz")
     try:
         if suffix == ".npy":
             arrays = {"": np.load(path, mmap_mode="r", allow_pickle=False)}

@@ -16,6 +16,7 @@ from facerender.scenes.framing import find_regions
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part, coordinates
 from facerender.scenes.texture import Texture
+from facerender.terms.ranges import range_of
 
 Float = NDArray[np.float64]
 _Pieces = Sequence[tuple[Part, Float]]
@@ -23,8 +24,8 @@ _Pieces = Sequence[tuple[Part, Float]]
 HEAD = 230.0  # height of a head in mm, from chin to crown
 _HEADS = (100.0, 600.0)  # plausible heights of a head in mm, also with hair or a hat
 _RADII = (40.0, 1200.0)  # plausible radii of a mesh in mm, from a small head to a whole person
-_UNITS = {1.0: "mm", 10.0: "cm", 100.0: "dm", 1000.0: "m"}
-_NEAR = 1.35  # largest ratio of an estimated unit and the unit that is meant
+_UNITS = {1.0: "mm", 10.0: "cm", 25.4: "inches", 1000.0: "m"}
+_NEAR = 1.5  # largest ratio of an estimated unit and the unit that is meant, with hair or a hat
 
 _MAP = 128  # largest side of the map's mip level that is compared with the mesh
 _NORMAL_MAP = 256  # largest side of the normal map's mip level that is examined
@@ -342,13 +343,19 @@ def _area(part: Part) -> float:
 
 def millimetres_of(mesh: Mesh) -> float | None:
     """Return the probable length of a mesh unit in mm: a usual unit near the length with which the
-    head is 230 mm high, otherwise that length. None for a mesh without height."""
+    head is 230 mm high, otherwise that length. None for a mesh without height, and for a length
+    that the mesh cannot have."""
     height = _head(mesh)
     if not height > 0.0:
         return None
     length = HEAD / height
+    if length not in range_of(Mesh, "millimetres"):
+        return None
     usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
     return usual if 1.0 / _NEAR < length / usual < _NEAR else float(f"{length:.2g}")
+
+
+SCALE = "scale the mesh to mm"  # remedy for a mesh without a probable length of its unit
 
 
 def option(length: float) -> str:
@@ -365,9 +372,10 @@ def wrong_unit(mesh: Mesh) -> str | None:
     height = float(f"{_head(mesh) * mesh.millimetres:.3g}")
     if _HEADS[0] <= height <= _HEADS[1]:
         return None
+    length = millimetres_of(mesh)
     return (
         f"the head of {mesh.name} is {height:g} mm high if its unit is {mesh.millimetres:g} mm: "
-        f"give {option(millimetres_of(mesh) or 1.0)}"
+        f"{SCALE if length is None else f'give {option(length)}'}"
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facerender.errors import InputError
-from facerender.scenes.hints import HEAD, emit, millimetres_of, option, wrong_unit
+from facerender.scenes.hints import HEAD, SCALE, emit, millimetres_of, option, wrong_unit
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import target_of, view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
@@ -49,10 +49,12 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     if not any(profiles_of_parts):
         return None
     if mesh.millimetres is None:
-        length = millimetres_of(mesh) or 1.0
+        remedy = f"{SCALE}, and give {option(1.0)}"
+        if (length := millimetres_of(mesh)) is not None:
+            remedy = f"give {option(length)} for a head of {HEAD:g} mm "
+            remedy += f"(load_mesh(..., millimetres={length:g}))"
         raise InputError(
-            f"scattering needs the size of {mesh.name}, which does not specify its unit: give "
-            f"{option(length)} for a head of {HEAD:g} mm (load_mesh(..., millimetres={length:g}))"
+            f"scattering needs the size of {mesh.name}, which does not specify its unit: {remedy}"
         )
     emit(mesh, wrong_unit, wrong_unit(mesh))
     millimetres = mesh.radius * mesh.millimetres

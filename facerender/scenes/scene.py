@@ -10,7 +10,7 @@ from facerender.scenes import sources
 from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import LIGHTS, Light, lights_of
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.vectors import COLORS, Vector
+from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
 from facerender.system.reprs import short_repr
 from facerender.terms.ranges import check_fields, range_of, ranged
 
@@ -97,7 +97,7 @@ class Scene:
     camera: Camera = Camera()
     lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
     ambient: float | Vector = ranged(COLORS, (0.26, 0.28, 0.31))
-    background: Vector | None = ranged(COLORS, _BACKGROUND)
+    background: Vector | None = ranged(BACKGROUNDS, _BACKGROUND)
     environment: Environment | None = None
     before: Scene | None = None
 

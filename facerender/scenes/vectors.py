@@ -20,6 +20,8 @@ MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre
 
 POSITIONS = VectorRange(-FARTHEST, FARTHEST)
 COLORS = VectorRange(0.0, HIGHEST)  # linear RGB of a colour or an irradiance
+_NONE = ', or "none" (None in Python) for a transparent background'
+BACKGROUNDS = VectorRange(0.0, HIGHEST, other=_NONE)
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
 ELEVATIONS = Range(-90.0, 90.0, "degrees")
 

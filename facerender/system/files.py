@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -34,35 +34,71 @@ _KINDS = {
 }
 
 
-@contextmanager
-def open_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Iterator[BinaryIO]:
-    """Open a regular file. Other files are refused: a pipe may block, and a device may never end.
+def check_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> None:
+    """Raise InputError unless a path is the name of a regular file. Other files are refused: a pipe
+    may block, and a device may never end.
 
     Parameters
     ----------
     what : description of the expected file for messages, such as "an image file"
     most : maximum size in bytes
+    """
+    shown = clipped(os.fsdecode(path))
+    if not shown:
+        raise InputError(f"the name of a file is empty; give {what}")
+    try:
+        facts = os.stat(path)
+    except (OSError, ValueError) as error:  # ValueError: an invalid file name
+        raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None
+    if not stat.S_ISREG(facts.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(facts.st_mode), "not a regular file")
+        raise InputError(f"{shown} is {kind}; give {what}")
+    if facts.st_size > most:
+        raise InputError(f"{shown} has {facts.st_size} bytes, but the limit is {most}; give {what}")
+
+
+def suffix_of(
+    path: str | os.PathLike[str], known: Sequence[str], kind: str, what: str, most: int = MOST
+) -> str:
+    """Return the suffix of a file, in lower case.
+
+    Parameters
+    ----------
+    known : accepted suffixes
+    kind : kind of the file for messages, such as "image"
+    what, most : see :func:`check_file`, which also lists the errors
 
     Raises
     ------
-    InputError : the file is missing, unreadable, too large or not a regular file, or reading it
-        fails
+    InputError : the suffix is unknown
     """
-    shown = clipped(os.fsdecode(path))
+    name, suffix = clipped(os.fsdecode(path)), Path(path).suffix.lower()
+    beside = [f"{name}{each}" for each in known if os.path.isfile(f"{os.fsdecode(path)}{each}")]
+    check_file(path, beside[0] if beside else what, most)
+    formats = f"{', '.join(known[:-1])} or {known[-1]}"
+    if not suffix:
+        raise InputError(f"{name} has no suffix, which sets the {kind} format; give {formats}")
+    if suffix not in known:
+        raise InputError(f"{name}: unknown {kind} format {clipped(suffix, 40)!r}; give {formats}")
+    return suffix
+
+
+@contextmanager
+def open_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Iterator[BinaryIO]:
+    """Open a regular file.
+
+    Raises
+    ------
+    InputError : reading the file fails; parameters and other errors as in :func:`check_file`
+    """
+    check_file(path, what, most)
     try:
-        facts = os.stat(path)
-        if not stat.S_ISREG(facts.st_mode):
-            kind = _KINDS.get(stat.S_IFMT(facts.st_mode), "not a regular file")
-            raise InputError(f"{shown} is {kind}; give {what}")
-        if facts.st_size > most:
-            raise InputError(
-                f"{shown} has {facts.st_size} bytes, but the limit is {most}; give {what}"
-            )
         with Path(path).open("rb") as file:
             yield file
     except InputError:
         raise
-    except (OSError, ValueError) as error:  # ValueError: an invalid file name
+    except (OSError, ValueError) as error:
+        shown = clipped(os.fsdecode(path))
         raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None
 
 

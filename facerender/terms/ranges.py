@@ -9,10 +9,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
-from facerender.errors import InputError, check_range, check_switch, shown
+from facerender.errors import InputError, check_range, check_switch, is_number, shown
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,7 @@ class Range:
 
     def __contains__(self, value: Any) -> bool:
         """Return whether a value is a number in the range."""
-        number = isinstance(value, Real) and not isinstance(value, bool)
-        return bool(number and self.low <= value <= self.high)
+        return bool(is_number(value) and self.low <= value <= self.high)
 
     def __str__(self) -> str:
         several = f"{self.low:g} to {self.high:g}"
@@ -58,7 +57,8 @@ class IntegerRange(Range):
 
     def check(self, name: str, value: Any) -> Any:
         if value not in self:
-            bounded = isinstance(value, Integral) and self.high < math.inf
+            whole = isinstance(value, Integral) and is_number(value)
+            bounded = whole and self.high < math.inf
             of = "" if bounded else "of " if self.high == math.inf else "from "
             wanted = f"{'' if bounded else 'a whole number '}{of}{self}"
             raise InputError(f"{name} = {shown(value)}: give {wanted}")
@@ -74,22 +74,31 @@ class SizeRange(IntegerRange):
             raise InputError(f"{name} = {shown(value)}: give width and height in pixels")
         width, height = sides
         if width not in self or height not in self:
-            ends = f"{self.low:g} to {self.high:.0f}"
+            whole = all(is_number(side) and isinstance(side, Integral) for side in sides)
+            ends = f"{'' if whole else 'whole numbers from '}{self.low:g} to {self.high:.0f}"
             raise InputError(
                 f"{name} {shown(width)} x {shown(height)}: give {ends} {self.unit} a side"
             )
         return int(width), int(height)
 
 
+@dataclass(frozen=True)
 class VectorRange(Range):
-    """Three numbers in the range. One number stands for three equal numbers."""
+    """Three numbers in the range. One number stands for three equal numbers.
+
+    other : further valid values, for messages, such as ", or None"
+    """
+
+    other: str = ""
 
     def check(self, name: str, value: Any) -> tuple[float, float, float]:
         several = value.tolist() if hasattr(value, "tolist") else value
         numbers = [*several] if isinstance(several, list | tuple) else [several] * 3
         if len(numbers) != 3 or not all(each in self for each in numbers):
             ends = f"[{self.low:g}, {self.high:g}]"
-            raise InputError(f"{name} = {shown(value)}: give a number in {ends}, or three")
+            raise InputError(
+                f"{name} = {shown(value)}: give a number in {ends}, or three{self.other}"
+            )
         x, y, z = map(float, numbers)
         return x, y, z
 
