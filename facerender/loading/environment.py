@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, shown
+from facerender.errors import InputError, clipped
 from facerender.images.decode import MAX_BYTES, check_pixels
 from facerender.images.read import read_image
 from facerender.scenes.environment import Environment, Panorama, studio
