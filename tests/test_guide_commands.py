@@ -49,7 +49,15 @@ pytest() { "$PYTHON" -m pytest -p facerender.pytest_plugin "$@"; }
 pip() { :; }
 apt() { :; }
 make() { :; }
+command -v glslangValidator > /dev/null || glslangValidator() { :; }
 set -e -o pipefail
+"""
+SHADER = """#version 450
+#extension GL_GOOGLE_include_directive : require
+#define FR_LOBE FR_LOBE_EXACT
+#include "facerender/cook_torrance.glsl"
+layout(location = 0) out vec4 color;
+void main() { color = vec4(fr_cook_torrance(vec3(0.0), vec3(0.0), vec3(0.0), 0.3, 0.03)); }
 """
 
 
@@ -82,10 +90,7 @@ def write_inputs(folder: Path) -> None:
     for file in ("colour.jpg", "pores.png", "sweat.png", "normal.png"):
         Image.fromarray(texels).save(folder / file)
     shutil.copy(folder / "head.obj", folder / "scan.obj")
-    (folder / "skin.frag").write_text(
-        '#version 450\n#define FR_LOBE FR_LOBE_EXACT\n#include "facerender/cook_torrance.glsl"\n'
-        "layout(location = 0) out vec4 color;\nvoid main() { color = vec4(1.0); }\n"
-    )
+    (folder / "skin.frag").write_text(SHADER)
 
 
 def run(folder: Path, commands: str) -> None:
