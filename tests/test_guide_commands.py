@@ -125,6 +125,23 @@ def test_commands_run_in_the_order_of_the_page(page, tmp_path):
     run(tmp_path, script(text))
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("egl")
+def test_commands_of_the_examples_run(tmp_path):
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    fewer = ("sweep", "count = 50", "count = 1"), ("turntable", "step = 30", "step = 180")
+    for file, many, few in fewer:
+        path = tmp_path / "examples" / f"{file}.toml"
+        path.write_text(path.read_text().replace(many, few))
+    page = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    commands = re.findall(r"`(facerender (?:render|batch) .+?)`", page)
+    assert len(commands) == 3
+    run(tmp_path, "\n".join(commands))
+    assert len(list((tmp_path / "turntable").rglob("*.png"))) == 2 * 4
+    with Image.open(tmp_path / "scene.png") as image:
+        assert image.size == (102, 102)
+
+
 def test_blocks_of_a_page_are_told_apart():
     page = (
         "```\nfirst\n```\n\n<!-- not run: slow -->\n```\nsecond\n```\n\n`a.toml`\n\n"

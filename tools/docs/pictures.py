@@ -179,8 +179,8 @@ def occlusion(size: int = 440) -> None:
 
 
 def gallery() -> None:
-    """Run the commands and the Python code of docs/gallery.md; write their images as JPEG, and animations as they are,
-    for that page."""
+    """Run the commands and the Python code of docs/gallery.md; write their images as JPEG, and
+    animations as they are, for that page."""
     page = (DOCS / "gallery.md").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         with contextlib.chdir(folder):
