@@ -118,13 +118,10 @@ def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monke
         exec(compile(block, name(page), "exec"), names)
 
 
-# Variables of the GLSL examples. sample_cook_torrance.glsl is for the example of skin.md.
 VARIABLES = """#version 330 core
-#include "facerender/slope_variance.glsl"
-#include "facerender/cook_torrance_sample.glsl"
-uniform vec3 n, l, v, u, albedo, position, mesh_normal;
+uniform vec3 n, l, v, u, albedo, irradiance, position, mesh_normal;
 uniform vec2 uv, plane, start;
-uniform float m, f0, ks, s, k, irradiance, material_m, radius;
+uniform float m, f0, ks, s, k, material_m, radius;
 uniform mat3 frame;
 uniform mat4 light_view;
 uniform sampler2D normal_map, map;
@@ -145,6 +142,9 @@ def test_glsl_examples_compile(page, number, egl):
     lines = code(page.read_text(encoding="utf-8"), "glsl")[number].splitlines()
     head = [line for line in lines if line.startswith("#")]
     body = [line for line in lines if line not in (*head, "...")]
+    if not head:  # the example of skin.md
+        files = ("cook_torrance", "cook_torrance_sample")
+        head = [f'#include "facerender/{file}.glsl"' for file in files]
     source = "\n".join([VARIABLES, *head, "void main() {", *body, "color = vec4(radiance, 1.0); }"])
     vertex = "#version 330 core\nvoid main() { gl_Position = vec4(0.0); }"
     context = create_context(egl)
