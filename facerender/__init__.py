@@ -17,7 +17,8 @@ Shading         the specular Term of each light, and the terms to omit
 Job             a scene with its outputs as plain data, for files and other machines; a Pose
                 moves its mesh
 Frame, GBuffer  results of a renderer
-compare         returns whether two images match, and why not; shifted moves the image of a scene
+compare         returns whether two images match, and why not; difference and sheet make pictures of
+                several images; shifted moves the image of a scene
 plan            finds the cheapest Shading within an error budget
 Landmarks       points on a mesh; load_landmarks reads a file, Renderer.landmarks finds their pixels
 load_cameras    reads cameras from a file; turntable returns cameras around a mesh
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from facerender import brdf as brdf
     from facerender import lobes as lobes
     from facerender.comparison.compare import compare as compare
+    from facerender.comparison.pictures import difference as difference
+    from facerender.comparison.pictures import sheet as sheet
     from facerender.drawing.frame import Frame as Frame
     from facerender.drawing.frame import GBuffer as GBuffer
     from facerender.drawing.renderer import Renderer as Renderer
@@ -88,6 +91,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "images.animation": ("save_animation",),
     "comparison.compare": ("compare",),
+    "comparison.pictures": ("difference", "sheet"),
     "drawing.frame": ("Frame", "GBuffer"),
     "drawing.renderer": ("Renderer", "render"),
     "errors": ("ContextError", "FacerenderError", "FacerenderWarning", "InputError"),

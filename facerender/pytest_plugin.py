@@ -22,8 +22,8 @@ import pytest
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from facerender.comparison.compare import Comparable
     from facerender.comparison.goldens import Draw, GoldenResult, Updates
+    from facerender.comparison.sources import Comparable
 
 LONGEST = 180  # characters of a file name; most systems allow 255 bytes
 UNUSED = ("ignore", "list", "fail")

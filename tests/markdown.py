@@ -12,6 +12,15 @@ def prose(page: str) -> str:
     return _FENCE.sub("", page)
 
 
+def blocks(page: str) -> list[tuple[str, str, str]]:
+    """Return each block of fenced code: the last line before the block, language and code."""
+    found = []
+    for match in _FENCE.finditer(page):
+        before = page[: match.start()].rstrip().rpartition("\n")[2]
+        found.append((before, match[1], match[2]))
+    return found
+
+
 def code(page: str, language: str) -> list[str]:
     """Return the fenced code of a page in one language; "" is code without a language."""
     return [text for each, text in _FENCE.findall(page) if each == language]

@@ -51,6 +51,15 @@ def head(rings: int, columns: int, vertices: int, faces: int, texture: int, size
     }
 
 
+def write_obj(path: Path, model: Arrays, positions: np.ndarray) -> None:
+    """Write a model with other positions as an OBJ file."""
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in positions.tolist()]
+    lines += [f"vt {u:.6f} {v:.6f}" for u, v in model["vt"].tolist()]
+    pairs = np.stack([model["f"], model["ft"]], axis=-1) + 1
+    lines += ["f " + " ".join(f"{v}/{t}" for v, t in face) for face in pairs.tolist()]
+    path.write_text("\n".join(lines))
+
+
 def write_all(folder: Path) -> None:
     """Write the files that docs/moving.md reads."""
     flame = head(50, 100, 5_023, 9_976, 5_118, 0.28)
@@ -63,9 +72,4 @@ def write_all(folder: Path) -> None:
     np.save(folder / "poses.npy", body["v_template"] + steps * (1.0, 0.0, 0.0))
     ict = head(130, 205, 26_719, 53_300, 26_912, 25.0)
     for name, scale in (("generic_neutral_mesh", 1.0), ("jawOpen", 1.02)):
-        places = ict["v_template"] * (1.0, scale, 1.0)
-        lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in places.tolist()]
-        lines += [f"vt {u:.6f} {v:.6f}" for u, v in ict["vt"].tolist()]
-        pairs = np.stack([ict["f"], ict["ft"]], axis=-1) + 1
-        lines += ["f " + " ".join(f"{v}/{t}" for v, t in face) for face in pairs.tolist()]
-        (folder / f"{name}.obj").write_text("\n".join(lines))
+        write_obj(folder / f"{name}.obj", ict, ict["v_template"] * (1.0, scale, 1.0))

@@ -265,7 +265,7 @@ def test_camera_projects_points_to_their_pixels(head, drawing, name, place):
     assert covered.sum() > 100
     pose, to_world = np.array(facts["Rt"]), np.array(facts["transform_matrix"])
 
-    points = mesh.to_mesh_space(seen.position[covered])
+    points = seen.position[covered]
     in_camera = points @ pose[:, :3].T + pose[:, 3]
     depth = drawing.render(fr.Scene(mesh, camera), only="depth").linear[covered][:, 0]
     np.testing.assert_allclose(in_camera[:, 2], depth, rtol=1e-6)
@@ -329,7 +329,7 @@ def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch):
     np.testing.assert_array_equal(parts.astype(int) - 1, seen.part)
     normals = np.stack([page["layers"][f"normal.{axis}"] for axis in "XYZ"], axis=-1)[covered]
     np.testing.assert_allclose(page["normal"][covered], normals, atol=0.5 / 127.5 + 1e-6)
-    exact = head.to_mesh_space(seen.position[covered])
+    exact = seen.position[covered]
     assert np.abs(page["points"] - exact).max() < drawn.facts["depth_scale"]
     np.testing.assert_allclose(page["project"](exact), page["rays"] @ page["K"].T[:, :2], atol=1e-3)
     turned = page["normal"][covered] @ page["Rt"][:, :3].T

@@ -61,7 +61,7 @@ def test_matrices_project_points_to_their_pixels(mini, azimuth, tilt):
     buffer = seen(mini, camera)
     rows, columns = np.nonzero(buffer.part >= 0)
     assert len(rows) > 500
-    found = projected(K, pose, mini.to_mesh_space(buffer.position[rows, columns]))
+    found = projected(K, pose, buffer.position[rows, columns])
     np.testing.assert_allclose(found, np.column_stack([columns, rows]) + 0.5, atol=2e-3)
     np.testing.assert_allclose(buffer.view.intrinsics(SIZE), K, atol=1e-9)
     np.testing.assert_allclose(buffer.view.extrinsics(mini), pose, atol=1e-12 + 1e-9 * mini.radius)

@@ -304,7 +304,7 @@ def test_labels_are_those_of_distorted_rays(drawing, balls, lens):
 
     # The position is at most half a pixel's footprint, on each axis, from the ray's hit.
     own = inside & (part >= 0)
-    places = balls.to_mesh_space(seen.position[own])
+    places = seen.position[own]
     z = depth[own.ravel()]
     footprint = z / np.array(K)[[0, 1], [0, 1]].min() / cosine[own.ravel()]
     off = np.linalg.norm(places - (origin + z[:, None] * rays[own.ravel()]), axis=-1)

@@ -330,3 +330,13 @@ def test_notebook_displays_frames(egl: Backend, monkeypatch: pytest.MonkeyPatch)
     assert Image.open(BytesIO(b64decode(shown["image/png"]))).size == (320, 320)
     assert shown["text/plain"] == "<Frame 320 x 320>"
     assert listed["text/plain"].count("<Frame 320 x 320>") == 4
+    (compared,), (sheet,), (layers,) = (results[name] for name in ("compare", "sheet", "gbuffer"))
+    assert "<b>differs</b>: block at" in compared["text/html"]
+    inside = re.search(r'src="data:image/png;base64,([^"]+)"', compared["text/html"])[1]
+    sizes = [
+        Image.open(BytesIO(b64decode(each))).size
+        for each in (inside, sheet["image/png"], layers["image/png"])
+    ]
+    assert sizes[0] == sizes[1]
+    assert min(sizes[0]) > 320
+    assert sizes[0][0] == sizes[2][0] > 3 * 320

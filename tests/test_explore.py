@@ -170,6 +170,7 @@ def expected(page, mesh, found, term, changes):
         row["part"].astype(np.int64), row["position"], row["normal"], row["albedo"], row["m"],
         row["specular_weight"], row["occlusion"], np.zeros((1, len(found), 2), np.float32),
         np.ones((1, len(found), len(scene.lights)), np.float32), view_of(scene, width / height),
+        (*mesh.center, mesh.radius),
     )  # fmt: skip
     return reference.shade(gbuffer, scene, fr.Shading(term=term))[0]
 

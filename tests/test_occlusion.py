@@ -142,9 +142,7 @@ def test_every_pixel_agrees_with_float64(egl, baked, name, deferred, monkeypatch
     # Mesa 25 interpolates vertex colours with an error of 5e-6.
     least = 0.1 if name == "with colours alone" else 0.01
     assert (np.abs(image - expected) / np.maximum(expected, least))[covered].max() < 1e-4
-    near = part.occlusion[
-        nearest(baked.normalised(part.positions), gbuffer.position[covered][::10])
-    ]
+    near = part.occlusion[nearest(part.positions, gbuffer.position[covered][::10])]
     assert np.abs(gbuffer.occlusion[covered][::10] - near).mean() < 0.02
     light = replace(scene, lights=(), environment=None)
     dimmed = reference.shade(gbuffer, light, shading)[covered]

@@ -78,7 +78,9 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
     with fr.Renderer((32, 32), samples=1, backend="egl") as small:
         seen = small.gbuffer(replace(scene, camera=fr.Camera(elevation=60.0)))
     covered = seen.part >= 0
-    clip = np.insert(seen.position[covered].astype(float), 3, 1.0, axis=-1) @ above.matrix
+    clip = (
+        np.insert(seen.normalised_position[covered].astype(float), 3, 1.0, axis=-1) @ above.matrix
+    )
     np.testing.assert_allclose(
         joined[::2, ::2, 3][covered], 0.5 + 0.5 * clip[:, 2] / clip[:, 3], atol=1e-4
     )

@@ -86,7 +86,7 @@ def test_highlight_agrees_with_float64(single, change):
         for each in (gbuffer, single.gbuffer(bare))
     ]
     ratio = light[0].emission[own] / light[1].emission[own]
-    towards = gbuffer.view.position - layer.position[own]
+    towards = gbuffer.view.position - layer.normalised_position[own]
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = (towards * layer.normal[own]).sum(axis=1)
     if "emissive" not in change:

@@ -145,7 +145,7 @@ def test_edge_of_light_agrees_with_the_profile(egl):
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
         found = scattering_of(scene, renderer.size)
         image = renderer.render(scene, fr.Shading(scatter_samples=64)).linear
-        x = renderer.gbuffer(scene).position[256, :, 0].astype(float) * mesh.radius
+        x = renderer.gbuffer(scene).position[256, :, 0]
     seen = np.abs(x) < 12.0
     columns = image[128:384, seen, :3].mean(axis=0)
     expected = np.zeros_like(columns)

@@ -198,7 +198,7 @@ def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
     camera = fr.Camera(position=(1.5, 0.0, 0.5), target=(0.3, 0.0, -0.4))
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
         gbuffer = renderer.gbuffer(fr.Scene(mesh, camera, (light,)))
-    position = gbuffer.position * 1.2
+    position = gbuffer.position
     near = (gbuffer.part == 0) & (np.abs(position[..., 1]) < 0.02)
     x, seen = position[near][:, 0], gbuffer.visibility[near][:, 0]
     middle = seen[np.abs(x - edge) < 0.01]

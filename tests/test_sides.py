@@ -133,7 +133,7 @@ def test_back_faces_are_drawn_only_with_two_sides(egl, deferred, monkeypatch):
     shown = [(each.part >= 0).mean() for each in layers]
     assert shown[0] < 0.9 * shown[1]
     normals = layers[0].normal[layers[0].part >= 0]
-    towards = layers[0].view.position - layers[0].position[layers[0].part >= 0]
+    towards = layers[0].view.position - layers[0].normalised_position[layers[0].part >= 0]
     assert ((normals * towards).sum(axis=1) > 0.0).mean() > 0.99
 
 

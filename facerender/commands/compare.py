@@ -72,6 +72,8 @@ def add(compare: argparse.ArgumentParser) -> None:
     note = "Requires pip install 'facerender[measure]'"
     heatmap = Help("image of the FLIP metric at each pixel, for two images", "none", note=note)
     results.add_argument("--heatmap", metavar="OUT.png", help=heatmap)
+    sheet = Help("picture of A, B and their difference, for two images", "none")
+    results.add_argument("--sheet", metavar="OUT.png", help=sheet)
     report = Help("HTML page with all images and metrics", "none")
     results.add_argument("--report", metavar="OUT.html", help=report)
     add_flag(results, "json", "print every metric as JSON")
@@ -87,6 +89,7 @@ def default_of(name: str) -> str:
 def run(options: argparse.Namespace) -> int:
     from facerender.comparison.calibration import read_limits
     from facerender.comparison.compare import Pair, pairs_of
+    from facerender.comparison.pictures import side_by_side
     from facerender.comparison.report import entry, write_report
     from facerender.comparison.visualization import save_heat_map
 
@@ -101,12 +104,15 @@ def run(options: argparse.Namespace) -> int:
     names = pairs_of(options.a, options.b)
     limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
     limits["limits"] = read_limits(options.limits) if options.limits else {}
-    if options.heatmap and len(names) > 1:
-        raise InputError(
-            f"--heatmap needs two images, not folders with {len(names)} pairs: leave it out"
-        )
+    for option in ("heatmap", "sheet"):
+        if getattr(options, option) and len(names) > 1:
+            raise InputError(
+                f"--{option} needs two images, not folders with {len(names)} pairs: leave it out"
+            )
     read = [path for _, *paths in names for path in paths]
-    check_outputs([options.heatmap, options.report], [*read, options.mask, options.limits])
+    check_outputs(
+        [options.heatmap, options.sheet, options.report], [*read, options.mask, options.limits]
+    )
     results, entries, status = [], [], 0
     all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
     with progress_bar(options) as progress:
@@ -121,13 +127,17 @@ def run(options: argparse.Namespace) -> int:
                 print_message(f"facerender: error: {pair.error}")
             elif not options.json:
                 print_result(f"{pair.name}: {pair.comparison}")
-            if not options.heatmap:
+            if not (options.heatmap or options.sheet):
                 del pair  # frees the images of this pair before the next is read
         if options.report:
             progress("report", 0.0)
             write_report(options.report, entries)
         if options.heatmap:
             save_heat_map(options.heatmap, pair)
+        if options.sheet:
+            if pair.reference is None or pair.image is None:
+                raise InputError(f"no sheet: {pair.error}")
+            side_by_side(pair.reference, pair.image).save(options.sheet)
     if options.json:
         print_result(json.dumps({"same": status == 0, "pairs": results}, indent=2))
     return status
@@ -137,7 +147,7 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import calibration_of, runs_of, text_of
 
-    for name in ("a", *LIMITED, "limits", "heatmap", "report"):
+    for name in ("a", *LIMITED, "limits", "heatmap", "sheet", "report"):
         if getattr(options, name) is not None:
             option = name.upper() if name == "a" else f"--{name}"
             raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")

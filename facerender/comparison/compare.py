@@ -37,13 +37,14 @@ from facerender.comparison.neighbourhoods import (
     holes,
     shrunk,
 )
-from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
+from facerender.comparison.result import LIMITS, Comparison, Limits
+from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite, size_of
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, warn
 from facerender.images.decode import MAX_BYTES
-from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
-from facerender.images.read import SUFFIXES, read_image
+from facerender.images.image import Encoding, ImageData, PixelRange
+from facerender.images.read import SUFFIXES
 from facerender.system.files import check_file
 
 MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
@@ -51,8 +52,6 @@ FADED = 0.2  # smallest change of a pixel's coverage that counts
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
 _HALO = 8  # rows above and below a strip, with which the strip's pixels are also compared
-
-Comparable = ImageData | Frame | NDArray[Any] | str | os.PathLike[str]
 
 
 def compare(
@@ -73,7 +72,8 @@ def compare(
     Parameters
     ----------
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4) of linear float or 8-bit sRGB with
-        coverage as fourth channel; or the path of a .exr, .npz, .npy, .png or .jpg file
+        coverage as fourth channel; a Pillow image; or the path of a .exr, .npz, .npy, .png or .jpg
+        file
     point, block, trend, grain, texture, coverage, shift : limits of the checks, see
         :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Two images that one
         driver drew with float textures pass a block limit of 1e-3
@@ -85,9 +85,9 @@ def compare(
         is not finite; the mask has another size or is 0 everywhere; a limit is invalid
     """
     a, b = as_image(reference, "A"), as_image(image, "B")
-    _check_alike(a, b)
-    _check_finite(a)
-    _check_finite(b)
+    check_alike(a, b)
+    check_finite(a)
+    check_finite(b)
     if jpegs := [each.name for each in (a, b) if each.jpeg]:
         warn(f"{' and '.join(jpegs)}: the losses of JPEG count as differences; save as PNG")
     counts = None if mask is None else _counting(mask, a)
@@ -107,7 +107,11 @@ def compare(
     size = a.pixels.shape[1], a.pixels.shape[0]
     counted = size[0] * size[1] if counts is None else int(counts.sum())
     result = _result(a.encoding, size, counted, limits, strip, statistics)
-    return replace(result, reasons=reasons_of(result, strip.over, statistics))
+    shown = tuple(
+        source if isinstance(source, Frame) else image
+        for source, image in ((reference, a), (image, b))
+    )
+    return replace(result, reasons=reasons_of(result, strip.over, statistics), images=shown)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,8 +344,8 @@ def _counting(mask: NDArray[Any], image: ImageData) -> Mask:
     """Return a mask as booleans, after checking it against the image."""
     counts: Mask = np.asarray(mask) != 0
     if counts.shape != image.pixels.shape[:2]:
-        size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
-        raise InputError(f"the mask is {size}, the images are {_size(image.pixels)} pixels")
+        size = size_of(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
+        raise InputError(f"the mask is {size}, the images are {size_of(image.pixels)} pixels")
     if not counts.any():
         raise InputError("the mask is 0 everywhere: set it to 1 where images are compared")
     return counts
@@ -355,55 +359,3 @@ def _foreign(sources: tuple[Comparable, Comparable], images: tuple[ImageData, Im
         [image.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")] for image in images
     )
     return one != other
-
-
-def as_image(source: Comparable, name: str) -> ImageData:
-    """Return the image data of any source; ``name`` is for messages."""
-    if isinstance(source, ImageData):
-        return source
-    if isinstance(source, Frame):
-        return ImageData(source.linear, "linear", name, source.metadata)
-    if isinstance(source, (str, os.PathLike)):
-        return read_image(source)
-    return image_from_array(np.asarray(source), name)
-
-
-def _check_alike(a: ImageData, b: ImageData) -> None:
-    if a.pixels.shape[:2] != b.pixels.shape[:2]:
-        raise InputError(
-            f"{a.name} is {_size(a.pixels)}, {b.name} is {_size(b.pixels)} pixels: render both at "
-            "one size"
-        )
-    if a.encoding != b.encoding:
-        kinds = {"linear": "linear float", "srgb8": "8-bit sRGB"}
-        raise InputError(
-            f"{a.name} is {kinds[a.encoding]}, {b.name} is {kinds[b.encoding]}: give two images of "
-            "one encoding"
-        )
-    if a.pixels.shape[2] != b.pixels.shape[2]:
-        counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
-        raise InputError(f"{', '.join(counts)}: save both with alpha, or both without")
-    if a.color_space != b.color_space:
-        spaces = (f"{x.name} is in colour space {x.color_space or '(unnamed)'}" for x in (a, b))
-        raise InputError(f"{', '.join(spaces)}: convert one")
-
-
-def _check_finite(image: ImageData) -> None:
-    if image.encoding == "srgb8":
-        return
-    good = np.abs(image.pixels) <= np.float32(HIGHEST)  # a half float cannot represent HIGHEST
-    if good.all():
-        return
-    row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
-    nans, infinite = (int(test(image.pixels).sum()) for test in (np.isnan, np.isinf))
-    values = f"{nans} NaN and {infinite} infinite values"
-    if not nans + infinite:
-        values = f"values beyond {HIGHEST:g}"
-    raise InputError(
-        f"{image.name} holds {values}, the first at pixel ({column}, {row}), channel {channel}: "
-        "repair its renderer"
-    )
-
-
-def _size(pixels: NDArray[Any]) -> str:
-    return f"{pixels.shape[1]} x {pixels.shape[0]}"

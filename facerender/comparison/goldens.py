@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 
 from facerender import __version__
-from facerender.comparison.compare import Comparable, Pair, as_image, compare
+from facerender.comparison.compare import Pair, compare
 from facerender.comparison.neighbourhoods import COVERED
+from facerender.comparison.sources import Comparable, as_image
 from facerender.errors import InputError, reason
 from facerender.images.exr import save_exr
 from facerender.images.image import ImageData, PixelRange

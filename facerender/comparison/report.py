@@ -311,7 +311,8 @@ def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: boo
         except InputError as error:
             figures.append(f'<p class="heat note">{escape(str(error))}</p>')
         apart, largest = visualization.difference(pair.reference, pair.image)
-        caption = _legend(largest, pair.comparison.encoding)
+        encoding = pair.comparison.encoding
+        caption = _legend(max(largest, visualization.FLOORS[encoding]), encoding)
         difference = _image(_source(apart), "difference")
         figures.append(_figure("difference", caption, shape, difference, places))
     centres = {name: "{},{}".format(*_centre(place)) for name, place in places.items()}

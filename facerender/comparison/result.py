@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from html import escape
 from typing import Any
 
 from facerender.comparison.blocks import MOVED
+from facerender.comparison.sources import HIGHEST as HIGHEST
 from facerender.errors import check_range
 from facerender.images.image import Encoding
 
-HIGHEST = 1e30  # largest valid value: sums and differences of larger values may overflow
 FOREIGN = 6.0  # factor on the limits of trend, grain and texture if another driver drew image B
 SURE = 6.0  # a trend counts if it exceeds this number of standard errors
 BLUR = 1.5  # factor on the limits of grain and texture if B has less of these than A
@@ -91,6 +93,7 @@ class Comparison:
     shift : displacement of the image to the right and down, in pixels
     coverage : fraction of the pixels whose coverage changed; 0 without an alpha channel
     largest, mean : largest and mean absolute difference of any channel, for information only
+    images : the two images, which stay in memory as long as the result: notebooks display them
     """
 
     reasons: tuple[str, ...]
@@ -116,6 +119,7 @@ class Comparison:
     coverage: float
     largest: float
     mean: float
+    images: Sequence[Any] = field(default=(), repr=False, compare=False)
 
     @property
     def same(self) -> bool:
@@ -143,7 +147,22 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all metrics, for JSON."""
-        return {"same": self.same, **asdict(self)}
+        names = [each.name for each in fields(self) if each.name not in ("limits", "images")]
+        metrics = {name: getattr(self, name) for name in names}
+        return {"same": self.same, **metrics, "limits": asdict(self.limits)}
+
+    def _repr_html_(self) -> str:
+        """Return the verdict, and A, B and their difference, which notebooks display."""
+        from facerender.comparison.pictures import side_by_side
+        from facerender.comparison.visualization import MAX_PIXELS
+        from facerender.page.document import image_source
+
+        verdict = "" if self.same else "<b>differs</b>: "
+        text = f"<p>{verdict}{escape(str(self))}</p>"
+        if not self.images or self.size[0] * self.size[1] > MAX_PIXELS:
+            return text
+        image = image_source(side_by_side(*self.images).encoded(), "png")
+        return f'{text}<img src="{image}" alt="A, B and their difference">'
 
     def __str__(self) -> str:
         foreign = ", with wider limits for another driver" * self.foreign

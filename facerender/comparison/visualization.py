@@ -12,17 +12,19 @@ from collections.abc import Iterator
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import flip
-from facerender.comparison.compare import Pair
 from facerender.errors import InputError
 from facerender.images.image import Encoding, ImageData
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import save_png
+
+if TYPE_CHECKING:
+    from facerender.comparison.compare import Pair
 
 MAX_PIXELS = 1 << 24  # largest number of pixels of an image that is displayed
 HEAT = 1 << 17  # largest number of pixels of a page's heat map; FLIP takes 1.3 s for 2**20
@@ -61,20 +63,25 @@ def thumbnail(image: ImageData, side: int) -> Bytes:
     return np.asarray(small)
 
 
-def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
+def difference(a: ImageData, b: ImageData, gain: float | None = None) -> tuple[Bytes, float]:
     """Return the signed difference in the worst channel as colours, and the largest difference.
 
     The colour scale is linear below a value of FLOORS and logarithmic above it. The largest
-    difference has the full colour.
+    difference has the full colour. With ``gain`` the scale is linear: a difference of 1/gain, or
+    255/gain 8-bit levels, has the full colour.
     """
     floor = FLOORS[a.encoding]
     signed = np.concatenate([_signed(a, b, rows) for rows in _strips(a)])
-    largest = max(float(np.abs(signed).max()), floor)
+    largest = float(np.abs(signed).max())
+    scale, full = max(largest, floor), 1.0 if a.encoding == "linear" else 255.0
     ramp = np.linspace(0.0, 1.0, LEVELS + 1)[:, None]
     colors = np.round([ramp * DARKER, ramp * BRIGHTER]).astype(np.uint8)
     pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
     for rows in _strips(a):
-        level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(largest / floor)
+        if gain is None:
+            level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(scale / floor)
+        else:
+            level = np.minimum(np.abs(signed[rows]) * (gain / full), 1.0)
         level = np.round(level * LEVELS).astype(int)
         pixels[rows] = colors[(signed[rows] > 0.0).astype(int), level]
         alpha_a, alpha_b = (image.rows(rows)[1] for image in (a, b))

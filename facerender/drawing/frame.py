@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_switch, check_type, shown
 from facerender.images.exr import exr_bytes, save_exr
+from facerender.images.sheet import arranged
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
 from facerender.scenes.scene import ONLY, Only, Scene
@@ -163,6 +164,10 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
+def _grey(values: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    return np.repeat(_bytes(values[..., None] * covered), 3, axis=-1)
+
+
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a colour (..., 3) for each number (part index plus 1); 0 is black. The hue advances by
     the golden ratio, so that consecutive numbers have very different hues."""
@@ -205,13 +210,15 @@ class GBuffer:
     Attributes
     ----------
     part : (H, W) int, index into ``mesh.parts``, or -1 for the background
-    position : (H, W, 3) float32 in the renderer's space (see ``Mesh.normalised``)
+    normalised_position : (H, W, 3) float32 in the renderer's space (see ``Mesh.normalised``), 0 on
+        the background; :attr:`position` is in the mesh's units
     normal : (H, W, 3) float32, the shading normal with the normal map applied
     albedo : (H, W, 3) float32, linear
     m, specular_weight, occlusion : (H, W) float32
     uv : (H, W, 2) float32
     visibility : (H, W, lights) float32, visible fraction of each light
-    view : the camera
+    view : the camera, in the renderer's space
+    space : centre (x, y, z) and radius of the mesh, in its units
     second_m : (H, W) float32, m of the second lobe; None if no material has two lobes
     lobe_weight : (H, W) float32, weight of the first lobe; None if no material has two lobes
     facing : (H, W) float32, cosine between the direction to the camera and the mesh's normal,
@@ -225,7 +232,7 @@ class GBuffer:
     """
 
     part: NDArray[np.int64]
-    position: NDArray[np.float32]
+    normalised_position: NDArray[np.float32]
     normal: NDArray[np.float32]
     albedo: NDArray[np.float32]
     m: NDArray[np.float32]
@@ -234,6 +241,7 @@ class GBuffer:
     uv: NDArray[np.float32]
     visibility: NDArray[np.float32]
     view: View
+    space: tuple[float, ...]
     second_m: NDArray[np.float32] | None = None
     lobe_weight: NDArray[np.float32] | None = None
     facing: NDArray[np.float32] | None = None
@@ -241,6 +249,13 @@ class GBuffer:
     opacity: NDArray[np.float32] | None = None
     transmission: float = 0.0
     transparent_layers: tuple[GBuffer, ...] = ()
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(H, W, 3) float64: positions in the mesh's units, as ``Part.positions``; 0 on the
+        background. Each access computes a new array."""
+        places = self.normalised_position * np.float64(self.space[3]) + self.space[:3]
+        return np.where(self.part[..., None] >= 0, places, 0.0)
 
     @property
     def coverage(self) -> NDArray[np.float64]:
@@ -251,6 +266,20 @@ class GBuffer:
             if layer.opacity is not None:
                 clear = clear * (1.0 - (1.0 - layer.transmission) * layer.opacity)
         return np.asarray(1.0 - clear)
+
+    def _repr_png_(self) -> bytes:
+        """Return a sheet of parts, normal, albedo, m, occlusion and the visibility of the first
+        light as PNG, which notebooks display. Transparent layers are left out."""
+        covered = self.part[..., None] >= 0
+        layers = {
+            "part": _bytes(_part_colors(self.part + np.float32(1.0))),
+            "normal": _bytes((self.normal * 0.5 + 0.5) * covered),
+            "albedo": encode_srgb8(self.albedo),
+            **{name: _grey(getattr(self, name), covered) for name in ("m", "occlusion")},
+        }
+        if self.visibility.shape[2]:
+            layers["visibility"] = _grey(self.visibility[..., 0], covered)
+        return png_bytes(arranged(list(layers.values()), list(layers), columns=3), {})
 
     def __repr__(self) -> str:
         height, width = self.part.shape
@@ -283,7 +312,7 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     covered = gbuffer.part >= 0
     view = np.zeros((*covered.shape, 4), dtype=np.float32)
     view[..., 3] = covered
-    position = gbuffer.position[covered].astype(np.float64)
+    position = gbuffer.normalised_position[covered].astype(np.float64)
     normal = gbuffer.normal[covered].astype(np.float64)
     to_eye = gbuffer.view.position - position
     values: NDArray[Any]

@@ -99,7 +99,7 @@ def scattered(
     gbuffer : G-buffer of the whole image, not of a section
     terms : the result of :func:`layers` for this G-buffer
     """
-    change = np.zeros(gbuffer.position.shape)
+    change = np.zeros(gbuffer.normalised_position.shape)
     height, width = gbuffer.part.shape
     if terms.light is None or terms.albedo is None or gbuffer.facing is None:
         return change
@@ -109,7 +109,7 @@ def scattered(
     if (found := scattering_of(simplify(scene, shading), (width, height))) is None:
         return change
     number = np.array([*found.numbers, 0])[gbuffer.part]
-    place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
+    place, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(found.profiles, 1):
         own = number == index
         depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
@@ -166,7 +166,12 @@ class _Pixels:
         def values(image: NDArray[np.float32]) -> Float:
             return image[covered].astype(np.float64)
 
-        position, m, second_m, lobe_weight = values(gbuffer.position), values(gbuffer.m), None, None
+        position, m, second_m, lobe_weight = (
+            values(gbuffer.normalised_position),
+            values(gbuffer.m),
+            None,
+            None,
+        )
         m = np.broadcast_to(term.slope(m), m.shape)
         if material.two_lobes:
             assert gbuffer.second_m is not None
@@ -214,10 +219,12 @@ def layers(
         environment = environment_layer(gbuffer, scene, shading)
     resolved = resolve(scene, shading)
     scene = resolved.scene
-    ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
-    specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
+    ambient, diffuse = np.zeros((2, *gbuffer.normalised_position.shape))
+    specular = np.zeros((len(scene.lights), *gbuffer.normalised_position.shape))
     scatters = any(material.scattering for material in scene.mesh.materials)
-    light_of, albedo_of = np.zeros((2, *gbuffer.position.shape)) if scatters else (None, None)
+    light_of, albedo_of = (
+        np.zeros((2, *gbuffer.normalised_position.shape)) if scatters else (None, None)
+    )
     own = [shading.of(light) or shading.term for light in range(len(scene.lights))]
     terms = [resolved.allowed(term) for term in own]
     for index, material in enumerate(scene.mesh.materials):
@@ -283,7 +290,7 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
     exact lobe.
     """
     scene = simplify(scene, shading)
-    image = np.zeros(gbuffer.position.shape)
+    image = np.zeros(gbuffer.normalised_position.shape)
     if scene.environment is None:
         return image
     from facerender.terms.environment import environment_irradiance, reflected

@@ -421,7 +421,7 @@ class Renderer:
         material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
-            position=position[..., :3],
+            normalised_position=position[..., :3],
             normal=normal[..., :3],
             albedo=albedo[..., :3],
             m=normal[..., 3],
@@ -430,6 +430,7 @@ class Renderer:
             uv=uv[..., :2],
             visibility=seen,
             view=view,
+            space=(*scene.mesh.center.tolist(), scene.mesh.radius),
             second_m=None if lobes is None else lobes[..., 0],
             lobe_weight=None if lobes is None else lobes[..., 1],
             facing=uv[..., 3] if scatters else None,

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, clipped, shown
+from facerender.images.srgb import encode_srgb8
+from facerender.images.write import png_bytes
 from facerender.scenes.vectors import AZIMUTHS, HIGHEST, direction_to
 from facerender.terms.environment import harmonics
 from facerender.terms.ranges import Range, check_fields, ranged
@@ -69,6 +71,9 @@ class Panorama:
     def __repr__(self) -> str:
         height, width = self.radiance.shape[:2]
         return f"<Panorama {clipped(self.name)!r}, {width} x {height}>"
+
+    def _repr_png_(self) -> bytes:
+        return Environment(self)._repr_png_()
 
     @cached_property
     def coefficients(self) -> Float:
@@ -151,6 +156,15 @@ class Environment:
         """Rotation matrix (3, 3) from directions in mesh space to directions in the panorama."""
         cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
         return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+
+    def _repr_png_(self) -> bytes:
+        """Return the rotated and scaled panorama as PNG of about 512 columns, for notebooks. The
+        middle column is +z, the direction in which the face looks."""
+        radiance = self.panorama.radiance
+        step = max(radiance.shape[1] // 512, 1)
+        columns = round(self.rotation / 360.0 * radiance.shape[1])  # azimuths increase to the left
+        turned = np.roll(radiance, -columns, axis=1)[::step, ::step]
+        return png_bytes(encode_srgb8(turned * np.float32(self.scale)), {})
 
 
 @lru_cache(maxsize=1)

@@ -351,7 +351,9 @@ class Mesh:
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
 
     def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Map points (..., 3) from the renderer's space back to mesh space."""
+        """Map points (..., 3), such as ``View.position``, from the renderer's space to mesh space.
+
+        ``Part.positions`` and ``GBuffer.position`` are in mesh space already."""
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 
     def with_material(

@@ -27,6 +27,7 @@ from facerender.errors import (
 )
 from facerender.images.decode import check_pixels, open_image
 from facerender.images.srgb import linear_to_srgb
+from facerender.images.write import png_bytes
 from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
 from facerender.system.files import open_file
 from facerender.system.memory import give_back
@@ -38,6 +39,7 @@ Wrap = Literal["repeat", "clamp", "mirror"]
 
 FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
+_DISPLAYED = 512  # largest side of a texture that a notebook displays, in pixels
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
@@ -268,6 +270,12 @@ class Texture:
                 band = coarse_data(lambda *ends: rows(*ends).getchannel(index), fine.size, levels)
             return Image.fromarray(band)
         return self.rgb().getchannel(index)
+
+    def _repr_png_(self) -> bytes:
+        """Return the image as PNG of at most 512 pixels a side, which notebooks display."""
+        image = _flipped(self.rgb())
+        image.thumbnail((_DISPLAYED, _DISPLAYED))
+        return png_bytes(np.asarray(image), {})
 
     @property
     def size(self) -> tuple[int, int]:

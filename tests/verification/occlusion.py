@@ -47,7 +47,8 @@ def occlusion_error(
     rng = np.random.default_rng(3)
     where = rng.permutation(np.flatnonzero(np.isin(gbuffer.part, blocking(scene.mesh))))[:pixels]
     position, normal = (
-        each.reshape(-1, 3)[where].astype(np.float64) for each in (gbuffer.position, gbuffer.normal)
+        each.reshape(-1, 3)[where].astype(np.float64)
+        for each in (gbuffer.normalised_position, gbuffer.normal)
     )
     truth = open_fraction(scene.mesh, position, normal, rays, rng)
     found = gbuffer.occlusion.ravel()[where]

@@ -91,7 +91,9 @@ def scatter_errors(
         raise InputError(f"{scene.mesh.name}: give a material that scatters and a distant light")
     gbuffer = renderer.gbuffer(scene, Shading(normal_map=False))
     covered = gbuffer.part >= 0
-    place, normal = (each.astype(np.float64) for each in (gbuffer.position, gbuffer.normal))
+    place, normal = (
+        each.astype(np.float64) for each in (gbuffer.normalised_position, gbuffer.normal)
+    )
     entered = np.zeros(place.shape)
     lit = _Lit(scene.mesh, light)
     entered[covered] = lit(place[covered], normal[covered])[:, None]

@@ -52,7 +52,7 @@ def shadow_error(renderer: Renderer, scene: Scene, light: Light, stride: int = 1
     """
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
-    position = gbuffer.position.astype(np.float64)
+    position = gbuffer.normalised_position.astype(np.float64)
     towards, _ = light.kind.lighting(light, scene.mesh, position)
     cosine = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards)
     facing = (gbuffer.part >= 0) & (cosine > 0.0)
@@ -180,8 +180,10 @@ def edge_error(
     """
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
-    y = gbuffer.position[..., 1]
-    towards, _ = light.kind.lighting(light, scene.mesh, gbuffer.position.astype(np.float64))
+    y = gbuffer.normalised_position[..., 1]
+    towards, _ = light.kind.lighting(
+        light, scene.mesh, gbuffer.normalised_position.astype(np.float64)
+    )
     facing = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards) > 0.15
     part = (gbuffer.part >= 0) & (y > lowest) & (y < highest) & facing
     rough = np.zeros(part.shape)
@@ -214,13 +216,13 @@ def light_in_cavities(
     centre, radius : sphere around the cavities, in the renderer's space
     """
     gbuffer = renderer.gbuffer(scene, _PLAIN)
-    near = np.linalg.norm(gbuffer.position - centre, axis=-1) < radius
+    near = np.linalg.norm(gbuffer.normalised_position - centre, axis=-1) < radius
     near &= gbuffer.part >= 0
     inside = near.copy()
     inside[near] = _openness(scene.mesh, gbuffer, near) < 0.35
     sums = np.zeros(3)
     for index, light in enumerate(scene.lights):
-        position = gbuffer.position[inside].astype(np.float64)
+        position = gbuffer.normalised_position[inside].astype(np.float64)
         towards, irradiance = light.kind.lighting(light, scene.mesh, position)
         cosine = np.einsum("...i,...i", gbuffer.normal[inside].astype(np.float64), towards)
         arriving = np.clip(cosine, 0.0, 1.0) * np.mean(irradiance)
@@ -235,7 +237,7 @@ def light_in_cavities(
 def _openness(mesh: Mesh, gbuffer: GBuffer, pixels: NDArray[np.bool_], rays: int = 64) -> Float:
     """Return the cosine-weighted fraction of the hemisphere that each pixel sees."""
     normal = gbuffer.normal[pixels].astype(np.float64)
-    origin = gbuffer.position[pixels] + _OFFSET * normal
+    origin = gbuffer.normalised_position[pixels] + _OFFSET * normal
     tracer, random = tracer_of(mesh), np.random.default_rng(2)
     free = np.zeros(len(origin))
     for _ in range(rays):

@@ -10,6 +10,7 @@ explorer needs Chromium. explorer also writes docs/explorer.html, the page of th
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import re
 import shlex
@@ -178,10 +179,16 @@ def occlusion(size: int = 440) -> None:
 
 
 def gallery() -> None:
-    """Run the commands of docs/gallery.md; write their images as JPEG, and animations as they are,
-    for that page."""
+    """Run the commands and the Python code of docs/gallery.md; write their images as JPEG, and
+    animations as they are, for that page."""
     page = (DOCS / "gallery.md").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
+        with contextlib.chdir(folder):
+            for block in re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE):
+                exec(block, {})
+        for path in Path(folder).iterdir():
+            image = Image.open(path).convert("RGB")
+            image.save(IMAGES / "gallery" / f"{path.stem}.jpg", quality=88)
         for command in re.findall(r"^facerender (.+)$", page, re.MULTILINE):
             *options, name = shlex.split(command)
             path = Path(folder, name)

@@ -265,7 +265,7 @@ def missing_faces(room: Room, count: int = 20) -> Linear:
     mesh = room.scene.mesh
     part = mesh.parts[number]
     centres = mesh.normalised(part.positions[part.faces].mean(axis=1))
-    away = np.linalg.norm(centres - seen.position[row, column], axis=1)
+    away = np.linalg.norm(centres - seen.normalised_position[row, column], axis=1)
     left = np.sort(np.argsort(away)[count:])
     return room.draw(mesh=_with_part(room, number, replace(part, faces=part.faces[left])))
 

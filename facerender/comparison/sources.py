@@ -1,0 +1,81 @@
+"""Images that are compared: reading of each kind of source, and checks of a pair."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.frame import Frame
+from facerender.errors import InputError
+from facerender.images.image import ImageData, image_from_array
+from facerender.images.read import read_image
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+HIGHEST = 1e30  # largest valid value: sums and differences of larger values may overflow
+
+Comparable: TypeAlias = "ImageData | Frame | NDArray[Any] | Image | str | os.PathLike[str]"
+
+
+def as_image(source: Comparable, name: str) -> ImageData:
+    """Return the image data of any source; ``name`` is for messages."""
+    if isinstance(source, ImageData):
+        return source
+    if isinstance(source, Frame):
+        return ImageData(source.linear, "linear", name, source.metadata)
+    if isinstance(source, (str, os.PathLike)):
+        return read_image(source)
+    if not isinstance(source, np.ndarray):
+        from PIL import Image
+
+        if isinstance(source, Image.Image) and source.mode not in ("L", "LA", "RGB", "RGBA"):
+            raise InputError(f"{name} has Pillow's mode {source.mode}: give image.convert('RGB')")
+    return image_from_array(np.asarray(source), name)
+
+
+def check_alike(a: ImageData, b: ImageData) -> None:
+    """Raise InputError if sizes, channels, encodings or colour spaces of two images differ."""
+    if a.pixels.shape[:2] != b.pixels.shape[:2]:
+        raise InputError(
+            f"{a.name} is {size_of(a.pixels)}, {b.name} is {size_of(b.pixels)} pixels: render both "
+            "at one size"
+        )
+    if a.encoding != b.encoding:
+        kinds = {"linear": "linear float", "srgb8": "8-bit sRGB"}
+        raise InputError(
+            f"{a.name} is {kinds[a.encoding]}, {b.name} is {kinds[b.encoding]}: give two images of "
+            "one encoding"
+        )
+    if a.pixels.shape[2] != b.pixels.shape[2]:
+        counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
+        raise InputError(f"{', '.join(counts)}: save both with alpha, or both without")
+    if a.color_space != b.color_space:
+        spaces = (f"{x.name} is in colour space {x.color_space or '(unnamed)'}" for x in (a, b))
+        raise InputError(f"{', '.join(spaces)}: convert one")
+
+
+def check_finite(image: ImageData) -> None:
+    """Raise InputError if a linear image has a pixel that is not finite, or is beyond HIGHEST."""
+    if image.encoding == "srgb8":
+        return
+    good = np.abs(image.pixels) <= np.float32(HIGHEST)  # a half float cannot represent HIGHEST
+    if good.all():
+        return
+    row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
+    nans, infinite = (int(test(image.pixels).sum()) for test in (np.isnan, np.isinf))
+    values = f"{nans} NaN and {infinite} infinite values"
+    if not nans + infinite:
+        values = f"values beyond {HIGHEST:g}"
+    raise InputError(
+        f"{image.name} holds {values}, the first at pixel ({column}, {row}), channel {channel}: "
+        "repair its renderer"
+    )
+
+
+def size_of(pixels: NDArray[Any]) -> str:
+    """Return width and height of an image for a message."""
+    return f"{pixels.shape[1]} x {pixels.shape[0]}"
