@@ -34,12 +34,13 @@ from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
 from facerender.batch.storage import Storage
-from facerender.batch.supervisor import CannotDraw, Supervisor, draw_chunk
+from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
 from facerender.loading.references import named_files
 from facerender.system.memory import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
+from tests.faults import failing
 
 COMMAND = [sys.executable, "-m", "facerender", "batch"]
 
@@ -275,7 +276,7 @@ def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", fill)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(fr.InputError, match="no space left on device; free space there"):
         storage.put("folder/file", b"new")
     assert storage.get("folder/file") == b"old"
 
@@ -445,7 +446,7 @@ def test_superseded_run_writes_nothing(table, draw, small, tmp_path):
     draw(table(jobs), "out", "--chunk", "2")
     before = tree(tmp_path / "out")
     (chunk,) = chunks(JobTable(table([{**job, "material.m": 0.5} for job in jobs])), 2)
-    with pytest.raises(CannotDraw, match="another run of the batch has started"):
+    with pytest.raises(fr.InputError, match="another run of the batch has started"):
         draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert tree(tmp_path / "out") == before
 
@@ -479,7 +480,7 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
         (["--scene", "none.toml"], "cannot read none.toml: no such file"),
         (["-o", "nowhere://here"], "nowhere://here cannot be reached"),
         (["--layout", "shards"], "id 'a.1' contains a dot, at which readers of shards split"),
-        (["-o", "/dev/null/out"], "cannot write to /dev/null/out: not a directory"),
+        (["-o", "/dev/null/out"], "cannot write /dev/null/out: not a directory; correct this"),
     ],
 )
 def test_batch_that_cannot_start_prints_one_line(table, draw, options, message):
@@ -505,8 +506,113 @@ def test_a_full_disk_stops_the_batch(table, small, tmp_path):
     options = {"preexec_fn": limit, "env": environment}
     found = process(path, tmp_path / "out", "--workers", "1", **options)
     assert found.returncode == 2
-    assert "cannot write to" in found.stderr.splitlines()[-1]
+    assert "file too large; raise the limit of file sizes" in found.stderr.splitlines()[-1]
     assert not list((tmp_path / "out").glob("records/*.jsonl"))
+
+
+DISK = {
+    errno.ENOSPC: "no space left on device; free space there",
+    errno.EDQUOT: "disk quota exceeded; free space there",
+    errno.EROFS: "read-only file system; make it writable",
+    errno.EACCES: "permission denied; correct its permissions",
+    errno.EIO: "input/output error; check the disk",
+}
+
+
+def check_one_line(found: dict[str, Any], place: Path, number: int) -> None:
+    """Check that a batch ended with the message for a disk that fails with an error number."""
+    assert found["status"] == 2
+    (line,) = found["err"].splitlines()
+    assert line.startswith(f"facerender: error: cannot write {place}")
+    assert line.endswith(f"{DISK[number]}, and run the same command again")
+
+
+@pytest.mark.parametrize(
+    ("number", "step"),
+    [*((number, 9) for number in DISK), pytest.param(errno.ENOSPC, 1, marks=pytest.mark.slow)],
+)
+def test_disk_may_fail_at_any_write(table, draw, small, tmp_path, monkeypatch, number, step):
+    """The coordinator's first, second, ... change of a file fails, and so do all later changes.
+
+    The folder has files of an earlier table, which the batch removes.
+    """
+    options = ("--chunk", "2", "--transforms", "--layout", "shards")
+    jobs, output = rows(4, mesh=str(small)), tmp_path / "out"
+    jobs[3]["mesh"] = str(tmp_path / "lost.obj")
+    draw(table(jobs[1:]), "before", *options)
+    path = table(jobs)
+    draw(path, "fresh", *options)
+    for turn in range(0, 100, step):
+        shutil.rmtree(output, ignore_errors=True)
+        shutil.copytree(tmp_path / "before", output)
+        with monkeypatch.context() as patched:
+            for (module, name), function in failing(str(output), turn, number).items():
+                patched.setattr(module, name, function)
+            found = draw(path, "out", *options)
+        if found["status"] == 3:
+            assert turn > 20
+            return
+        check_one_line(found, output, number)
+        assert not [*output.glob(".unfinished/*")]
+        for name in output.rglob("*.json*"):
+            assert name.read_bytes().endswith(b"\n")
+        assert draw(path, "out", *options)["status"] == 3
+        assert tree(output) == tree(tmp_path / "fresh")
+    raise AssertionError("it never came to its end")
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_disk_may_fail_at_any_write_of_a_worker(table, draw, small, tmp_path, monkeypatch, layout):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site/sitecustomize.py").write_text(
+        "import os, sys\n"
+        "from tests.faults import failing\n"
+        "turn = os.environ.get('TURN')\n"
+        "if turn and 'facerender.batch.worker' in sys.orig_argv:\n"
+        f"    place, number = {str(tmp_path / 'out')!r}, {errno.ENOSPC}\n"
+        "    for (module, name), function in failing(place, int(turn), number).items():\n"
+        "        setattr(module, name, function)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    options = ("--chunk", "2", "--layout", layout)
+    path = table(rows(4, mesh=str(small)))
+    draw(path, "fresh", *options)
+    for turn in (0, 1, 3):
+        monkeypatch.setenv("TURN", str(turn))
+        check_one_line(draw(path, "out", *options, fresh=True), tmp_path / "out", errno.ENOSPC)
+        assert not [*(tmp_path / "out").glob(".unfinished/*")]
+    assert draw(path, "out", *options)["status"] == 0
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+def test_disk_may_be_full_for_a_parquet_table(table, draw, small, tmp_path):
+    require_module("pyarrow")
+    path, output = table(rows(4, mesh=str(small))), tmp_path / "out"
+    draw(path, "fresh", "--table", "parquet")
+    draw(path, "out")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = (output / "jobs.jsonl").stat().st_size
+    assert size < (tmp_path / "fresh/jobs.parquet").stat().st_size
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        found = draw(path, "out", "--table", "parquet")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert (found["status"], found["err"].count("\n")) == (2, 1)
+    assert f"cannot write {output}: file too large; raise the limit" in found["err"]
+    assert not (output / "jobs.parquet").exists()
+    draw(path, "out", "--table", "parquet")
+    fresh = (tmp_path / "fresh/jobs.parquet").read_bytes()
+    assert (output / "jobs.parquet").read_bytes() == fresh
+
+
+def test_disk_may_be_full_for_temporary_files(table, draw, monkeypatch):
+    """Rows that do not fit into memory are written to a temporary file."""
+    monkeypatch.setattr("facerender.batch.work._IN_MEMORY", 1)
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda *_, **__: open("/dev/full", "w+b"))
+    found = draw(table(rows(1)), "out")
+    assert (found["status"], found["err"].count("\n")) == (2, 1)
+    assert "no space left on device; free space there, or set TMPDIR to another" in found["err"]
 
 
 def test_available_memory_respects_the_control_group(monkeypatch):

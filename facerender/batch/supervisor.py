@@ -17,6 +17,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import count
 from multiprocessing.connection import Connection
@@ -26,7 +27,7 @@ from facerender.batch.chunk import Chunk, Record, Settings
 from facerender.batch.protocol import Message, Order, failure
 from facerender.batch.records import begin, commit
 from facerender.batch.storage import Storage
-from facerender.errors import FacerenderError, reason
+from facerender.errors import FacerenderError
 from facerender.system.signals import hold
 
 Report = Callable[[str, str, str], None]  # Worker, step, job id.
@@ -39,7 +40,7 @@ _TO_START = 60.0  # Time limit for the first message of a new worker, in seconds
 
 
 class CannotDraw(FacerenderError, RuntimeError):
-    """No job can be drawn or written on this machine."""
+    """No job can be drawn or written by a worker."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -
 
     Raises
     ------
-    CannotDraw : no job can be drawn or written, for example without OpenGL or on a full disk
+    CannotDraw : no job can be drawn, for example without OpenGL
+    CannotUse : a file cannot be written, for example on a full disk
     """
     if not hasattr(_THREAD, "supervisor"):
         _THREAD.supervisor = Supervisor()
@@ -114,19 +116,13 @@ class Supervisor:
     def run(self, settings: Settings, chunk: Chunk, report: Report) -> Outcome:
         """Draw, write and commit a chunk; see :func:`draw_chunk`."""
         began = time.perf_counter()
-        tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
-        try:
+        with ExitStack() as stack:
+            tar = None
+            if settings.layout == "shards":
+                tar = stack.enter_context(Storage(settings.output).temporary())
             begin(settings, chunk)
             records, steps, deaths = self._draw(settings, chunk, tar, report)
             commit(settings, chunk, tar, records)
-        except OSError as error:
-            raise CannotDraw(
-                f"cannot write to {settings.output}: {reason(error)}; fix this, and run the same "
-                "command again"
-            ) from None
-        finally:
-            if tar is not None:
-                tar.unlink(missing_ok=True)
         return Outcome(
             chunk.number,
             drawn=steps["done"],

@@ -27,6 +27,7 @@ from facerender.errors import ContextError, FacerenderWarning, InputError, notin
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
 from facerender.loading.references import named_files
 from facerender.scenes.mesh import Mesh
+from facerender.system.atomic import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
@@ -55,8 +56,11 @@ def main(handle: int) -> None:
             forget_files()
             _mesh.cache_clear()
             run = order.settings.run
-        for message in _draw(order):
-            connection.send(message)
+        try:
+            for message in _draw(order):
+                connection.send(message)
+        except CannotUse as error:  # For example a full disk: no job is the cause.
+            connection.send(Message("cannot", text=str(error)))
 
 
 def _draw(order: Order) -> Iterator[Message]:
@@ -85,11 +89,9 @@ def _draw(order: Order) -> Iterator[Message]:
             facts: Record = {"job": row.tables, **drawn.facts}
             if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
                 facts["warnings"] = texts
-            try:
-                record = writer.write(position, drawn.files, facts)
-            except OSError as error:  # For example a full disk: the job is not the cause.
-                yield Message("cannot", text=f"cannot write to {settings.output}: {error}")
-                return
+            record = writer.write(position, drawn.files, facts)
+        except CannotUse:
+            raise
         except MemoryError:
             os._exit(_NO_MEMORY)  # A new process may have enough memory.
         except Exception as error:
