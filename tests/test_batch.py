@@ -338,7 +338,7 @@ def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, trie
         "empty.glb": "empty.glb ",
         "folder.glb": "folder.glb is a directory; ",
         "hangs.obj": f"the worker sent no message for {timeout} s, {tries} times",
-        "large.obj": f"the worker ended with exit status 9, {tries} times",
+        "large.obj": f"the worker ran out of memory, {tries} times: give fewer --workers",
         "crash.obj": f"the worker was killed by SIGSEGV, {tries} times",
     }
     for name in named:
@@ -357,12 +357,58 @@ def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, trie
     assert {each["id"] for each in events} == set(failed)
     ended = [json.loads(line).get("deaths", 0) for line in found["lines"]]
     assert sum(ended) == 3 * tries, "a mesh that ends workers is loaded for one of its jobs"
+    died = {e["id"]: e["how"] for e in map(json.loads, found["lines"]) if e["event"] == "died"}
+    ends = {"crash": "was killed by SIGSEGV", "large": "ran out of memory"}
+    assert died == ends | {"hangs": f"sent no message for {timeout} s"}
     again = draw(path, "out", *options)
     assert (again["status"], again["drawn"], again["failed"]) == (3, 0, 11)
 
     (tmp_path / "site/sitecustomize.py").unlink()
     repaired = draw(path, "out", "--retry-failed", *options)
     assert (repaired["drawn"], repaired["failed"]) == (4, 7)
+
+
+@pytest.mark.parametrize("kills", [0, 1])
+def test_failed_jobs_and_ended_workers_are_named(table, small, tmp_path, monkeypatch, kills):
+    """Four jobs of one mesh end their worker, and four meshes are missing."""
+    site = tmp_path / "site"
+    site.mkdir()
+    crash = CRASH.replace("signal.SIGSEGV", "signal.SIGKILL")
+    (site / "sitecustomize.py").write_text(
+        f"{crash}\n"
+        "from facerender.batch import supervisor\n"
+        f"counts = iter(range(0, 1000, {kills} or 1000))\n"
+        f"supervisor._kills_for_memory = lambda: {kills} and next(counts)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])}
+    shutil.copy(small, tmp_path / "crash.obj")
+    jobs = rows(9, mesh=str(small))
+    for job in jobs[1:5]:
+        job["mesh"] = str(tmp_path / f"lost-{job['id']}.obj")
+    for job in jobs[5:]:
+        job["mesh"] = str(tmp_path / "crash.obj")
+    path, output = table(jobs), tmp_path / "out"
+    options = ("--workers", "1", "--tries", "2", "--chunk", "9")
+    found = process(path, output, *options, env=environment)
+    last = f"{output}: 1 of 9 jobs are done, 8 failed ({output}/failed.jsonl has the reasons)"
+    assert found.returncode == 3
+    assert found.stdout.startswith(last)
+    lines = [line.removeprefix("facerender: ") for line in found.stderr.splitlines()]
+    memory = " after the machine ran out of memory" * kills
+    for line in lines[:2]:
+        start, _, end = line.partition(" was killed by SIGKILL")
+        assert start.startswith(f"worker {socket.gethostname()}:")
+        assert end == f"{memory} while it loaded the mesh of job job005"
+    for line, job in zip(lines[2:6], jobs[1:5], strict=True):
+        assert line.startswith(f"job {job['id']} failed: ")
+        assert "no such file" in line
+    assert f"job job005 failed: the worker was killed by SIGKILL{memory}, 2 times" in lines[6]
+    assert ("fewer --workers" in lines[6]) == bool(kills)
+    assert len(lines) == 7
+
+    again = process(path, output, *options, env=environment)
+    assert again.stdout.startswith(last)
+    assert again.stderr.splitlines() == found.stderr.splitlines()[2:]
 
 
 def test_worker_that_dies_at_its_start_is_replaced(table, draw, small, monkeypatch):
@@ -376,7 +422,8 @@ def test_worker_that_dies_at_its_start_is_replaced(table, draw, small, monkeypat
 
     monkeypatch.setattr(Supervisor, "_started", started_and_killed)
     found = draw(table(rows(1, mesh=str(small))), "out")
-    assert (found["status"], json.loads(found["lines"][0])["deaths"]) == (0, 1)
+    died, chunk = map(json.loads, found["lines"][:2])
+    assert (found["status"], died["how"], chunk["deaths"]) == (0, "was killed by SIGKILL", 1)
 
 
 def test_a_table_is_read_once(draw, small, tmp_path):
@@ -609,7 +656,7 @@ def test_disk_may_be_full_for_a_parquet_table(table, draw, small, tmp_path):
 def test_disk_may_be_full_for_temporary_files(table, draw, monkeypatch):
     """Rows that do not fit into memory are written to a temporary file."""
     monkeypatch.setattr("facerender.batch.work._IN_MEMORY", 1)
-    monkeypatch.setattr("tempfile.TemporaryFile", lambda *_, **__: open("/dev/full", "w+b"))
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: open("/dev/full", "w+b"))  # noqa: SIM115
     found = draw(table(rows(1)), "out")
     assert (found["status"], found["err"].count("\n")) == (2, 1)
     assert "no space left on device; free space there, or set TMPDIR to another" in found["err"]

@@ -32,7 +32,9 @@ from facerender.batch.work import Work
 from facerender.errors import InputError, reason
 from facerender.system.signals import if_ended
 
-TABLES = ("jobs.jsonl", "jobs.parquet", "failed.jsonl", "transforms.json")
+FAILED = "failed.jsonl"  # Records of the failed jobs.
+TABLES = ("jobs.jsonl", "jobs.parquet", FAILED, "transforms.json")
+_MOST_FAILURES = 1 << 24  # bytes of FAILED that are read to name jobs on the screen
 Table = Literal["jsonl", "parquet"]
 
 
@@ -120,7 +122,7 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
         for name in storage.names(BEGUN):  # a finished chunk's list remains if its run was killed
             storage.drop(f"{BEGUN}/{name}")
         if failed.stat().st_size:
-            storage.move(failed, "failed.jsonl")
+            storage.move(failed, FAILED)
         if transforms:
             with storage.temporary() as cameras:
                 with storage.scratch():
@@ -135,6 +137,13 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
             with storage.scratch():
                 write_parquet(drawn, parquet)
             storage.move(parquet, wanted)
+
+
+def failures(storage: Storage) -> Iterator[Record]:
+    """Yield the records of the first failed jobs of a finished batch."""
+    if storage.has(FAILED):
+        lines = storage.get(FAILED, _MOST_FAILURES).splitlines(keepends=True)
+        yield from (json.loads(line) for line in lines if line.endswith(b"\n"))
 
 
 def _records(lines: Path) -> Iterator[Record]:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from facerender.batch.chunk import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import draw
-from facerender.batch.protocol import Message, Order, failure
+from facerender.batch.protocol import NO_MEMORY, Message, Order, failure
 from facerender.batch.records import Writer
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
@@ -31,7 +31,6 @@ from facerender.system.atomic import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
-_NO_MEMORY = 9  # Exit status: out of memory.
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
@@ -93,7 +92,7 @@ def _draw(order: Order) -> Iterator[Message]:
         except CannotUse:
             raise
         except MemoryError:
-            os._exit(_NO_MEMORY)  # A new process may have enough memory.
+            os._exit(NO_MEMORY)  # A new process may have enough memory.
         except Exception as error:
             if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                 yield Message("cannot", text=why)

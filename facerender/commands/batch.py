@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ from facerender.scenes.scene import ONLY
 from facerender.terms.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
+    from facerender.batch.chunk import Record
     from facerender.batch.engine import Engine
     from facerender.batch.jobs import JobTable
 
@@ -186,13 +188,35 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
         stack.enter_context(_surviving_pipes())
         work = work_of(spool, storage, options.retry_failed)
         folder.set_aside(storage, work)
-        drawn = 0
+        drawn = named = deaths = 0
         if work.todo:
             engine = stack.enter_context(_engine(options))
-            with Progress(work, engine.workers, options.json, options.quiet) as progress:
+            with Progress(
+                work, engine.workers, options.json, print_message, options.quiet
+            ) as progress:
                 drawn = coordinator.run(work, settings, engine, progress)
+            named, deaths = progress.failed, progress.deaths
         folder.finish(storage, options.table, options.transforms)
+        if not options.json:
+            _print_failures(folder.failures(storage), named, deaths)
     return _print_status(output, options.json, drawn, time.monotonic() - began)
+
+
+def _print_failures(failed: Iterator[Record], named: int, deaths: int) -> None:
+    """Print the number of ended workers, and the first failed jobs if none has been printed.
+
+    Parameters
+    ----------
+    failed : records of all failed jobs
+    named : number of failed jobs of this run, of which the first have been printed
+    deaths : number of workers that ended in this run, of which the first have been printed
+    """
+    from facerender.batch.progress import NAMED, failed_line
+
+    for record in islice(failed, 0 if named else NAMED):
+        print_message(failed_line(record))
+    if deaths > NAMED:
+        print_message(f"facerender: {deaths} workers ended or hung")
 
 
 @contextmanager
@@ -225,13 +249,15 @@ def _print_status(
     output: str, as_json: bool, drawn: int | None = None, seconds: float = 0.0
 ) -> int:
     """Print the number of done, failed and remaining jobs, and return the exit status."""
-    from facerender.batch.folder import status
+    from facerender.batch.folder import FAILED, status
 
     counts = status(output)
     facts: dict[str, Any] = {"output": output, **counts}
     text = (
         f"{output}: {counts['done']} of {counts['jobs']} jobs are done, {counts['failed']} failed"
     )
+    if counts["failed"] and not counts["left"]:
+        text += f" ({output}/{FAILED} has the reasons)"
     text += f", {counts['left']} remain" if counts["left"] else ""
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}
