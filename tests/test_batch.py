@@ -518,6 +518,63 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
     assert "row 2" in capsys.readouterr().err
 
 
+def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe.obj")
+    os.mkfifo(tmp_path / "pipe.json")
+    (tmp_path / "noise.glb").write_bytes(Random(1).randbytes(3000))
+    (tmp_path / "noise.npy").write_bytes(Random(2).randbytes(3000))
+    (tmp_path / "short.png").write_bytes((tmp_path / "skin.png").read_bytes()[:50])
+    shutil.copy(small, tmp_path / "map.obj")
+    (tmp_path / "map.obj").write_text(small.read_text().replace("small.mtl", "map.mtl"))
+    (tmp_path / "map.mtl").write_text("newmtl skin\nmap_Kd short.png\n")
+    faults: list[tuple[dict[str, Any], str]] = [
+        ({"mesh": "none.glb"}, "cannot read {}/none.glb: no such file or directory; give a mesh"),
+        ({"mesh": "pipe.obj"}, "{}/pipe.obj is a pipe; give a mesh file"),
+        ({"mesh": "noise.glb"}, "noise.glb is not glTF"),
+        ({"mesh": "map.obj"}, "short.png is damaged"),
+        ({"mesh.albedo": "none.png"}, "cannot read {}/none.png: no such file"),
+        ({"mesh.normal_map": "short.png"}, "short.png is damaged"),
+        ({"environment": "none.npy"}, "cannot read {}/none.npy: no such file"),
+        ({"environment": "noise.npy"}, "{}/noise.npy is not a NumPy file"),
+        ({"landmarks": "pipe.json"}, "{}/pipe.json is a pipe; give a JSON file with landmarks"),
+        ({"pose.vertices": "noise.npy"}, "noise.npy is damaged"),
+        ({"before.vertices": "none.npy"}, "cannot read '{}/none.npy': no such file"),
+    ]
+    good = {"mesh": str(small)}
+    jobs: list[dict[str, Any]] = [good]
+    for job, _ in faults:
+        named = {key: str(tmp_path / value) for key, value in job.items()}
+        jobs += [{**({} if "mesh" in job else good), **named}] * 2
+    # This albedo map replaces the damaged map of the mesh file.
+    jobs.append({"mesh": str(tmp_path / "map.obj"), "mesh.albedo": str(tmp_path / "skin.png")})
+    assert main(["batch", table(jobs), "--check"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    lines = err.splitlines()
+    for line, (row, (_, message)) in zip(lines, enumerate(faults), strict=True):
+        assert line.startswith(
+            f"facerender: error: jobs.jsonl, row {2 * row + 2} (line {2 * row + 2})"
+        )
+        assert f": {message.format(tmp_path)}" in line
+    path = table([{"camera.azimuth": "left"}, *jobs[3:]])
+    assert main(["batch", path, "--check"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert "row 1 (line 1): camera azimuth" in lines[0]
+    assert len(lines) == len(faults)
+
+
+def test_check_reads_each_file_once(table, small, capsys, monkeypatch):
+    read = []
+    monkeypatch.setattr(
+        "facerender.batch.inputs.load_mesh",
+        lambda path, **more: read.append(path) or fr.load_mesh(path, **more),
+    )
+    path = table(rows(300, mesh=str(small)))
+    assert main(["batch", path, "--check"]) == 0
+    assert capsys.readouterr().out == f"{path}: 300 jobs of 1 meshes\n"
+    assert read == [str(small)]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

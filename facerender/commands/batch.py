@@ -8,7 +8,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from itertools import islice
 from pathlib import Path
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from facerender.batch.jobs import JobTable
 
 _FAILED = 3
+_MOST_FILES = 100  # maximum number of invalid input files that --check names
 _TIMEOUT, _TRIES = 300.0, 3
 _LIMITS = {
     "workers": IntegerRange(1, math.inf),
@@ -100,7 +101,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     add_quiet(written)
 
     ask = batch.add_argument_group("instead of drawing")
-    add_flag(ask, "check", "read and check all rows of the table")
+    add_flag(ask, "check", "check all rows of the table, and read each of their files once")
     counts = Help(
         "count the drawn, failed and remaining jobs of the batch in this folder or URL", "none"
     )
@@ -121,7 +122,10 @@ def run(options: argparse.Namespace) -> int:
     _check_read(options)
     table = _table(options)
     if options.check:
-        _check_faults(table.check())
+        from facerender.batch.inputs import file_faults
+
+        faults = [*file_faults(table.valid())]
+        _check_faults(table, faults)
         print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
@@ -157,13 +161,17 @@ def _table(options: argparse.Namespace) -> JobTable:
     return JobTable(options.jobs, common)
 
 
-def _check_faults(table: JobTable) -> None:
-    """If rows are invalid, print the collected errors, but raise the last one as InputError."""
-    if table.faults:
-        for fault in table.faults[:-1]:
+def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
+    """If rows or files are invalid, print the errors, but raise the last one as InputError.
+
+    files : errors of input files
+    """
+    if faults := [*table.faults, *files[:_MOST_FILES]]:
+        for fault in faults[:-1]:
             print_message(f"facerender: error: {fault}")
         more = f"; and {table.more} more rows" if table.more else ""
-        raise InputError(f"{table.faults[-1]}{more}")
+        more += f"; and {len(files) - _MOST_FILES} more files" if len(files) > _MOST_FILES else ""
+        raise InputError(f"{faults[-1]}{more}")
 
 
 def _draw(options: argparse.Namespace, table: JobTable) -> int:
