@@ -795,6 +795,19 @@ def test_tables(table, draw, small, tmp_path):
     assert [frame["file_path"] for frame in frames] == [
         f"data/{record['id']}/image.png" for record in records
     ]
+    assert all((tmp_path / "out" / frame["file_path"]).is_file() for frame in frames)
+
+
+def test_transforms_name_the_files_of_unpacked_shards(table, draw, small, tmp_path):
+    path = table(rows(3, mesh=str(small), outputs="mask,depth"))
+    draw(path, "out", "--transforms", "--layout", "shards", "--chunk", "2")
+    for shard in (tmp_path / "out/shards").iterdir():
+        with tarfile.open(shard) as tar:
+            tar.extractall(tmp_path / "out", filter="data")
+    frames = json.loads((tmp_path / "out/transforms.json").read_text())["frames"]
+    found = {frame["file_path"]: frame["w"] for frame in frames}
+    assert found == {f"job{number:03d}.depth.png": 48 for number in range(3)}
+    assert all((tmp_path / "out" / name).read_bytes()[1:4] == b"PNG" for name in found)
 
 
 @pytest.fixture

@@ -174,7 +174,9 @@ def _write_transforms(drawn: Path, target: Path) -> None:
     with target.open("w") as file:
         file.write('{"camera_model": "OPENCV", "frames": [')
         for number, record in enumerate(_records(drawn)):
-            image = next(about["path"] for about in record["files"].values())
+            name, about = next(iter(record["files"].items()))
+            # Readers cannot open a member of a tar: its name is the path after unpacking.
+            image = f"{record['id']}.{name}" if about["path"].endswith(".tar") else about["path"]
             frame = json.dumps(transforms_frame(record["camera"], image))
             file.write(f"{',' * (number > 0)}\n{frame}")
         file.write("\n]}\n")
