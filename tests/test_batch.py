@@ -34,12 +34,13 @@ from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
 from facerender.batch.storage import Storage
-from facerender.batch.supervisor import CannotDraw, Supervisor, draw_chunk
+from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
 from facerender.loading.references import named_files
 from facerender.system.memory import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
+from tests.faults import failing
 
 COMMAND = [sys.executable, "-m", "facerender", "batch"]
 
@@ -275,7 +276,7 @@ def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", fill)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(fr.InputError, match="no space left on device; free space there"):
         storage.put("folder/file", b"new")
     assert storage.get("folder/file") == b"old"
 
@@ -337,7 +338,7 @@ def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, trie
         "empty.glb": "empty.glb ",
         "folder.glb": "folder.glb is a directory; ",
         "hangs.obj": f"the worker sent no message for {timeout} s, {tries} times",
-        "large.obj": f"the worker ended with exit status 9, {tries} times",
+        "large.obj": f"the worker ran out of memory, {tries} times: give fewer --workers",
         "crash.obj": f"the worker was killed by SIGSEGV, {tries} times",
     }
     for name in named:
@@ -356,12 +357,58 @@ def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, trie
     assert {each["id"] for each in events} == set(failed)
     ended = [json.loads(line).get("deaths", 0) for line in found["lines"]]
     assert sum(ended) == 3 * tries, "a mesh that ends workers is loaded for one of its jobs"
+    died = {e["id"]: e["how"] for e in map(json.loads, found["lines"]) if e["event"] == "died"}
+    ends = {"crash": "was killed by SIGSEGV", "large": "ran out of memory"}
+    assert died == ends | {"hangs": f"sent no message for {timeout} s"}
     again = draw(path, "out", *options)
     assert (again["status"], again["drawn"], again["failed"]) == (3, 0, 11)
 
     (tmp_path / "site/sitecustomize.py").unlink()
     repaired = draw(path, "out", "--retry-failed", *options)
     assert (repaired["drawn"], repaired["failed"]) == (4, 7)
+
+
+@pytest.mark.parametrize("kills", [0, 1])
+def test_failed_jobs_and_ended_workers_are_named(table, small, tmp_path, monkeypatch, kills):
+    """Four jobs of one mesh end their worker, and four meshes are missing."""
+    site = tmp_path / "site"
+    site.mkdir()
+    crash = CRASH.replace("signal.SIGSEGV", "signal.SIGKILL")
+    (site / "sitecustomize.py").write_text(
+        f"{crash}\n"
+        "from facerender.batch import supervisor\n"
+        f"counts = iter(range(0, 1000, {kills} or 1000))\n"
+        f"supervisor._kills_for_memory = lambda: {kills} and next(counts)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])}
+    shutil.copy(small, tmp_path / "crash.obj")
+    jobs = rows(9, mesh=str(small))
+    for job in jobs[1:5]:
+        job["mesh"] = str(tmp_path / f"lost-{job['id']}.obj")
+    for job in jobs[5:]:
+        job["mesh"] = str(tmp_path / "crash.obj")
+    path, output = table(jobs), tmp_path / "out"
+    options = ("--workers", "1", "--tries", "2", "--chunk", "9")
+    found = process(path, output, *options, env=environment)
+    last = f"{output}: 1 of 9 jobs are done, 8 failed ({output}/failed.jsonl has the reasons)"
+    assert found.returncode == 3
+    assert found.stdout.startswith(last)
+    lines = [line.removeprefix("facerender: ") for line in found.stderr.splitlines()]
+    memory = " after the machine ran out of memory" * kills
+    for line in lines[:2]:
+        start, _, end = line.partition(" was killed by SIGKILL")
+        assert start.startswith(f"worker {socket.gethostname()}:")
+        assert end == f"{memory} while it loaded the mesh of job job005"
+    for line, job in zip(lines[2:6], jobs[1:5], strict=True):
+        assert line.startswith(f"job {job['id']} failed: ")
+        assert "no such file" in line
+    assert f"job job005 failed: the worker was killed by SIGKILL{memory}, 2 times" in lines[6]
+    assert ("fewer --workers" in lines[6]) == bool(kills)
+    assert len(lines) == 7
+
+    again = process(path, output, *options, env=environment)
+    assert again.stdout.startswith(last)
+    assert again.stderr.splitlines() == found.stderr.splitlines()[2:]
 
 
 def test_worker_that_dies_at_its_start_is_replaced(table, draw, small, monkeypatch):
@@ -375,7 +422,8 @@ def test_worker_that_dies_at_its_start_is_replaced(table, draw, small, monkeypat
 
     monkeypatch.setattr(Supervisor, "_started", started_and_killed)
     found = draw(table(rows(1, mesh=str(small))), "out")
-    assert (found["status"], json.loads(found["lines"][0])["deaths"]) == (0, 1)
+    died, chunk = map(json.loads, found["lines"][:2])
+    assert (found["status"], died["how"], chunk["deaths"]) == (0, "was killed by SIGKILL", 1)
 
 
 def test_a_table_is_read_once(draw, small, tmp_path):
@@ -445,7 +493,7 @@ def test_superseded_run_writes_nothing(table, draw, small, tmp_path):
     draw(table(jobs), "out", "--chunk", "2")
     before = tree(tmp_path / "out")
     (chunk,) = chunks(JobTable(table([{**job, "material.m": 0.5} for job in jobs])), 2)
-    with pytest.raises(CannotDraw, match="another run of the batch has started"):
+    with pytest.raises(fr.InputError, match="another run of the batch has started"):
         draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert tree(tmp_path / "out") == before
 
@@ -470,6 +518,63 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
     assert "row 2" in capsys.readouterr().err
 
 
+def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe.obj")
+    os.mkfifo(tmp_path / "pipe.json")
+    (tmp_path / "noise.glb").write_bytes(Random(1).randbytes(3000))
+    (tmp_path / "noise.npy").write_bytes(Random(2).randbytes(3000))
+    (tmp_path / "short.png").write_bytes((tmp_path / "skin.png").read_bytes()[:50])
+    shutil.copy(small, tmp_path / "map.obj")
+    (tmp_path / "map.obj").write_text(small.read_text().replace("small.mtl", "map.mtl"))
+    (tmp_path / "map.mtl").write_text("newmtl skin\nmap_Kd short.png\n")
+    faults: list[tuple[dict[str, Any], str]] = [
+        ({"mesh": "none.glb"}, "cannot read {}/none.glb: no such file or directory; give a mesh"),
+        ({"mesh": "pipe.obj"}, "{}/pipe.obj is a pipe; give a mesh file"),
+        ({"mesh": "noise.glb"}, "noise.glb is not glTF"),
+        ({"mesh": "map.obj"}, "short.png is damaged"),
+        ({"mesh.albedo": "none.png"}, "cannot read {}/none.png: no such file"),
+        ({"mesh.normal_map": "short.png"}, "short.png is damaged"),
+        ({"environment": "none.npy"}, "cannot read {}/none.npy: no such file"),
+        ({"environment": "noise.npy"}, "{}/noise.npy is not a NumPy file"),
+        ({"landmarks": "pipe.json"}, "{}/pipe.json is a pipe; give a JSON file with landmarks"),
+        ({"pose.vertices": "noise.npy"}, "noise.npy is damaged"),
+        ({"before.vertices": "none.npy"}, "cannot read '{}/none.npy': no such file"),
+    ]
+    good = {"mesh": str(small)}
+    jobs: list[dict[str, Any]] = [good]
+    for job, _ in faults:
+        named = {key: str(tmp_path / value) for key, value in job.items()}
+        jobs += [{**({} if "mesh" in job else good), **named}] * 2
+    # This albedo map replaces the damaged map of the mesh file.
+    jobs.append({"mesh": str(tmp_path / "map.obj"), "mesh.albedo": str(tmp_path / "skin.png")})
+    assert main(["batch", table(jobs), "--check"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    lines = err.splitlines()
+    for line, (row, (_, message)) in zip(lines, enumerate(faults), strict=True):
+        assert line.startswith(
+            f"facerender: error: jobs.jsonl, row {2 * row + 2} (line {2 * row + 2})"
+        )
+        assert f": {message.format(tmp_path)}" in line
+    path = table([{"camera.azimuth": "left"}, *jobs[3:]])
+    assert main(["batch", path, "--check"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert "row 1 (line 1): camera azimuth" in lines[0]
+    assert len(lines) == len(faults)
+
+
+def test_check_reads_each_file_once(table, small, capsys, monkeypatch):
+    read = []
+    monkeypatch.setattr(
+        "facerender.batch.inputs.load_mesh",
+        lambda path, **more: read.append(path) or fr.load_mesh(path, **more),
+    )
+    path = table(rows(300, mesh=str(small)))
+    assert main(["batch", path, "--check"]) == 0
+    assert capsys.readouterr().out == f"{path}: 300 jobs of 1 meshes\n"
+    assert read == [str(small)]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -479,7 +584,7 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
         (["--scene", "none.toml"], "cannot read none.toml: no such file"),
         (["-o", "nowhere://here"], "nowhere://here cannot be reached"),
         (["--layout", "shards"], "id 'a.1' contains a dot, at which readers of shards split"),
-        (["-o", "/dev/null/out"], "cannot write to /dev/null/out: not a directory"),
+        (["-o", "/dev/null/out"], "cannot write /dev/null/out: not a directory; correct this"),
     ],
 )
 def test_batch_that_cannot_start_prints_one_line(table, draw, options, message):
@@ -505,8 +610,113 @@ def test_a_full_disk_stops_the_batch(table, small, tmp_path):
     options = {"preexec_fn": limit, "env": environment}
     found = process(path, tmp_path / "out", "--workers", "1", **options)
     assert found.returncode == 2
-    assert "cannot write to" in found.stderr.splitlines()[-1]
+    assert "file too large; raise the limit of file sizes" in found.stderr.splitlines()[-1]
     assert not list((tmp_path / "out").glob("records/*.jsonl"))
+
+
+DISK = {
+    errno.ENOSPC: "no space left on device; free space there",
+    errno.EDQUOT: "disk quota exceeded; free space there",
+    errno.EROFS: "read-only file system; make it writable",
+    errno.EACCES: "permission denied; correct its permissions",
+    errno.EIO: "input/output error; check the disk",
+}
+
+
+def check_one_line(found: dict[str, Any], place: Path, number: int) -> None:
+    """Check that a batch ended with the message for a disk that fails with an error number."""
+    assert found["status"] == 2
+    (line,) = found["err"].splitlines()
+    assert line.startswith(f"facerender: error: cannot write {place}")
+    assert line.endswith(f"{DISK[number]}, and run the same command again")
+
+
+@pytest.mark.parametrize(
+    ("number", "step"),
+    [*((number, 9) for number in DISK), pytest.param(errno.ENOSPC, 1, marks=pytest.mark.slow)],
+)
+def test_disk_may_fail_at_any_write(table, draw, small, tmp_path, monkeypatch, number, step):
+    """The coordinator's first, second, ... change of a file fails, and so do all later changes.
+
+    The folder has files of an earlier table, which the batch removes.
+    """
+    options = ("--chunk", "2", "--transforms", "--layout", "shards")
+    jobs, output = rows(4, mesh=str(small)), tmp_path / "out"
+    jobs[3]["mesh"] = str(tmp_path / "lost.obj")
+    draw(table(jobs[1:]), "before", *options)
+    path = table(jobs)
+    draw(path, "fresh", *options)
+    for turn in range(0, 100, step):
+        shutil.rmtree(output, ignore_errors=True)
+        shutil.copytree(tmp_path / "before", output)
+        with monkeypatch.context() as patched:
+            for (module, name), function in failing(str(output), turn, number).items():
+                patched.setattr(module, name, function)
+            found = draw(path, "out", *options)
+        if found["status"] == 3:
+            assert turn > 20
+            return
+        check_one_line(found, output, number)
+        assert not [*output.glob(".unfinished/*")]
+        for name in output.rglob("*.json*"):
+            assert name.read_bytes().endswith(b"\n")
+        assert draw(path, "out", *options)["status"] == 3
+        assert tree(output) == tree(tmp_path / "fresh")
+    raise AssertionError("it never came to its end")
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_disk_may_fail_at_any_write_of_a_worker(table, draw, small, tmp_path, monkeypatch, layout):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site/sitecustomize.py").write_text(
+        "import os, sys\n"
+        "from tests.faults import failing\n"
+        "turn = os.environ.get('TURN')\n"
+        "if turn and 'facerender.batch.worker' in sys.orig_argv:\n"
+        f"    place, number = {str(tmp_path / 'out')!r}, {errno.ENOSPC}\n"
+        "    for (module, name), function in failing(place, int(turn), number).items():\n"
+        "        setattr(module, name, function)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    options = ("--chunk", "2", "--layout", layout)
+    path = table(rows(4, mesh=str(small)))
+    draw(path, "fresh", *options)
+    for turn in (0, 1, 3):
+        monkeypatch.setenv("TURN", str(turn))
+        check_one_line(draw(path, "out", *options, fresh=True), tmp_path / "out", errno.ENOSPC)
+        assert not [*(tmp_path / "out").glob(".unfinished/*")]
+    assert draw(path, "out", *options)["status"] == 0
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+def test_disk_may_be_full_for_a_parquet_table(table, draw, small, tmp_path):
+    require_module("pyarrow")
+    path, output = table(rows(4, mesh=str(small))), tmp_path / "out"
+    draw(path, "fresh", "--table", "parquet")
+    draw(path, "out")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = (output / "jobs.jsonl").stat().st_size
+    assert size < (tmp_path / "fresh/jobs.parquet").stat().st_size
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        found = draw(path, "out", "--table", "parquet")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert (found["status"], found["err"].count("\n")) == (2, 1)
+    assert f"cannot write {output}: file too large; raise the limit" in found["err"]
+    assert not (output / "jobs.parquet").exists()
+    draw(path, "out", "--table", "parquet")
+    fresh = (tmp_path / "fresh/jobs.parquet").read_bytes()
+    assert (output / "jobs.parquet").read_bytes() == fresh
+
+
+def test_disk_may_be_full_for_temporary_files(table, draw, monkeypatch):
+    """Rows that do not fit into memory are written to a temporary file."""
+    monkeypatch.setattr("facerender.batch.work._IN_MEMORY", 1)
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: open("/dev/full", "w+b"))  # noqa: SIM115
+    found = draw(table(rows(1)), "out")
+    assert (found["status"], found["err"].count("\n")) == (2, 1)
+    assert "no space left on device; free space there, or set TMPDIR to another" in found["err"]
 
 
 def test_available_memory_respects_the_control_group(monkeypatch):
@@ -585,6 +795,19 @@ def test_tables(table, draw, small, tmp_path):
     assert [frame["file_path"] for frame in frames] == [
         f"data/{record['id']}/image.png" for record in records
     ]
+    assert all((tmp_path / "out" / frame["file_path"]).is_file() for frame in frames)
+
+
+def test_transforms_name_the_files_of_unpacked_shards(table, draw, small, tmp_path):
+    path = table(rows(3, mesh=str(small), outputs="mask,depth"))
+    draw(path, "out", "--transforms", "--layout", "shards", "--chunk", "2")
+    for shard in (tmp_path / "out/shards").iterdir():
+        with tarfile.open(shard) as tar:
+            tar.extractall(tmp_path / "out", filter="data")
+    frames = json.loads((tmp_path / "out/transforms.json").read_text())["frames"]
+    found = {frame["file_path"]: frame["w"] for frame in frames}
+    assert found == {f"job{number:03d}.depth.png": 48 for number in range(3)}
+    assert all((tmp_path / "out" / name).read_bytes()[1:4] == b"PNG" for name in found)
 
 
 @pytest.fixture

@@ -21,16 +21,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import facerender as fr
 from facerender.loading.obj import with_absolute
 from facerender.system import cache
+from facerender.system.data import data_dir
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.conftest import wait_for_cache
 
 Change = Callable[[dict[str, Any]], Any]
 
+HEAD = data_dir("assets") / "head.glb"
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 PLY = (
     "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
@@ -317,6 +320,81 @@ def test_factors_outside_their_domain(tmp_path):
     assert messages == [
         f"the albedo factor {value} of a.glb is outside [0, 1]: clamped" for value in (3, -1)
     ]
+
+
+@pytest.mark.parametrize("write_mesh", ["glb", "obj", "ply"])
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        ((20000, 4), "is 20000 x 4 pixels of 4 bytes: at most 16384 a side, "),
+        ((40000, 40000), "has 1600000000 pixels: at most 16384 a side and "),
+    ],
+)
+def test_sizes_of_large_maps_are_named(write_mesh, size, message, tmp_path):
+    path = tmp_path / f"a.{write_mesh}"
+    if write_mesh == "glb":
+        files.write_glb(path, mini_head(), image={"uri": "wide.png"})
+    elif write_mesh == "obj":
+        write(tmp_path / "a.mtl", "newmtl skin\nmap_Kd wide.png\n")
+        write(path, b"mtllib a.mtl\nusemtl skin\n" + TRIANGLE.replace(b"v 0 1", b"vt 0 0\nv 0 1"))
+        path.write_bytes(path.read_bytes() + b"f 1/1 2/1 3/1\n")
+    else:
+        comment = "comment TextureFile wide.png\nelement vertex"
+        text = PLY.format(count=1).replace("element vertex", comment)
+        text = text.replace("float z\n", "float z\nproperty float s\nproperty float t\n")
+        for row in ("0 0 0", "1 0 0", "0 1 0", "0 0 1"):
+            text = text.replace(f"\n{row}\n", f"\n{row} 0 1\n")
+        write(path, text + "3 0 1 2\n")
+    Image.new("1", size).save(tmp_path / "wide.png")
+    text = refused(path)
+    assert f"wide.png (named by a.{write_mesh}) {message}" in text
+    assert "; make it smaller, or pass --albedo FILE" in text
+
+
+CONVERTED = {
+    "from CRLF to LF": lambda data: data.replace(b"\r\n", b"\n"),
+    "from LF to CRLF": lambda data: data.replace(b"\r\n", b"\n").replace(b"\n", b"\r\n"),
+    "to UTF-8 with replacement characters": lambda data: data.decode(errors="replace").encode(),
+    "to UTF-8": lambda data: data.decode("latin-1").encode(),
+    "to Unicode": lambda data: data.decode("latin-1").encode("utf-16"),
+}
+
+
+@pytest.mark.parametrize("how", CONVERTED)
+def test_files_converted_as_text_are_named(how, tmp_path):
+    """Random vertices: a compressed or random file holds CRLF once in 65536 bytes."""
+    positions = np.random.default_rng(3).random((40_000, 3), dtype=np.float32)
+    binary = positions.tobytes()
+    entry = {"bufferView": 0, "componentType": 5126, "count": len(positions), "type": "VEC3"}
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(binary)}],
+        "accessors": [entry],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+    }
+    convert, whole = CONVERTED[how], files.join_glb(document, binary)
+    why = f"is damaged, because it was converted as text ({how}): transfer it again as binary"
+    for data in (whole, HEAD.read_bytes()):
+        text = refused(write(tmp_path / "a.glb", convert(data)))
+        assert text.startswith(f"a.glb {why}")
+        assert text.endswith("in Git, add '*.glb binary' to .gitattributes")
+    if how != "to Unicode":
+        document["buffers"][0]["uri"] = "a.bin"
+        write(tmp_path / "a.bin", convert(binary))
+        text = refused(write(tmp_path / "a.gltf", json.dumps(document)))
+        assert text.startswith(f"a.bin {why}")
+        assert text.endswith("in Git, add '*.bin binary' to .gitattributes")
+
+
+@pytest.mark.parametrize("length", [100, 65536, 300_000, -4000, -100, -8, -1])
+def test_truncated_files_were_not_converted(length, tmp_path):
+    data = HEAD.read_bytes()
+    assert "a.glb is truncated: it should have 3618724 bytes" in refused(
+        write(tmp_path / "a.glb", data[:length])
+    )
+    assert fr.load_mesh(write(tmp_path / "a.glb", data + bytes(length % 7) + b"\r\n")).parts
 
 
 @pytest.mark.parametrize("kind", ["occlusion", "normal"])

@@ -120,13 +120,17 @@ IMAGES = {
         (start := png(pixels()))[:8]
         + chunk(b"IHDR", struct.pack(">IIBBBBB", 16000, 16000, 8, 2, 0, 0, 0))
         + start[33:],
-        "too many pixels",
+        "256000000 pixels: at most 16384 a side and 1.79e[+]08 pixels; make it smaller",
     ),
     "wide.png": (
         start[:8] + chunk(b"IHDR", struct.pack(">IIBBBBB", 20000, 4, 8, 2, 0, 0, 0)) + start[33:],
         "20000 x 4 pixels .* at most 16384 a side",
     ),
     "empty.jpg": (b"", "is empty|not an image"),
+    "tall.jpg": (content(Image.new("L", (4, 20000)).save, "jpeg"), "4 x 20000 pixels .* 16384 a"),
+    "feeds.png": (start.replace(b"\r\n", b"\n"), "is a PNG image that was converted as text; tr"),
+    "returns.png": (start.replace(b"\n", b"\r\n"), "is a PNG image that was converted as text; tr"),
+    "unicode.png": (start.decode(errors="replace").encode(), "is a PNG image that was converted"),
     "page.png": (b"<!DOCTYPE html><html></html>", "is an HTML page"),
     "pointer.png": (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
 }

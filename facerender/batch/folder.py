@@ -31,7 +31,9 @@ from facerender.batch.work import Work
 from facerender.errors import InputError, reason
 from facerender.system.signals import if_ended
 
-TABLES = ("jobs.jsonl", "jobs.parquet", "failed.jsonl", "transforms.json")
+FAILED = "failed.jsonl"  # Records of the failed jobs.
+TABLES = ("jobs.jsonl", "jobs.parquet", FAILED, "transforms.json")
+_MOST_FAILURES = 1 << 24  # bytes of FAILED that are read to name jobs on the screen
 Table = Literal["jsonl", "parquet"]
 
 
@@ -41,29 +43,28 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
 
     Raises
     ------
-    InputError : another command writes to the folder, or the folder is not writable
+    InputError : another command writes to the folder, or the folder cannot be written
     """
     import fcntl  # absent on Windows
 
     storage = Storage(settings.output)
     with ExitStack() as held:
-        try:
-            if not storage.remote:
+        if not storage.remote:
+            with storage.scratch():
                 Path(storage.root).mkdir(parents=True, exist_ok=True)
                 lock = held.enter_context(Path(storage.root, ".lock").open("w"))
+            try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                storage.sweep()
-                held.callback(storage.sweep)
-                held.enter_context(if_ended(storage.sweep))
-            facts = {"facerender": __version__, "layout": settings.layout, "run": settings.run}
-            storage.put(ABOUT, json.dumps({**facts, **about}, indent=2).encode() + b"\n")
-        except BlockingIOError:
-            raise InputError(
-                f"another batch is being written to {storage.root}: wait for it, or give another "
-                "folder"
-            ) from None
-        except OSError as error:
-            raise InputError(f"cannot write to {storage.root}: {reason(error)}") from None
+            except BlockingIOError:
+                raise InputError(
+                    f"another batch is being written to {storage.root}: wait for it, or give "
+                    "another folder"
+                ) from None
+            storage.sweep()
+            held.callback(storage.sweep)
+            held.enter_context(if_ended(storage.sweep))
+        facts = {"facerender": __version__, "layout": settings.layout, "run": settings.run}
+        storage.put(ABOUT, json.dumps({**facts, **about}, indent=2).encode() + b"\n")
         yield storage
 
 
@@ -113,28 +114,37 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
     wanted = f"jobs.{table}"
     if storage.has(wanted) and (storage.has("transforms.json") or not transforms):
         return
-    drawn, failed = storage.unfinished(), storage.unfinished()
-    with drawn.open("w") as good, failed.open("w") as bad:
-        for name in sorted(record_names(storage)):
-            for record in records_of(storage, name):
-                (bad if "error" in record else good).write(json.dumps(record) + "\n")
-    _drop_stale(storage, drawn)
-    for name in storage.names(BEGUN):  # a finished chunk's list remains if its run was killed
-        storage.drop(f"{BEGUN}/{name}")
-    if failed.stat().st_size:
-        storage.move(failed, "failed.jsonl")
-    else:
-        failed.unlink()
-    if transforms:
-        storage.move(_transforms(storage, drawn), "transforms.json")
-    if table == "parquet":
+    with storage.temporary() as drawn, storage.temporary() as failed:
+        with storage.scratch(), drawn.open("w") as good, failed.open("w") as bad:
+            for name in sorted(record_names(storage)):
+                for record in records_of(storage, name):
+                    (bad if "error" in record else good).write(json.dumps(record) + "\n")
+        _drop_stale(storage, drawn)
+        for name in storage.names(BEGUN):  # a finished chunk's list remains if its run was killed
+            storage.drop(f"{BEGUN}/{name}")
+        if failed.stat().st_size:
+            storage.move(failed, FAILED)
+        if transforms:
+            with storage.temporary() as cameras:
+                with storage.scratch():
+                    _write_transforms(drawn, cameras)
+                storage.move(cameras, "transforms.json")
+        if table == "jsonl":
+            storage.move(drawn, wanted)
+            return
         from facerender.batch.parquet import write_parquet
 
-        write_parquet(drawn, parquet := storage.unfinished())
-        drawn.unlink()
-        storage.move(parquet, wanted)
-    else:
-        storage.move(drawn, wanted)
+        with storage.temporary() as parquet:
+            with storage.scratch():
+                write_parquet(drawn, parquet)
+            storage.move(parquet, wanted)
+
+
+def failures(storage: Storage) -> Iterator[Record]:
+    """Yield the records of the first failed jobs of a finished batch."""
+    if storage.has(FAILED):
+        lines = storage.get(FAILED, _MOST_FAILURES).splitlines(keepends=True)
+        yield from (json.loads(line) for line in lines if line.endswith(b"\n"))
 
 
 def _records(lines: Path) -> Iterator[Record]:
@@ -160,14 +170,14 @@ def _drop_stale(storage: Storage, drawn: Path) -> None:
         storage.drop(f"{STALE}/{name}")
 
 
-def _transforms(storage: Storage, drawn: Path) -> Path:
-    """Write all cameras to a temporary file in the format of nerfstudio and instant-ngp."""
-    target = storage.unfinished()
+def _write_transforms(drawn: Path, target: Path) -> None:
+    """Write all cameras to a file in the format of nerfstudio and instant-ngp."""
     with target.open("w") as file:
         file.write('{"camera_model": "OPENCV", "frames": [')
         for number, record in enumerate(_records(drawn)):
-            image = next(about["path"] for about in record["files"].values())
+            name, about = next(iter(record["files"].items()))
+            # Readers cannot open a member of a tar: its name is the path after unpacking.
+            image = f"{record['id']}.{name}" if about["path"].endswith(".tar") else about["path"]
             frame = json.dumps(transforms_frame(record["camera"], image))
             file.write(f"{',' * (number > 0)}\n{frame}")
         file.write("\n]}\n")
-    return target

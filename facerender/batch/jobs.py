@@ -99,11 +99,17 @@ class JobTable:
         self, path: str | os.PathLike[str], common: Mapping[str, Any] = {}, most: int = 10
     ) -> None:
         self._path, self._common, self._most = path, common, most
-        self.rows = self.meshes = self.more = 0
+        self.rows = self.meshes = self.more = self._bad = 0
         self.faults: list[str] = []
 
     def __iter__(self) -> Iterator[Row]:
-        """Yield the rows before the first invalid row.
+        """Yield the rows before the first invalid row; errors as in :meth:`valid`."""
+        for _, row in self.valid():
+            if not self._bad:
+                yield row
+
+    def valid(self) -> Iterator[tuple[str, Row]]:
+        """Yield all valid rows, each with its position in the table as a text for messages.
 
         Raises
         ------
@@ -111,7 +117,6 @@ class JobTable:
         """
         meshes, good = set[int](), set[int]()
         ids = array("q")  # Hashes of the ids: 8 bytes per row.
-        bad = 0
         for position, row in _rows(self._path, self._common):
             self.rows += 1
             try:
@@ -121,20 +126,19 @@ class JobTable:
                     good.clear()
                 _check(row, position, good)
             except InputError as error:
-                bad += 1
-                if bad <= self._most:
+                self._bad += 1
+                if self._bad <= self._most:
                     self.faults.append(clipped(str(error), _LONGEST_FAULT))
                 continue
             ids.append(hash(row.id))
             meshes.add(hash(row.tables.get("mesh", {}).get("path")))
-            if not bad:
-                yield row
+            yield position, row
         self.meshes = len(meshes)
         ordered = np.sort(np.asarray(ids))
         twice = ordered[1:][ordered[1:] == ordered[:-1]]
         if len(twice) and len(self.faults) < self._most:
             self.faults += self._duplicates({*twice[:_MOST_TWICE].tolist()})
-        self.more = bad + len(twice) - len(self.faults)
+        self.more = self._bad + len(twice) - len(self.faults)
 
     def check(self) -> JobTable:
         """Read and check all rows, and return the table."""

@@ -5,21 +5,31 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 from tqdm import tqdm
 
+from facerender.batch.chunk import Record
 from facerender.batch.supervisor import Outcome
 from facerender.batch.work import Work
+from facerender.errors import clipped
 from facerender.system.progress import shows_bars
 from facerender.system.signals import if_ended
 
 _FRAME = 0.2  # seconds between two updates of a bar
+_LONGEST = 400  # maximum characters of a reason
+NAMED = 5  # maximum number of failed jobs, and of workers that ended, that are named
+
+
+def failed_line(record: Record) -> str:
+    """Return a message that names a failed job and the reason."""
+    return f"facerender: job {record['id']} failed: {clipped(record['error'], _LONGEST)}"
 
 
 class Progress(ExitStack):
-    """Progress bars on a terminal, and optional JSON lines.
+    """Progress bars on a terminal, names of failed jobs and ended workers, or JSON lines.
 
     The bars show jobs done, rate, time left and failures, and the current step of each worker. If
     a signal ends the process, the number of finished jobs is printed.
@@ -28,11 +38,24 @@ class Progress(ExitStack):
     ----------
     work : the work of the batch
     workers : number of local workers, which report every step; 0 for a cluster
-    lines : whether to print a JSON line for each chunk and each failed job
+    lines : whether to print a JSON line for each chunk, failed job and ended worker. Otherwise,
+        the first NAMED failed jobs and ended workers are messages
+    message : prints a message on standard error
     quiet : whether to hide the bars
+
+    Attributes
+    ----------
+    failed, deaths : number of failed jobs, and of workers that ended or hung
     """
 
-    def __init__(self, work: Work, workers: int, lines: bool, quiet: bool = False) -> None:
+    def __init__(
+        self,
+        work: Work,
+        workers: int,
+        lines: bool,
+        message: Callable[[str], None],
+        quiet: bool = False,
+    ) -> None:
         super().__init__()
         terminal = shows_bars(quiet)
         self._bar = tqdm(
@@ -48,7 +71,9 @@ class Progress(ExitStack):
         for bar in (self._bar, *self._free):
             self.callback(bar.close)
         self._of: dict[int, tqdm[Any]] = {}  # keyed by the supervisor's thread ID
-        self._workers, self._lines, self._failed = workers, lines, 0
+        self._workers, self._lines = workers, lines
+        self._message = None if lines else message
+        self.failed = self.deaths = 0
         self._jobs, self._done = work.jobs, work.jobs - work.left
         self.enter_context(if_ended(self._ended))
 
@@ -68,11 +93,18 @@ class Progress(ExitStack):
         self._done += jobs
         if not self._workers:
             self._bar.update(jobs)
-        self._failed += len(outcome.failed)
-        if self._failed:
-            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
+        for death in outcome.deaths:
+            self.deaths += 1
+            self.say("died", worker=death.worker, how=death.how, id=death.job)
+            if self._message and self.deaths <= NAMED:
+                self._message(f"facerender: {death}")
         for record in outcome.failed:
+            self.failed += 1
             self.say("failed", id=record["id"], error=record["error"])
+            if self._message and self.failed <= NAMED:
+                self._message(failed_line(record))
+        if self.failed:
+            self._bar.set_postfix_str(f"{self.failed} failed", refresh=False)
         self.say(
             "chunk",
             chunk=outcome.chunk,
@@ -80,7 +112,7 @@ class Progress(ExitStack):
             kept=outcome.kept,
             failed=len(outcome.failed),
             seconds=round(outcome.seconds, 3),
-            deaths=outcome.deaths,
+            deaths=len(outcome.deaths),
             worker=outcome.worker,
         )
 

@@ -8,6 +8,8 @@ from typing import Literal
 
 from facerender.batch.chunk import Chunk, Record, Settings
 
+NO_MEMORY = 9  # Exit status of a worker: out of memory.
+
 
 @dataclass(frozen=True)
 class Order:

@@ -18,6 +18,7 @@ from pathlib import Path
 from facerender.batch.chunk import Chunk, Record, Settings
 from facerender.batch.jobs import Row, file_name
 from facerender.batch.storage import Storage
+from facerender.system.atomic import CannotUse
 
 ABOUT = "batch.json"  # Settings of the batch, and the ID of the last run.
 BEGUN = "begun"  # Folder: for each unfinished chunk, a list of its files.
@@ -41,11 +42,11 @@ class Writer:
         self._tar = tar
         self._get = lru_cache(1)(self.storage.get)  # Consecutive jobs mostly share a tar.
         if tar is not None:
-            with tar.open("r+b" if size else "wb") as file:
+            with self.storage.scratch(), tar.open("r+b" if size else "wb") as file:
                 file.truncate(size)
 
     def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
-        """Write the files of a job and return the job's record; raise OSError on failure."""
+        """Write the files of a job and return the job's record; errors as in Storage."""
         row = self.chunk.rows[position]
         # On remote storage this check would cost one request per job.
         if self._tar is None and not self.storage.remote:
@@ -62,7 +63,8 @@ class Writer:
             about = json.dumps(record).encode()
             members = {f"{row.id}.{name}": content for name, content in files.items()}
             members[f"{row.id}.json"] = about
-            self.size = _append(self._tar, itertools.starmap(_member, members.items()))
+            with self.storage.scratch():
+                self.size = _append(self._tar, itertools.starmap(_member, members.items()))
         return record
 
     def keep(self, position: int) -> Record | None:
@@ -74,7 +76,7 @@ class Writer:
             return None
         try:
             files = _read_files(self._get, kept)
-        except (OSError, KeyError, tarfile.TarError):
+        except (OSError, CannotUse, KeyError, tarfile.TarError):
             return None
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         if digests != {name: about["sha256"] for name, about in kept["files"].items()}:
@@ -90,17 +92,17 @@ class Writer:
         return {**about, **facts, "files": files}
 
 
-class Superseded(OSError):
-    """Another run of the batch has started and writes to the same output."""
-
-
 def _check_run(storage: Storage, run: str) -> None:
+    """Raise CannotUse if another run of the batch has started."""
     try:
         about = json.loads(storage.get(ABOUT))
     except FileNotFoundError:  # batch.json exists only if a coordinator runs the batch.
         return
     if about["run"] != run:
-        raise Superseded("another run of the batch has started")
+        raise CannotUse(
+            f"another run of the batch has started in {storage.root}: wait for it, or give another "
+            "folder"
+        )
 
 
 def begin(settings: Settings, chunk: Chunk) -> None:
@@ -110,7 +112,7 @@ def begin(settings: Settings, chunk: Chunk) -> None:
 
     Raises
     ------
-    OSError : the list cannot be written, or another run has started
+    CannotUse : the list cannot be written, or another run has started
     """
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
@@ -124,16 +126,18 @@ def begin(settings: Settings, chunk: Chunk) -> None:
 
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
     """Finish the tar of a chunk, then write the chunk's record, which marks the chunk as done.
+    A chunk without drawn jobs has no tar.
 
     The first line of the record counts the drawn and failed jobs; each further line describes one
-    job. Raises OSError if a file cannot be written, or another run has started.
+    job. Raises CannotUse if a file cannot be written, or another run has started.
     """
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
-    if tar is not None:
-        _append(tar, [bytes(2 * _BLOCK)])
-        storage.move(tar, _shard(chunk))
     done = sum("error" not in record for record in records)
+    if tar is not None and done:
+        with storage.scratch():
+            _append(tar, [bytes(2 * _BLOCK)])
+        storage.move(tar, _shard(chunk))
     _put_records(
         storage, f"{RECORDS}/{chunk.name}.jsonl", chunk, records, done, len(records) - done
     )

@@ -17,16 +17,16 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from facerender.batch.chunk import Chunk, Record, Settings
-from facerender.batch.protocol import Message, Order, failure
+from facerender.batch.protocol import NO_MEMORY, Message, Order, failure
 from facerender.batch.records import begin, commit
 from facerender.batch.storage import Storage
-from facerender.errors import FacerenderError, reason
+from facerender.errors import FacerenderError
 from facerender.system.signals import hold
 
 Report = Callable[[str, str, str], None]  # Worker, step, job id.
@@ -35,11 +35,27 @@ Report = Callable[[str, str, str], None]  # Worker, step, job id.
 _ALONE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _THREAD = threading.local()
 _NO_JOB = -1
+_MEMORY = "ran out of memory"
 _TO_START = 60.0  # Time limit for the first message of a new worker, in seconds.
 
 
 class CannotDraw(FacerenderError, RuntimeError):
-    """No job can be drawn or written on this machine."""
+    """No job can be drawn or written by a worker."""
+
+
+@dataclass(frozen=True)
+class Death:
+    """The end of a worker: its host and process ID, how it ended, its last step and job."""
+
+    worker: str
+    how: str
+    step: str
+    job: str
+
+    def __str__(self) -> str:
+        action = {"loads": "loaded the mesh of job", "draws": "drew job"}.get(self.step)
+        job = f"while it {action} {self.job}" if action else "before or after a job"
+        return f"worker {self.worker} {self.how} {job}"
 
 
 @dataclass(frozen=True)
@@ -53,7 +69,7 @@ class Outcome:
     kept : number of jobs whose files from an earlier run were reused
     failed : records of the failed jobs
     seconds : time to draw, write and commit the chunk
-    deaths : number of workers that ended or hung
+    deaths : the workers that ended or hung
     renderer : GL_RENDERER and GL_VERSION; "" if no job was drawn
     worker : host and process ID of the last worker
     """
@@ -63,7 +79,7 @@ class Outcome:
     kept: int
     failed: tuple[Record, ...]
     seconds: float
-    deaths: int
+    deaths: tuple[Death, ...]
     renderer: str
     worker: str
 
@@ -73,7 +89,8 @@ def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -
 
     Raises
     ------
-    CannotDraw : no job can be drawn or written, for example without OpenGL or on a full disk
+    CannotDraw : no job can be drawn, for example without OpenGL
+    CannotUse : a file cannot be written, for example on a full disk
     """
     if not hasattr(_THREAD, "supervisor"):
         _THREAD.supervisor = Supervisor()
@@ -82,7 +99,7 @@ def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -
 
 
 class _WorkerEnded(Exception):
-    """A worker died or hung; the message describes how."""
+    """A worker died or hung. Arguments: its host and process ID, and how it ended."""
 
 
 class Supervisor:
@@ -99,6 +116,7 @@ class Supervisor:
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
         self._patience = 0.0  # Minimum time limit of the next message, in seconds.
+        self._kills = 0  # _kills_for_memory() at the start of the worker.
 
     def __del__(self) -> None:
         self.stop()
@@ -114,41 +132,36 @@ class Supervisor:
     def run(self, settings: Settings, chunk: Chunk, report: Report) -> Outcome:
         """Draw, write and commit a chunk; see :func:`draw_chunk`."""
         began = time.perf_counter()
-        tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
-        try:
+        with ExitStack() as stack:
+            tar = None
+            if settings.layout == "shards":
+                tar = stack.enter_context(Storage(settings.output).temporary())
             begin(settings, chunk)
             records, steps, deaths = self._draw(settings, chunk, tar, report)
             commit(settings, chunk, tar, records)
-        except OSError as error:
-            raise CannotDraw(
-                f"cannot write to {settings.output}: {reason(error)}; fix this, and run the same "
-                "command again"
-            ) from None
-        finally:
-            if tar is not None:
-                tar.unlink(missing_ok=True)
         return Outcome(
             chunk.number,
             drawn=steps["done"],
             kept=steps["kept"],
             failed=tuple(each for each in records if "error" in each),
             seconds=time.perf_counter() - began,
-            deaths=deaths,
+            deaths=tuple(deaths),
             renderer=next(filter(None, map(_renderer, records)), ""),
             worker=self.worker,
         )
 
     def _draw(
         self, settings: Settings, chunk: Chunk, tar: Path | None, report: Report
-    ) -> tuple[list[Record], Counter[str], int]:
+    ) -> tuple[list[Record], Counter[str], list[Death]]:
         """Draw the jobs of a chunk.
 
         Return the jobs' records in order, the number of jobs per final step ("done", "kept",
-        "failed"), and the number of workers that ended or hung.
+        "failed"), and the workers that ended or hung.
         """
         records: dict[int, Record] = {}
         attempts, steps, size = Counter[int](), Counter[str](), 0
-        for deaths in count():
+        deaths: list[Death] = []
+        while True:
             left = [each for each in range(len(chunk.rows)) if each not in records]
             last = Message("starts")
             try:
@@ -157,22 +170,23 @@ class Supervisor:
                         records[last.position], size = last.record, last.size
                         steps[last.step] += 1
                         attempts[_NO_JOB] = 0
-                    job = chunk.rows[last.position].id if last.position >= 0 else ""
-                    report(self.worker, last.step, job)
+                    report(self.worker, last.step, _id(chunk, last))
                 return [records[position] for position in sorted(records)], steps, deaths
             except _WorkerEnded as ended:
-                how = str(ended)
+                worker, how = ended.args
+                deaths.append(Death(worker, how, last.step, _id(chunk, last)))
             at = last.position if last.step in ("loads", "draws") else _NO_JOB
             attempts[at] += 1
             if attempts[at] < settings.tries:
                 continue
             text = f"the worker {how}, {attempts[at]} times"
+            if _MEMORY in how:
+                text += ": give fewer --workers, or make maps or images smaller"
             if at == _NO_JOB:
                 raise CannotDraw(f"{chunk}: {text}, before or after a job")
             for position in _at_fault(chunk, last) - set(records):
                 records[position] = failure(chunk, position, "WorkerDied", text)
                 report(self.worker, "failed", chunk.rows[position].id)
-        raise AssertionError  # Unreachable: the loop ends only by return or raise.
 
     def _answers(self, order: Order) -> Iterator[Message]:
         """Send an order, and yield the worker's messages until the end of the chunk.
@@ -198,8 +212,9 @@ class Supervisor:
             how = f"sent no message for {order.settings.timeout:g} s"
         except (EOFError, ConnectionError):
             how = self._exit()
+        worker = self.worker
         self.stop()
-        raise _WorkerEnded(how)
+        raise _WorkerEnded(worker, how)
 
     @property
     def worker(self) -> str:
@@ -217,6 +232,7 @@ class Supervisor:
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
             hold()
+            self._kills = _kills_for_memory()
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "facerender.batch.worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
@@ -233,11 +249,29 @@ class Supervisor:
         """Wait for the worker to end, and return how it ended."""
         assert self._process is not None
         code = self._process.wait()
-        return (
-            f"was killed by {signal.Signals(-code).name}"
-            if code < 0
-            else f"ended with exit status {code}"
-        )
+        if code == NO_MEMORY:
+            return _MEMORY
+        if code >= 0:
+            return f"ended with exit status {code}"
+        names = {each.value: each.name for each in signal.Signals}
+        how = f"was killed by {names.get(-code, f'signal {-code}')}"
+        # The kernel kills with SIGKILL if memory is short, and counts these kills.
+        if -code == signal.SIGKILL and _kills_for_memory() > self._kills:
+            how += f" after the machine {_MEMORY}"
+        return how
+
+
+def _kills_for_memory() -> int:
+    """Return how many processes the kernel has killed because memory was short; 0 if unknown."""
+    with suppress(OSError, ValueError):
+        facts = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
+        return int(facts.get("oom_kill", 0))
+    return 0
+
+
+def _id(chunk: Chunk, message: Message) -> str:
+    """Return the ID of a message's job, or "" if the message is about no job."""
+    return chunk.rows[message.position].id if message.position >= 0 else ""
 
 
 def _renderer(record: Record) -> str:

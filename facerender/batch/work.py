@@ -6,7 +6,7 @@ import pickle
 import tempfile
 from array import array
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import IO
@@ -16,8 +16,9 @@ import numpy as np
 from facerender.batch.chunk import Chunk, Record, Settings, chunks, forget_files
 from facerender.batch.jobs import Row
 from facerender.batch.records import BEGUN, STALE, read_head, record_names, records_of
-from facerender.batch.storage import Storage
-from facerender.errors import FacerenderError, InputError, reason
+from facerender.batch.storage import Storage, temporary_folder
+from facerender.errors import InputError
+from facerender.system.atomic import reported
 
 _IN_MEMORY = 1 << 20  # maximum bytes of a temporary file in memory; a larger file is on disk
 
@@ -63,21 +64,24 @@ def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterat
 
     Raises
     ------
-    FacerenderError : the temporary file cannot be written
-    InputError : an id contains a dot, which layout "shards" does not allow
+    InputError : the temporary file cannot be written; an id contains a dot, which layout "shards"
+        does not allow
     """
     forget_files()
-    with tempfile.SpooledTemporaryFile(_IN_MEMORY) as file:
+    with ExitStack() as stack:
+        file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115
+        stack.callback(_close, file)
         spool = Spool(file)
-        try:
+        with reported("write", temporary_folder(), "or set TMPDIR to another folder"):
             for chunk in chunks(_with_valid_ids(rows, settings), size):
                 spool.add(chunk)
-        except OSError as error:
-            raise FacerenderError(
-                f"cannot write the jobs to {tempfile.gettempdir()}: {reason(error)}; free disk "
-                "space, or set TMPDIR to another folder"
-            ) from None
+            file.flush()
         yield spool
+
+
+def _close(file: IO[bytes]) -> None:
+    with suppress(OSError):  # on a full disk, the rest of the buffer cannot be written
+        file.close()
 
 
 def _with_valid_ids(rows: Iterable[Row], settings: Settings) -> Iterator[Row]:

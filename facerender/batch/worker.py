@@ -19,7 +19,7 @@ from pathlib import Path
 
 from facerender.batch.chunk import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import draw
-from facerender.batch.protocol import Message, Order, failure
+from facerender.batch.protocol import NO_MEMORY, Message, Order, failure
 from facerender.batch.records import Writer
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
@@ -27,10 +27,10 @@ from facerender.errors import ContextError, FacerenderWarning, InputError, notin
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
 from facerender.loading.references import named_files
 from facerender.scenes.mesh import Mesh
+from facerender.system.atomic import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
-_NO_MEMORY = 9  # Exit status: out of memory.
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
@@ -55,8 +55,11 @@ def main(handle: int) -> None:
             forget_files()
             _mesh.cache_clear()
             run = order.settings.run
-        for message in _draw(order):
-            connection.send(message)
+        try:
+            for message in _draw(order):
+                connection.send(message)
+        except CannotUse as error:  # For example a full disk: no job is the cause.
+            connection.send(Message("cannot", text=str(error)))
 
 
 def _draw(order: Order) -> Iterator[Message]:
@@ -85,13 +88,11 @@ def _draw(order: Order) -> Iterator[Message]:
             facts: Record = {"job": row.tables, **drawn.facts}
             if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
                 facts["warnings"] = texts
-            try:
-                record = writer.write(position, drawn.files, facts)
-            except OSError as error:  # For example a full disk: the job is not the cause.
-                yield Message("cannot", text=f"cannot write to {settings.output}: {error}")
-                return
+            record = writer.write(position, drawn.files, facts)
+        except CannotUse:
+            raise
         except MemoryError:
-            os._exit(_NO_MEMORY)  # A new process may have enough memory.
+            os._exit(NO_MEMORY)  # A new process may have enough memory.
         except Exception as error:
             if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                 yield Message("cannot", text=why)

@@ -8,8 +8,9 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +34,12 @@ from facerender.scenes.scene import ONLY
 from facerender.terms.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
+    from facerender.batch.chunk import Record
     from facerender.batch.engine import Engine
     from facerender.batch.jobs import JobTable
 
 _FAILED = 3
+_MOST_FILES = 100  # maximum number of invalid input files that --check names
 _TIMEOUT, _TRIES = 300.0, 3
 _LIMITS = {
     "workers": IntegerRange(1, math.inf),
@@ -98,7 +101,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     add_quiet(written)
 
     ask = batch.add_argument_group("instead of drawing")
-    add_flag(ask, "check", "read and check all rows of the table")
+    add_flag(ask, "check", "check all rows of the table, and read each of their files once")
     counts = Help(
         "count the drawn, failed and remaining jobs of the batch in this folder or URL", "none"
     )
@@ -119,7 +122,10 @@ def run(options: argparse.Namespace) -> int:
     _check_read(options)
     table = _table(options)
     if options.check:
-        _check_faults(table.check())
+        from facerender.batch.inputs import file_faults
+
+        faults = [*file_faults(table.valid())]
+        _check_faults(table, faults)
         print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
@@ -155,13 +161,17 @@ def _table(options: argparse.Namespace) -> JobTable:
     return JobTable(options.jobs, common)
 
 
-def _check_faults(table: JobTable) -> None:
-    """If rows are invalid, print the collected errors, but raise the last one as InputError."""
-    if table.faults:
-        for fault in table.faults[:-1]:
+def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
+    """If rows or files are invalid, print the errors, but raise the last one as InputError.
+
+    files : errors of input files
+    """
+    if faults := [*table.faults, *files[:_MOST_FILES]]:
+        for fault in faults[:-1]:
             print_message(f"facerender: error: {fault}")
         more = f"; and {table.more} more rows" if table.more else ""
-        raise InputError(f"{table.faults[-1]}{more}")
+        more += f"; and {len(files) - _MOST_FILES} more files" if len(files) > _MOST_FILES else ""
+        raise InputError(f"{faults[-1]}{more}")
 
 
 def _draw(options: argparse.Namespace, table: JobTable) -> int:
@@ -186,13 +196,35 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
         stack.enter_context(_surviving_pipes())
         work = work_of(spool, storage, options.retry_failed)
         folder.set_aside(storage, work)
-        drawn = 0
+        drawn = named = deaths = 0
         if work.todo:
             engine = stack.enter_context(_engine(options))
-            with Progress(work, engine.workers, options.json, options.quiet) as progress:
+            with Progress(
+                work, engine.workers, options.json, print_message, options.quiet
+            ) as progress:
                 drawn = coordinator.run(work, settings, engine, progress)
+            named, deaths = progress.failed, progress.deaths
         folder.finish(storage, options.table, options.transforms)
+        if not options.json:
+            _print_failures(folder.failures(storage), named, deaths)
     return _print_status(output, options.json, drawn, time.monotonic() - began)
+
+
+def _print_failures(failed: Iterator[Record], named: int, deaths: int) -> None:
+    """Print the number of ended workers, and the first failed jobs if none has been printed.
+
+    Parameters
+    ----------
+    failed : records of all failed jobs
+    named : number of failed jobs of this run, of which the first have been printed
+    deaths : number of workers that ended in this run, of which the first have been printed
+    """
+    from facerender.batch.progress import NAMED, failed_line
+
+    for record in islice(failed, 0 if named else NAMED):
+        print_message(failed_line(record))
+    if deaths > NAMED:
+        print_message(f"facerender: {deaths} workers ended or hung")
 
 
 @contextmanager
@@ -225,13 +257,15 @@ def _print_status(
     output: str, as_json: bool, drawn: int | None = None, seconds: float = 0.0
 ) -> int:
     """Print the number of done, failed and remaining jobs, and return the exit status."""
-    from facerender.batch.folder import status
+    from facerender.batch.folder import FAILED, status
 
     counts = status(output)
     facts: dict[str, Any] = {"output": output, **counts}
     text = (
         f"{output}: {counts['done']} of {counts['jobs']} jobs are done, {counts['failed']} failed"
     )
+    if counts["failed"] and not counts["left"]:
+        text += f" ({output}/{FAILED} has the reasons)"
     text += f", {counts['left']} remain" if counts["left"] else ""
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}

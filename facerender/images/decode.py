@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -23,6 +24,10 @@ _MOST_PACKED = 2000  # largest compression ratio; deflate reaches 1032
 _STRIP = 256  # number of rows that are converted at once
 
 
+class TooLarge(InputError):
+    """An image has too many pixels."""
+
+
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
     """Check the size of an image before memory for its pixels is allocated.
 
@@ -33,14 +38,15 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float)
 
     Raises
     ------
-    InputError : no pixels; more than MAX_SIDE pixels on a side; more than MAX_PIXELS pixels; more
-        than MAX_BYTES when decoded; or more pixels than a file of this size can contain
+    TooLarge : more than MAX_SIDE pixels on a side; more than MAX_PIXELS pixels; or more than
+        MAX_BYTES when decoded
+    InputError : no pixels, or more pixels than a file of this size can contain
     """
     size, content = f"{name} is {width} x {height} pixels", width * height * bytes_each
     if width < 1 or height < 1:
         raise InputError(f"{size}: save it again")
     if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS or content > MAX_BYTES:
-        raise InputError(
+        raise TooLarge(
             f"{size} of {bytes_each} bytes: at most {MAX_SIDE} a side, {MAX_PIXELS:.3g} pixels and "
             f"{MAX_BYTES >> 20} MiB; make it smaller"
         )
@@ -59,7 +65,7 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
 
     Raises
     ------
-    InputError : a format that is not accepted, a damaged file, or an image that is too large
+    InputError : a format that is not accepted, a damaged file, or TooLarge
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -72,9 +78,11 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
         file.seek(0)
         check_downloaded(file.read(64), f"{name} is")
         raise InputError(f"{name} is not an image; give a {known}") from None
-    except Image.DecompressionBombError:
-        raise InputError(
-            f"{name} has too many pixels: at most {MAX_PIXELS:.3g}; make it smaller"
+    except Image.DecompressionBombError as error:
+        count = re.search("[0-9]+", str(error))
+        raise TooLarge(
+            f"{name} has {count[0] if count else 'too many'} pixels: at most {MAX_SIDE} a side and "
+            f"{MAX_PIXELS:.3g} pixels; make it smaller"
         ) from None
     except Exception as error:  # Pillow's decoders raise many types
         raise InputError(f"{name} is damaged ({reason(error)}); save it again") from None

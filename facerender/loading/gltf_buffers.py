@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped
-from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc
+from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc, conversion, converted
 from facerender.loading.references import References, inline
 from facerender.system.meshoptimizer import library
 
@@ -108,7 +108,7 @@ class Buffers:
     def _buffer(self, index: int) -> memoryview:
         if index not in self.buffers:
             declared = self.document["buffers"][index]
-            content = self._buffer_content(index, declared.get("uri"))
+            content = self._buffer_content(index, declared.get("uri"), declared["byteLength"])
             if len(content) < declared["byteLength"]:
                 raise ValueError(
                     f"buffers[{index}] should have {declared['byteLength']} bytes, but has "
@@ -117,7 +117,7 @@ class Buffers:
             self.buffers[index] = content[: declared["byteLength"]]
         return self.buffers[index]
 
-    def _buffer_content(self, index: int, uri: str | None) -> memoryview:
+    def _buffer_content(self, index: int, uri: str | None, size: int) -> memoryview:
         if uri is None:
             if index or self.binary is None:
                 raise ValueError(f"buffers[{index}] has no uri")
@@ -128,6 +128,8 @@ class Buffers:
                 content = self.referred.read(uri, "a buffer of a glTF file")
             except FileNotFoundError as error:
                 raise InputError(f"{clipped(uri, 80)} (named by {self.name}) {error}") from None
+            if how := conversion(content, size):
+                raise converted(clipped(uri, 80), how)
         return memoryview(content)
 
     def view(self, index: int) -> memoryview:

@@ -7,6 +7,8 @@ import json
 import reprlib
 import struct
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import PurePath
 from typing import Any
 
 from facerender.errors import InputError, reason
@@ -14,6 +16,7 @@ from facerender.errors import InputError, reason
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
 Doc = dict[str, Any]
 
+_SURE = 4.0  # CRLFs that data hold by chance, above which data without any were converted
 MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 
@@ -214,12 +217,17 @@ _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
 def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     """Return the JSON of a glTF file, and its binary chunk or None. A .gltf file is all JSON."""
     if data[:4] != b"glTF":
+        if data.startswith((b"\xef\xbb\xbfglTF", b"\xff\xfeg\0l\0T\0F\0")):
+            raise converted(name, "to Unicode")
         return data, None
     declared = struct.unpack_from("<I", data, 8)[0] if len(data) >= 20 else 20
+    if how := conversion(data, declared):
+        raise converted(name, how)
     if declared > len(data):
         least = declared if len(data) >= 20 else "at least 20"
         raise InputError(
-            f"{name} is truncated: it should have {least} bytes, but has {len(data)}; copy it again"
+            f"{name} is truncated: it should have {least} bytes, but has {len(data)}; copy it "
+            "again as binary data"
         )
     if (version := struct.unpack_from("<I", data, 4)[0]) != 2:
         raise InputError(f"{name} is glTF version {version}: export it as version 2")
@@ -234,6 +242,37 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     if _JSON not in found:
         raise damaged(name, "it has no JSON chunk")
     return bytes(found[_JSON]), found.get(_BINARY)
+
+
+def conversion(data: bytes | memoryview, size: int) -> str:
+    """Return how binary data were changed by a conversion of text, or "" if they were not.
+
+    size : number of bytes before the conversion
+    """
+    if len(data) == size:
+        return ""
+    data = bytes(data)
+    feeds, pairs = data.count(b"\n"), data.count(b"\r\n")
+    if len(data) > size and pairs == feeds >= len(data) - size:
+        return "from LF to CRLF"
+    with suppress(UnicodeDecodeError):
+        text = data.decode()  # binary data with bytes above 127 are no UTF-8
+        if not text.isascii():
+            return "to UTF-8" + " with replacement characters" * ("\ufffd" in text)
+    # Each conversion of CRLF removes a byte, and few do so by chance in floats and images. If data
+    # of this length would hold CRLF by chance but do not, they were converted.
+    missing, expected = size - len(data), data.count(b"\r") * feeds / max(len(data), 1)
+    few = 0 < missing <= min(feeds, max(8 * expected, 4))
+    return "from CRLF to LF" if few and not pairs and expected > _SURE else ""
+
+
+def converted(name: str, how: str) -> InputError:
+    """Return the error for a file that was converted; ``how`` as of :func:`conversion`."""
+    suffix = PurePath(name).suffix or ".glb"
+    return InputError(
+        f"{name} is damaged, because it was converted as text ({how}): transfer it again as binary "
+        f"data; in Git, add '*{suffix} binary' to .gitattributes"
+    )
 
 
 def document_of(text: bytes, name: str) -> Doc:

@@ -319,9 +319,9 @@ class Materials:
             return None
         try:
             image = image_of(content)
-        except ValueError:
+        except ValueError as error:
             if not self._replaces(kind):
-                unreadable(shown, kind, fatal=not self.albedo_given)
+                unreadable(shown, kind, error, fatal=not self.albedo_given)
             self.lost_images = True
             return None
         name = f"the {kind} map of {self.name}"

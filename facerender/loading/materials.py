@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from facerender.errors import InputError, clipped, warn
-from facerender.images.decode import open_image
+from facerender.images.decode import TooLarge, open_image
 from facerender.loading.references import References
 from facerender.scenes.material import Material
 from facerender.scenes.texture import FORMATS
@@ -55,23 +55,28 @@ def image_of(content: bytes) -> Image:
 
     Raises
     ------
-    ValueError : the format is not supported, or the image is damaged or too large
+    TooLarge : the image has too many pixels; the message starts with "it"
+    ValueError : the format is not supported, or the image is damaged
     """
     try:
         return open_image(content, "it", FORMATS, "PNG, JPEG, TIFF or WebP")
+    except TooLarge:
+        raise
     except InputError as error:
         raise ValueError(str(error)) from None
 
 
-def unreadable(shown: str, kind: str, fatal: bool) -> None:
-    """Report an image that cannot be read: raise InputError if ``fatal``, else warn."""
-    message = f"{shown} is not an image that can be read"
+def unreadable(shown: str, kind: str, error: ValueError, fatal: bool) -> None:
+    """Report an error of :func:`image_of`: raise InputError if ``fatal``, else warn."""
+    message, own = f"{shown} is not an image that can be read", "replace it"
+    if isinstance(error, TooLarge):
+        message, _, own = f"{shown} {str(error).removeprefix('it ')}".partition("; ")
     if not fatal:
         warn(f"{message}: ignored")
         return
     option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
     remedy = f", or pass {option[kind]} FILE" if kind in option else ""
-    raise InputError(f"{message}; replace it{remedy}")
+    raise InputError(f"{message}; {own}{remedy}")
 
 
 def missing_image(referred: References, name: str) -> None:

@@ -452,9 +452,9 @@ class Library:
             return None
         try:
             image = image_of(content)
-        except ValueError:
+        except ValueError as error:
             if kind != "albedo" or not self.albedo_given:
-                unreadable(shown, kind, fatal=not self.albedo_given)
+                unreadable(shown, kind, error, fatal=not self.albedo_given)
             return None
         texture = self._decoding(key, use, content, image, clipped(name, 80))
         return texture.sampled(("clamp", "clamp")) if use.clamp else texture

@@ -308,13 +308,13 @@ def _give_texture(
     fatal : whether a texture that is not an image raises InputError instead of a warning
     """
     try:
-        image = image_of(references.read(texture, "an image file"))
+        content = references.read(texture, "an image file")
     except FileNotFoundError:
         return
-    except InputError:
-        raise
-    except ValueError:
-        unreadable(f"{clipped(texture, 80)} (named by {references.name})", "albedo", fatal)
+    try:
+        image = image_of(content)
+    except ValueError as error:
+        unreadable(f"{clipped(texture, 80)} (named by {references.name})", "albedo", error, fatal)
         return
     image.info["file_path"] = texture
     for geometry in geometries:

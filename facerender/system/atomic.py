@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import stat
 import time
-from collections.abc import Callable
-from contextlib import suppress
-from errno import EACCES
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from errno import EACCES, EDQUOT, EFBIG, EIO, ENOSPC, EPERM, EROFS
 from pathlib import Path
 
 from facerender.errors import InputError, reason
@@ -15,6 +15,13 @@ from facerender.system.signals import if_ended
 
 ABANDONED = 3600.0  # age in seconds at which a temporary file counts as abandoned
 _UNFINISHED = ".facerender-"  # prefix of temporary files
+_REMEDIES = {
+    **dict.fromkeys((ENOSPC, EDQUOT), "free space there"),
+    **dict.fromkeys((EACCES, EPERM), "correct its permissions"),
+    EROFS: "make it writable",
+    EFBIG: "raise the limit of file sizes (ulimit -f)",
+    EIO: "check the disk",
+}
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
@@ -56,6 +63,28 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+class CannotUse(InputError):
+    """A file or folder for results cannot be written or read."""
+
+
+@contextmanager
+def reported(action: str, place: object, then: str = "or give another path") -> Iterator[None]:
+    """Raise CannotUse for an OSError within the context, for example if a disk is full.
+
+    action : "write" or "read", for the message
+    place : the file or folder
+    then : end of the message, after the remedy
+    """
+    try:
+        yield
+    except OSError as error:
+        number = error.errno or 0
+        remedy, why = _REMEDIES.get(number, "correct this"), reason(error)
+        if number in _REMEDIES:  # pyarrow's errors have the system's number but another text
+            why = os.strerror(number).lower()
+        raise CannotUse(f"cannot {action} {place}: {why}; {remedy}, {then}") from None
+
+
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
     """Call ``write`` with a temporary path in the folder of ``path``, then rename the temporary
     file to ``path``.
@@ -71,15 +100,10 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) ->
         with suppress(OSError):
             temporary.unlink()
 
-    with if_ended(remove):
+    with if_ended(remove), reported("write", target):
         try:
             write(str(temporary))
             os.replace(temporary, target)
-        except OSError as error:
-            why = reason(error)
-            raise InputError(
-                f"cannot write {target}: {why}; free space there, or give another path"
-            ) from None
         finally:
             remove()
 

@@ -19,11 +19,18 @@ MOST = 1 << 30  # default size limit of a file in bytes
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
 )
-# Placeholders that a file may hold instead of its content: first bytes in lower case, kind, remedy.
+# First bytes, in lower case, of a PNG image whose line ends or encoding were converted.
+_MANGLED = (b"\x89png\n", b"\x89png\r\r\n", b"\x89png\r\n\x1a\r\n", b"\xef\xbf\xbdpng")
+# First bytes, in lower case, of a placeholder instead of the content, or of a damaged PNG image:
+# bytes, kind, remedy.
 _NOT_DOWNLOADED = (
     (b"version https://git-lfs", "a Git LFS pointer", "fetch it with git lfs pull"),
     (b"<!doctype html", "an HTML page", "download the file itself"),
     (b"<html", "an HTML page", "download the file itself"),
+    *(
+        (start, "a PNG image that was converted as text", "transfer it again as binary data")
+        for start in _MANGLED
+    ),
 )
 _KINDS = {
     stat.S_IFDIR: "a directory",
@@ -119,7 +126,7 @@ def digest_of(*pieces: str | bytes | memoryview) -> str:
 
 
 def check_downloaded(content: bytes, subject: str) -> None:
-    """Raise InputError if the content of a file is only a Git LFS pointer or an HTML page.
+    """Raise InputError for a Git LFS pointer, an HTML page, or a PNG image converted as text.
 
     subject : start of the message, such as "a.png is" or "head.glb is not glTF but"
     """
