@@ -61,7 +61,7 @@ def measure(
     Parameters
     ----------
     mesh : mesh for the cost of a frame and the error of an image
-    m : roughness of the whole mesh, in [1e-4, 2]
+    m : roughness of the skin, in [1e-4, 2]; see :meth:`facerender.Mesh.with_skin`
     quick : whether to use smaller images and fewer repeats, and skip the cost of lobes alone
     progress : called with the current step and its completed fraction
 
@@ -71,7 +71,7 @@ def measure(
     InputError : m is outside its range, or a map is damaged
     """
     size, repeats = ((256, 256), 7) if quick else ((512, 512), 21)
-    plain = mesh.with_material(m=m, roughness_map=None)
+    plain = mesh.with_skin(m=m)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
     settings = Settings(mesh.name, m, size, repeats, quick)
@@ -116,8 +116,11 @@ def _model(
     if not settings.quick:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     rendered = [variant for variant in _standard(model) if _inside(variant, m)]
-    # The slope filter is off, since it may raise m above the lobe's domain.
-    shadings = [replace(variant.shading, slope_filter=False) for variant in rendered]
+    # The slope filter is off, since it may raise m above the lobe's domain. The m of other parts
+    # than the skin may be outside.
+    shadings = [
+        replace(variant.shading, slope_filter=False, outside="exact") for variant in rendered
+    ]
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
     renderings = error.image_errors(scene, shadings, size, backend)
