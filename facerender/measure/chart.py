@@ -17,7 +17,7 @@ from facerender.measure.pareto import EXACT, Row
 
 STYLE = Path(__file__).with_name("chart.css")
 _WIDTH, _HEIGHT = 340, 270
-_LEFT, _RIGHT, _TOP, _BOTTOM = 50.0, 334.0, 22.0, 230.0  # edges of the plot area
+_LEFT, _RIGHT, _TOP, _BOTTOM = 50.0, 324.0, 22.0, 230.0  # edges of the plot area
 _FONT = 12.0  # font size of chart.css
 _LETTER = 0.72  # mean width of a bold letter in font sizes; wide fonts have about 0.7
 _RADIUS = 4.0
@@ -120,6 +120,7 @@ def _boxes(places: Sequence[Box], front: Sequence[tuple[float, float]]) -> list[
 
 def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list[str]:
     """Return names with lines to their points; ``taken`` are boxes that they do not overlap."""
+    lines: list[str] = []
     found: list[str] = []
     names: list[Box] = []
     pairs = zip(rows, places, strict=True)
@@ -142,9 +143,9 @@ def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list
         left, bottom = x + distance * right, names[-1][3] - 0.25 * _FONT
         if distance > _DISTANCES[1]:
             end = f"{x + 0.9 * distance * right:.1f} {y - 0.9 * distance * up:.1f}"
-            found.append(f'<path class="{_kind(row)}" d="M{x:.1f} {y:.1f}L{end}"/>')
+            lines.append(f'<path class="{_kind(row)}" d="M{x:.1f} {y:.1f}L{end}"/>')
         found.append(_text(left, bottom, anchor, row.variant.name, f"name {_kind(row)}"))
-    return found
+    return lines + found
 
 
 def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, int]) -> Box:
