@@ -250,6 +250,28 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     assert len({row.part for row in measurement.skin}) == 5
 
 
+def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
+    eyes = fr.load_mesh().select("eyeballs").with_material(m=0.9)  # outside the domain of d16
+    head = replace(
+        coarse_head,
+        parts=(*coarse_head.parts, *eyes.parts),
+        materials=(*coarse_head.materials, *eyes.materials),
+    )
+    drawn = []
+    frames = cost.frames
+
+    def record(scene, *rest):
+        drawn.append(scene.mesh)
+        return frames(scene, *rest)
+
+    monkeypatch.setattr(cost, "frames", record)
+    measurement, _ = run.measure(head, 0.25, quick=True, backend=egl)
+    assert [[each.m for each in mesh.materials] for mesh in drawn] == 2 * [[0.25, 0.9]]
+    assert drawn[0].materials[0].roughness_map is None
+    images = {row.variant.name: row.error.image for row in measurement.of_model("ward")}
+    assert images["exact"].largest < 1e-4 < images["d16"].largest
+
+
 @pytest.mark.parametrize("speed", ["quickest", pytest.param("quicker", marks=pytest.mark.slow)])
 def test_command_writes_everything(speed, egl, tmp_path, capsys, monkeypatch, request):
     request.getfixturevalue(speed)

@@ -8,12 +8,13 @@ import sys
 from html.parser import HTMLParser
 from itertools import combinations
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from facerender import InputError
-from facerender.measure import plots, report
+from facerender.measure import chart, plots, report
 from facerender.measure.measurement import Triptych
 from facerender.measure.pareto import FRAME, LIMITS, TERM, measure_of, pareto, recommended
 from tests.test_page import CONTRASTS
@@ -206,6 +207,38 @@ def test_recommendation_opens_text_and_json(data):
         ("exact, m >= 0.2", [LIMITS[0], 1.0]),
         ("d8", [3.0]),
     ]
+
+
+@pytest.mark.parametrize("spread", [1.0, 0.1, 0.01])
+def test_names_are_nearest_to_their_own_points(data, spread):
+    for i, each in enumerate(data["variants"]):
+        cost = 0.6 + 0.4 * spread * i
+        each["cost"]["term_ns"] = {"value": cost, "low": 0.99 * cost, "high": 1.01 * cost}
+        if each["error"]["image"]:
+            each["error"]["image"]["largest"] = 0.3 * (1.0 - 0.99 * spread) ** i
+    svg = ElementTree.fromstring(chart.trade(rows(data), "cost", "error"))
+    circles = [(each.findtext("title"), each.find("circle").attrib) for each in svg.iter("g")]
+    points = {name: (float(at["cx"]), float(at["cy"])) for name, at in circles}
+    lines = {each.get("d").split("L")[0] for each in svg.iterfind("path")}
+    names = [each for each in svg.iter("text") if "name" in each.get("class")]
+    assert len(names) >= 3
+    for each in names:
+        x, y = points[each.text]
+        if f"M{x:.1f} {y:.1f}" in lines:
+            continue  # a line joins the name to its point
+        left = (
+            float(each.get("x"))
+            - 8.0
+            * len(each.text)
+            * ({"start": 0.0, "middle": 0.5, "end": 1.0}[each.get("text-anchor")])
+        )
+        box = np.array([(left, float(each.get("y")) - 9.0), (0.0, float(each.get("y")))])
+        box[1, 0] = left + 8.0 * len(each.text)
+        away = {
+            name: np.hypot(*np.maximum(0.0, np.maximum(box[0] - point, point - box[1])))
+            for name, point in points.items()
+        }
+        assert away[each.text] <= min(away.values()) + 1.0
 
 
 # Positions of the texts of a chart, and of the chart: [text, left, top, right, bottom].

@@ -45,9 +45,9 @@ def trade(rows: Sequence[Row], cost: str, error: str) -> str:
     if not shown:
         return ""
     low, high = float(np.min(costs)), float(np.max(costs))
-    half = 0.6 * max(high - low, 0.1 * high)  # a difference of a few percent must look small
+    half = 0.7 * max(high - low, 0.1 * high)  # a difference of a few percent must look small
     start, end = max(0.0, (low + high) / 2.0 - half), (low + high) / 2.0 + half
-    floor, top = math.log10(EXACT / 2.0), math.log10(2.5 * max(1.0, *errors))
+    floor, top = math.log10(EXACT / 2.0), math.log10(4.0 * max(1.0, *errors))
 
     def across(value: float) -> float:
         return _LEFT + (value - start) / (end - start) * (_RIGHT - _LEFT)
@@ -123,6 +123,7 @@ def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list
     lines: list[str] = []
     found: list[str] = []
     names: list[Box] = []
+    points = [(x, y) for x, y, *_ in places]
     pairs = zip(rows, places, strict=True)
     for row, (x, y, *_) in sorted(pairs, key=lambda pair: pair[0].dominated):
         # Without free space, the name of a variant on the line overlaps no other name.
@@ -130,7 +131,8 @@ def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list
             free = (
                 place
                 for place in product(_DISTANCES, _DIRECTIONS)
-                if not _overlaps(_box(row.variant.name, x, y, *place), obstacles)
+                if not _overlaps(box := _box(row.variant.name, x, y, *place), obstacles)
+                and (place[0] > _DISTANCES[1] or _nearest(box, points) == (x, y))
             )
             place = next(free, None)
             if place:
@@ -154,6 +156,17 @@ def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, i
     width, x, y = _FONT * _LETTER * len(name), x + distance * right, y - distance * up
     left, bottom = x + (-0.5, 0.0, -1.0)[right] * width, y + (0.5, 0.0, 1.0)[up] * 1.1 * _FONT
     return left, bottom - 1.1 * _FONT, left + width, bottom
+
+
+def _nearest(box: Box, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the point that is nearest to a box."""
+    left, top, right, bottom = box
+
+    def distance(point: tuple[float, float]) -> float:
+        x, y = point
+        return math.hypot(max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom))
+
+    return min(points, key=distance)
 
 
 def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:

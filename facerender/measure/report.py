@@ -42,35 +42,42 @@ from facerender.page.document import table as page_table
 from facerender.system.atomic import make_folder, write_bytes
 
 METHODS = {
-    "specular term": "The time of one evaluation of the whole term from N, L and V, on all cores or"
-    " GPU units together: the slope of the time over the number of evaluations, minus the slope of"
-    " an empty loop. If the CPU draws, processor time divided by the number of cores is measured."
-    " The terms are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
+    "specular term": "The time of one evaluation of the whole term from the normal N, the"
+    " direction L to the light and the direction V to the camera, on all cores or GPU units"
+    " together: the slope of the time over the number of evaluations, minus the slope of an empty"
+    " loop. If the CPU draws, processor time divided by the number of cores is measured. The"
+    " terms are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
     " bootstrap interval. The lobe alone is measured in the same way.",
-    "whole frame": "The time to draw the mesh with one sample per pixel and to read the image back."
-    " The variants are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
-    " interval.",
+    "whole frame": "The time to draw the mesh with one sample per pixel and to read the image"
+    " back. The variants are timed in turns. The value is the lower quartile of the repeats, with"
+    " a 95 % interval.",
     "samples": "The frame time is the median ratio to the time of a frame with one sample per"
     " pixel; frames are drawn in turns. The displayed image is compared with an image of 64"
     " samples, at pixels that the mesh covers partly (silhouette) and fully (inside). Per-pixel"
     " shading shades one triangle per pixel and part for all samples.",
-    "parts of skin shading": "Frames have one sample per pixel. The frame time is the median ratio"
-    " to the time of the part's first setting; frames are drawn in turns. The displayed image is"
-    " compared with the image of the part's last setting.",
-    "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's peak,"
-    " for angles γ of the half vector from 0 to 90 degrees. Both lobes are computed in float64.",
-    "error of the BRDF": "The largest difference from the exact f N.L over directions of light and"
-    " camera, in percent of the largest exact f N.L. Both are computed in float64.",
+    "parts of skin shading": "Frames have one sample per pixel. The frame time is the median"
+    " ratio to the time of the part's first setting; frames are drawn in turns. The displayed"
+    " image is compared with the image of the part's last setting.",
+    "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's"
+    " peak, for angles γ of 0 to 90 degrees between N and the half vector, which is halfway"
+    " between L and V. Both lobes are computed in float64.",
+    "error of the BRDF": "The BRDF f is the fraction of light that is reflected from L to V, per"
+    " solid angle. The error is the largest difference from the exact f N.L over all L and V, in"
+    " percent of the largest exact f N.L. Both are computed in float64.",
     "error of the image": "The OpenGL image is compared with float64 shading of the same G-buffer"
     " with the exact lobe, at covered pixels. Errors of linear radiance are in percent of"
-    " max(reference, 0.01). Levels are 1/255 of the range of the displayed 8-bit image.",
+    " max(exact radiance, 0.01). Levels are 1/255 of the range of the displayed 8-bit image."
+    " Blocks are means over 16 x 16 pixels. The error beyond 3 x 3 neighbours is the distance of"
+    " a pixel from the range of these pixels in the other image, in radiance (white is 1). FLIP"
+    " is a perceptual difference between 0 and 1 (Andersson et al. 2020).",
 }
 INTRODUCTION = (
     "The specular term computes the highlight of a light at a point of the surface. The model is"
     " the whole formula, Cook-Torrance or Ward. Its lobe gives the highlight its shape: the exact"
     " lobe is an exponential function, the other lobes approximate it. A variant is a form of a"
-    " model's term; its cost is the time of one evaluation, for one light at one point."
-    " The roughness m is the root mean square (RMS) slope of the skin's microfacets."
+    " model's term; its cost is the time of one evaluation, for one light at one point. The"
+    " roughness m is the root mean square (RMS) slope of the skin's microfacets. Other parts,"
+    " such as eyes, keep their own m; the error of the image includes them."
 )
 DOMINATED = (
     "In the charts, lower left is better: filled points are the best variants, hollow points are"
@@ -182,7 +189,7 @@ def _page(measurement: Measurement, curves: Iterable[Figure], strips: Iterable[F
     """Return the page: one self-contained HTML file."""
     models, slope = measurement.models, measurement.settings.slope
     frames = " ".join(frame_advice(measurement, model) for model in models)
-    missing = measurement.not_measured or ["nothing"]
+    missing = "".join(f"<li>{escape(each)}</li>" for each in measurement.not_measured)
     terms, *rest = (tables_of(measurement, kind) for kind in KINDS)
     machine = f"{measurement.settings.mesh} on {measurement.environment.GL_RENDERER}"
     body = [
@@ -214,9 +221,9 @@ def _page(measurement: Measurement, curves: Iterable[Figure], strips: Iterable[F
             *(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in METHODS.items()),
             "</dl>",
         ),
-        "<h2>Not measured</h2>",
-        f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in missing)}</ul>",
-        page_table("facts", (), _facts(measurement), "Machine and settings"),
+        f"<h2>Not measured</h2><ul>{missing}</ul>" * bool(missing),
+        "<h2>Machine and settings</h2>",
+        page_table("facts", (), _facts(measurement)),
     ]
     return document(f"Cost and error at m = {slope}", "\n".join(body), chart.STYLE)
 

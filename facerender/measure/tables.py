@@ -42,8 +42,8 @@ _RECOMMENDED_HEAD = (
     "ns per evaluation",
     "95 % interval, ns",
     "95 % interval of a frame, ms",
-    "option of render",
-    "macros of the shader",
+    "render option",
+    "shader macros",
 )
 _LEFT = ("variant", "lobe", "remark", "shading", *_RECOMMENDED_HEAD[-2:])  # aligned to the left
 _IMAGE_HEAD = (
