@@ -351,12 +351,21 @@ def test_files(data, triptychs, tmp_path):
     assert ("tr", {"class": "dominated"}) in page.tags
 
 
+def test_page_without_matplotlib_has_the_chart(data, triptychs, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    paths = report.write(measurement_of(data), triptychs, tmp_path)
+    names = {path.name for path in paths}
+    assert names == {"measure.json", "images-cook-torrance-d16.png", "index.html"}
+    page = Page(paths[-1].read_text(encoding="utf-8"))
+    assert any(tag == "svg" for tag, _ in page.tags)
+    assert "Error of the lobe over the angle" not in page.texts
+
+
 @pytest.mark.parametrize(
     ("fault", "kind", "message"),
     [
         ("plot", MemoryError, None),
         ("number", ValueError, "not JSON compliant"),
-        ("matplotlib", InputError, r"the report needs matplotlib: pip install 'facerender\["),
         ("folder", InputError, "cannot create .*file/report: not a directory"),
     ],
 )
@@ -366,9 +375,6 @@ def test_failed_report_writes_no_file(data, triptychs, tmp_path, monkeypatch, fa
         monkeypatch.setattr(plots, "strip", lambda images: (_ for _ in ()).throw(MemoryError))
     elif fault == "number":
         data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
-    elif fault == "matplotlib":
-        monkeypatch.setitem(sys.modules, "matplotlib", None)
-        assert "not measured" in report.table(measurement_of(data))
     else:
         (tmp_path / "file").touch()
         folder = tmp_path / "file" / "report"

@@ -33,7 +33,7 @@ def add(measure: argparse.ArgumentParser) -> None:
     measure.description = (
         "Measure the cost and the error of each specular approximation on this machine.\n"
         "Print recommended variants and tables; write measure.json, plots and an HTML page.\n"
-        "Requires pip install 'facerender[measure]'."
+        "FLIP and plots of errors over the angle require pip install 'facerender[measure]'."
     )
     add_mesh(measure)
     folder = "out/measure"
@@ -50,10 +50,9 @@ def add(measure: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from facerender.measure import plots, report
+    from facerender.measure import report
     from facerender.measure.run import measure
 
-    plots.check()
     range_of(Material, "m").check("m", options.m)
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]

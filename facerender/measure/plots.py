@@ -22,13 +22,19 @@ DPI = 110
 COLOURS = {name: lobe.colour for name, lobe in LOBES.items()}
 
 
-def check() -> None:
-    """Raise InputError if matplotlib is missing; call before a measurement, which takes minutes."""
+def available() -> bool:
+    """Return whether matplotlib is installed; without it, only :func:`strip` works."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        message = "the report needs matplotlib: pip install 'facerender[measure]'"
-        raise InputError(message) from None
+        return False
+    return True
+
+
+def check() -> None:
+    """Raise InputError if matplotlib is missing; call before a measurement, which takes minutes."""
+    if not available():
+        raise InputError("the report needs matplotlib: pip install 'facerender[measure]'")
 
 
 def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:

@@ -104,16 +104,16 @@ class Figure:
 def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
     """Write measure.json, plots and index.html atomically, and return their paths.
 
-    All plots are drawn before the first file is written. A missing directory is created.
+    All plots are drawn before the first file is written. A missing directory is created. Without
+    matplotlib, there are no plots of errors over the angle.
 
     Raises
     ------
-    InputError : matplotlib is missing, or the directory is not writable
+    InputError : the directory is not writable
     ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
-    plots.check()
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
-    curves = _curves(measurement)
+    curves = _curves(measurement) if plots.available() else []
     strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
         JSON: text.encode(),
@@ -185,13 +185,16 @@ def _strip(triptych: Triptych, slope: str) -> Figure:
     return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
 
 
-def _page(measurement: Measurement, curves: Iterable[Figure], strips: Iterable[Figure]) -> str:
+def _page(measurement: Measurement, curves: Sequence[Figure], strips: Iterable[Figure]) -> str:
     """Return the page: one self-contained HTML file."""
     models, slope = measurement.models, measurement.settings.slope
     frames = " ".join(frame_advice(measurement, model) for model in models)
     missing = "".join(f"<li>{escape(each)}</li>" for each in measurement.not_measured)
     terms, *rest = (tables_of(measurement, kind) for kind in KINDS)
     machine = f"{measurement.settings.mesh} on {measurement.environment.GL_RENDERER}"
+    angles = _folded(
+        "Error of the lobe over the angle", f'<div class="pair">{_figures(curves)}</div>'
+    )
     body = [
         f'<p class="note">{escape(machine)}</p>',
         _trades(measurement, TERM),
@@ -209,7 +212,7 @@ def _page(measurement: Measurement, curves: Iterable[Figure], strips: Iterable[F
             f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",
             *(_html(table, "numbers") for table in error_tables(measurement)),
         ),
-        _folded("Error of the lobe over the angle", f'<div class="pair">{_figures(curves)}</div>'),
+        angles * bool(curves),
         _folded(f"Images at m = {slope}", _figures(strips)),
         _folded("Cost and error of samples per pixel", _html(sample_table(measurement), "numbers")),
         _folded(

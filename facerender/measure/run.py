@@ -20,7 +20,7 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
 from facerender.images.srgb import encode_srgb8
-from facerender.measure import error
+from facerender.measure import error, plots
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
@@ -89,6 +89,9 @@ def measure(
     not_measured = []
     if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
+    if not plots.available():
+        need = "plots of errors over the angle need matplotlib"
+        not_measured.append(f"{need}: pip install 'facerender[measure]'")
     measurement = Measurement(
         environment(backend),
         settings,
