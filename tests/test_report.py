@@ -1,20 +1,26 @@
-"""Tests the report of a measurement: dominated rows, tables, and files that are written completely
-or not at all."""
+"""Tests the report of a measurement: dominated and recommended rows, tables, the page, and files
+that are written completely or not at all."""
 
 from __future__ import annotations
 
 import json
 import sys
 from html.parser import HTMLParser
+from itertools import combinations
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from facerender import InputError
-from facerender.measure import plots, report
+from facerender.measure import chart, plots, report
 from facerender.measure.measurement import Triptych
-from facerender.measure.pareto import FRAME, TERM, measure_of, pareto
+from facerender.measure.pareto import FRAME, LIMITS, TERM, measure_of, pareto, recommended
+from tests.test_page import CONTRASTS
 from tools.docs.measurement import measurement_of
+
+MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
 
 COSTS = {  # cost in ns, and largest relative error of the image
     "printed, exact": (0.4, None),
@@ -141,14 +147,151 @@ def test_tables_mark_dominated_rows_and_missing_values(data):
     d4 = next(line for line in lines if "d4" in line and "0.700" in line)
     assert "dominated" in d4
     assert "20.0" in d4  # percent
-    assert "not measured" in d4  # cost of the lobe
+    assert "lobe alone" not in text  # no cost of a lobe was measured
     printed = next(line for line in lines if "printed, exact" in line)
     assert "as published" in printed
     assert "dominated" not in printed
+    data["variants"][3]["cost"]["lobe_ns"] = {"value": 0.1, "low": 0.1, "high": 0.1}
+    text = report.table(measurement_of(data))
+    assert "lobe alone, ns" in text
+    assert "not measured" in next(line for line in text.splitlines() if "d8" in line)
+    frames = text.split("whole frame")[1]
+    assert "exact" in frames
+    assert "d4" not in frames  # no frame was drawn
     for row in data["variants"]:
         row["cost"]["frame_ms"] = None
     text = report.table(measurement_of(data))
     assert "not measured" in text.split("Whole frame")[1].lower()
+
+
+def limits(data):
+    best = recommended(measurement_of(data), "cook-torrance")
+    return {each.row.variant.name: each.limits for each in best}
+
+
+def test_recommended_variants_are_the_cheapest_within_each_limit(data):
+    assert limits(data) == {"exact, m >= 0.2": LIMITS}  # d8 has an error of 10 %
+    lost = {variant["name"]: variant["error"]["image"] for variant in data["variants"]}
+    lost["d8"]["largest"] = 0.02
+    assert limits(data) == {"exact, m >= 0.2": (LIMITS[0], 1.0), "d8": (3.0,)}
+    costs = {variant["name"]: variant["cost"]["term_ns"] for variant in data["variants"]}
+    costs["exact, m >= 0.2"]["low"] = 0.6  # now the order of the two costs is unknown
+    assert limits(data) == {"exact, m >= 0.2": LIMITS}
+    for row in data["variants"]:
+        row["error"]["image"] = row["error"]["image"] and row["error"]["image"] | {"largest": 0.5}
+    assert limits(data) == {}
+    assert "no variant has an error of at most 3 %" in report.table(measurement_of(data))
+
+
+def test_recommendation_opens_text_and_json(data):
+    data["variants"][4]["error"]["image"]["largest"] = 0.02  # d8
+    measurement = measurement_of(data)
+    first, second, *_ = report.table(measurement).splitlines()
+    assert first == (
+        'Cook-Torrance at m = 0.3: use "exact, m >= 0.2" (0.700 ns per evaluation, error below'
+        ' 0.01 %), or "d8" if an error of 3 % is acceptable (0.600 ns per evaluation, error'
+        " 2.00 %)."
+    )
+    assert second == (
+        "Cook-Torrance: the exact lobe draws a frame of 8 x 8 pixels in 0.800 ms (95 % interval"
+        " 0.792 to 0.808). No lobe with an error of at most 3 % is measurably faster."
+    )
+    frame = data["variants"][4]["cost"]["term_ns"]
+    data["variants"][4]["cost"]["frame_ms"] = frame
+    text = report.table(measurement_of(data))
+    assert "Faster lobes with an error of at most 3 %: d8 (0.600 ms)." in text
+    assert "FR_LOBE FR_LOBE_EXACT, FR_SMALL_SLOPE 0" in text
+    name, best = next(iter(report.content(measurement).items()))
+    assert name == "recommended"
+    assert [(each["name"], each["limits"]) for each in best] == [
+        ("exact, m >= 0.2", [LIMITS[0], 1.0]),
+        ("d8", [3.0]),
+    ]
+
+
+@pytest.mark.parametrize("spread", [1.0, 0.1, 0.01])
+def test_names_are_nearest_to_their_own_points(data, spread):
+    for i, each in enumerate(data["variants"]):
+        cost = 0.6 + 0.4 * spread * i
+        each["cost"]["term_ns"] = {"value": cost, "low": 0.99 * cost, "high": 1.01 * cost}
+        if each["error"]["image"]:
+            each["error"]["image"]["largest"] = 0.3 * (1.0 - 0.99 * spread) ** i
+    svg = ElementTree.fromstring(chart.trade(rows(data), "cost", "error"))
+    circles = [(each.findtext("title"), each.find("circle").attrib) for each in svg.iter("g")]
+    points = {name: (float(at["cx"]), float(at["cy"])) for name, at in circles}
+    lines = {each.get("d").split("L")[0] for each in svg.iterfind("path")}
+    names = [each for each in svg.iter("text") if "name" in each.get("class")]
+    assert len(names) >= 3
+    for each in names:
+        x, y = points[each.text]
+        if f"M{x:.1f} {y:.1f}" in lines:
+            continue  # a line joins the name to its point
+        left = (
+            float(each.get("x"))
+            - 8.0
+            * len(each.text)
+            * ({"start": 0.0, "middle": 0.5, "end": 1.0}[each.get("text-anchor")])
+        )
+        box = np.array([(left, float(each.get("y")) - 9.0), (0.0, float(each.get("y")))])
+        box[1, 0] = left + 8.0 * len(each.text)
+        away = {
+            name: np.hypot(*np.maximum(0.0, np.maximum(box[0] - point, point - box[1])))
+            for name, point in points.items()
+        }
+        assert away[each.text] <= min(away.values()) + 1.0
+
+
+# Positions of the texts of a chart, and of the chart: [text, left, top, right, bottom].
+TEXTS = """chart => [...chart.querySelectorAll("text"), chart].map(each => {
+    const {left, top, right, bottom} = each.getBoundingClientRect();
+    return [each.tagName === "svg" ? "" : each.textContent, left, top, right, bottom];
+})"""
+
+
+@pytest.mark.parametrize("source", ["own", "crowded", "llvmpipe"])
+@pytest.mark.parametrize(("size", "scheme"), [((1280, 800), "light"), ((360, 640), "dark")])
+def test_first_screen_recommends_and_shows_the_chart(data, browser, tmp_path, source, size, scheme):
+    if source == "llvmpipe":
+        data = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
+    elif source == "crowded":  # all costs and errors are almost equal
+        for i, each in enumerate(data["variants"]):
+            cost = 0.6 + 0.001 * i
+            each["cost"]["term_ns"] = {"value": cost, "low": cost, "high": cost}
+            if each["error"]["image"]:
+                each["error"]["image"]["largest"] = 0.02 - 0.0001 * i
+    path = report.write(measurement_of(data), [], tmp_path)[-1]
+    tab = browser.new_page(
+        viewport=dict(zip(("width", "height"), size, strict=True)), color_scheme=scheme
+    )
+    tab.goto(path.as_uri())
+    assert tab.evaluate("document.documentElement.scrollWidth") == size[0]
+    assert tab.locator(".lead").first.text_content().startswith("Cook-Torrance at m = 0.3: use ")
+    charts = tab.locator(".chart")
+    bottom = charts.first.evaluate("chart => chart.getBoundingClientRect().bottom")
+    assert bottom <= size[1]
+    texts = [each.evaluate(TEXTS) for each in charts.all() if each.is_visible()]
+    contrasts = tab.evaluate(CONTRASTS)
+    height = tab.evaluate("document.documentElement.scrollHeight")
+    tab.close()
+    assert len(texts) == (2 if source == "llvmpipe" else 1)
+    for *names, (_, left, top, right, bottom) in texts:
+        assert all(each[1] >= left - 1 and each[3] <= right + 1 for each in names)
+        assert all(each[2] >= top - 1 and each[4] <= bottom + 1 for each in names)
+        overlaps = [
+            (a[0], b[0])
+            for a, b in combinations(names, 2)
+            if a[1] < b[3] and b[1] < a[3] and a[2] + 2 < b[4] and b[2] + 2 < a[4]
+        ]
+        assert overlaps == []
+        shown = {each[0] for each in names}
+        assert "cost of the specular term, ns per evaluation" in shown
+        assert any("% of" in each for each in shown)
+    shown = {name for name, *_ in texts[0]}
+    own = rows(data)
+    assert {row.variant.name for row in own if not (row.dominated or row.variant.printed)} <= shown
+    assert not {row.variant.name for row in own if row.variant.printed} & shown
+    assert [(text, ratio) for text, ratio in contrasts if ratio < 4.5] == []
+    assert height < 5000
 
 
 class Page(HTMLParser):
@@ -182,14 +325,14 @@ def test_files(data, triptychs, tmp_path):
     paths = report.write(measurement_of(data), triptychs, tmp_path / "new" / "report")
     assert {path.name for path in paths} == {
         "measure.json",
-        "trade-term.png",
-        "trade-frame.png",
         "angles-cook-torrance.png",
         "images-cook-torrance-d16.png",
         "index.html",
     }
     assert sorted(paths) == sorted((tmp_path / "new" / "report").iterdir())
-    assert json.loads(paths[0].read_text()) == data
+    content = json.loads(paths[0].read_text())
+    assert content.pop("recommended")
+    assert content == data
 
     text = paths[-1].read_text(encoding="utf-8")
     page = Page(text)
@@ -197,10 +340,25 @@ def test_files(data, triptychs, tmp_path):
     assert ("html", {"lang": "en"}) in page.tags
     assert "url(" not in text
     assert "@import" not in text
-    for shown in ("<llvm> & pipe", "1", "8 x 8", "not measured", "FLIP needs a package"):
+    for shown in ("<llvm> & pipe", "1", "8 x 8", "FLIP needs a package"):
         assert shown in page.texts
+    assert "not measured" not in page.texts  # as a cell
+    order = ["svg", "table", "details"]
+    tags = [tag for tag, _ in page.tags]
+    assert sorted(order, key=tags.index) == order
+    assert page.texts.index("Machine and settings") > page.texts.index("FLIP needs a package")
     assert sum(tag == "img" for tag, _ in page.tags) == len(paths) - 2
     assert ("tr", {"class": "dominated"}) in page.tags
+
+
+def test_page_without_matplotlib_has_the_chart(data, triptychs, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    paths = report.write(measurement_of(data), triptychs, tmp_path)
+    names = {path.name for path in paths}
+    assert names == {"measure.json", "images-cook-torrance-d16.png", "index.html"}
+    page = Page(paths[-1].read_text(encoding="utf-8"))
+    assert any(tag == "svg" for tag, _ in page.tags)
+    assert "Error of the lobe over the angle" not in page.texts
 
 
 @pytest.mark.parametrize(
@@ -208,7 +366,6 @@ def test_files(data, triptychs, tmp_path):
     [
         ("plot", MemoryError, None),
         ("number", ValueError, "not JSON compliant"),
-        ("matplotlib", InputError, r"the report needs matplotlib: pip install 'facerender\["),
         ("folder", InputError, "cannot create .*file/report: not a directory"),
     ],
 )
@@ -218,9 +375,6 @@ def test_failed_report_writes_no_file(data, triptychs, tmp_path, monkeypatch, fa
         monkeypatch.setattr(plots, "strip", lambda images: (_ for _ in ()).throw(MemoryError))
     elif fault == "number":
         data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
-    elif fault == "matplotlib":
-        monkeypatch.setitem(sys.modules, "matplotlib", None)
-        assert "not measured" in report.table(measurement_of(data))
     else:
         (tmp_path / "file").touch()
         folder = tmp_path / "file" / "report"

@@ -32,8 +32,8 @@ def add(measure: argparse.ArgumentParser) -> None:
     measure.set_defaults(command=run)
     measure.description = (
         "Measure the cost and the error of each specular approximation on this machine.\n"
-        "Print a table; write measure.json, plots and an HTML page.\n"
-        "Requires pip install 'facerender[measure]'."
+        "Print recommended variants and tables; write measure.json, plots and an HTML page.\n"
+        "FLIP and plots of errors over the angle require pip install 'facerender[measure]'."
     )
     add_mesh(measure)
     folder = "out/measure"
@@ -41,7 +41,7 @@ def add(measure: argparse.ArgumentParser) -> None:
     measure.add_argument("-o", "--output", default=folder, metavar="DIR", help=output)
     add_allow_outside(measure)
     add_parts(measure)
-    slope = "RMS slope of the microfacets of every part"
+    slope = "RMS slope of the skin's microfacets; other parts keep their own"
     add_field(measure, Material, "m", slope, default=Material.m, metavar="M")
     add_flag(measure, "quick", "use smaller images and fewer repeats")
     add_backend(measure, BACKENDS)
@@ -50,10 +50,9 @@ def add(measure: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from facerender.measure import plots, report
+    from facerender.measure import report
     from facerender.measure.run import measure
 
-    plots.check()
     range_of(Material, "m").check("m", options.m)
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
@@ -69,8 +68,8 @@ def run(options: argparse.Namespace) -> int:
         )
         progress("report", 0.0)
         paths = report.write(measurement, triptychs, folder)
-    content = measurement.as_dict()
-    print_result(json.dumps(content, indent=2) if options.json else report.table(measurement))
+    text = report.table(measurement)
+    print_result(json.dumps(report.content(measurement), indent=2) if options.json else text)
     for line in measurement.not_measured:
         print_message(f"facerender: not measured: {line}")
     if not options.quiet:

@@ -46,7 +46,7 @@ class Settings:
     Attributes
     ----------
     mesh : name of the mesh
-    m : roughness of the whole mesh
+    m : roughness of the skin
     size : width and height of the images in pixels
     repeats : number of repeats of each timing
     quick : whether the measurement was reduced to save time
@@ -221,6 +221,11 @@ class Measurement:
     curves: Mapping[str, Curves]
     not_measured: Sequence[str]
     skin: Sequence[PartSetting] = ()
+
+    @property
+    def models(self) -> list[str]:
+        """The names of the measured models."""
+        return [model for model in MODELS if self.of_model(model)]
 
     def of_model(self, model: str) -> list[MeasuredVariant]:
         """Return the variants of a model."""

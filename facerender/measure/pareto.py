@@ -1,10 +1,11 @@
-"""Finds the variants that no other variant dominates in cost and error."""
+"""Finds the variants that no other variant dominates in cost and error, and recommends some."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from itertools import groupby
+from typing import Any, Literal
 
 from facerender.measure.measurement import ImageError, MeasuredVariant, Measurement
 from facerender.pricing.interval import Interval
@@ -13,6 +14,7 @@ from facerender.pricing.variants import Variant
 # Largest error that float32 causes in the image of the exact lobe, in percent. Errors up to this
 # value count as 0.
 EXACT = 0.01
+LIMITS = (EXACT, 1.0, 3.0)  # errors of recommended variants are at most these, in percent
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ TERM = CostKind(
     "ns per evaluation",
     lambda measured: measured.cost.term_ns,
     {
-        "95 % interval": lambda measured: measured.cost.term_ns,
+        "95 % interval, ns": lambda measured: measured.cost.term_ns,
         "lobe alone, ns": lambda measured: lobe.value if (lobe := measured.cost.lobe_ns) else None,
     },
 )
@@ -47,7 +49,7 @@ FRAME = CostKind(
     "whole frame",
     "ms per frame",
     lambda measured: measured.cost.frame_ms,
-    {"95 % interval": lambda measured: measured.cost.frame_ms},
+    {"95 % interval, ms": lambda measured: measured.cost.frame_ms},
 )
 KINDS = (TERM, FRAME)
 
@@ -103,6 +105,37 @@ def pareto(measurement: Measurement, model: str, kind: CostKind) -> list[Row]:
         return row.cost is None, row.cost.value if row.cost else 0.0, row.error or 0.0
 
     return sorted(marked, key=order)
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The row of the cheapest variant of a model, for each of these limits in percent."""
+
+    model: str
+    limits: tuple[float, ...]
+    row: Row
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the recommendation for measure.json."""
+        variant = self.row.variant
+        names = {"model": self.model, "name": variant.name, "lobe": variant.lobe}
+        return names | {"limits": list(self.limits), "error": self.row.error}
+
+
+def recommended(measurement: Measurement, model: str) -> list[Recommendation]:
+    """Return the recommended variants of a model, by the cost of the term, from the lowest limit.
+
+    Dominated variants and published forms are not recommended. A limit of ``LIMITS`` that no
+    variant meets is absent.
+    """
+    rows = [row for row in pareto(measurement, model, TERM) if row.cost and row.error is not None]
+    best = [row for row in rows if not (row.dominated or row.variant.printed)]
+    chosen = [next((row for row in best if (row.error or 0.0) <= limit), None) for limit in LIMITS]
+    return [
+        Recommendation(model, tuple(limit for limit, _ in pairs), row)
+        for row, pairs in groupby(zip(LIMITS, chosen, strict=True), key=lambda pair: pair[1])
+        if row
+    ]
 
 
 def _dominates(a: Row, b: Row) -> bool:

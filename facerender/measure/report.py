@@ -1,6 +1,6 @@
 """Writes a measurement to files: ``measure.json``, plots as PNG, and the page ``index.html``.
 
-``tables.py`` makes the tables, ``plots.py`` draws the plots.
+``tables.py`` makes sentences and tables, ``chart.py`` and ``plots.py`` draw.
 """
 
 from __future__ import annotations
@@ -10,48 +10,78 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
-from facerender.measure import plots
+from facerender.measure import chart, plots
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
-from facerender.measure.pareto import EXACT, KINDS, measure_of, pareto
+from facerender.measure.pareto import (
+    EXACT,
+    FRAME,
+    KINDS,
+    TERM,
+    CostKind,
+    measure_of,
+    pareto,
+    recommended,
+)
 from facerender.measure.tables import (
     ERRORS,
     NOT_MEASURED,
     Table,
+    advice,
     cost_tables,
     error_tables,
+    frame_advice,
+    recommendation_table,
     sample_table,
     skin_table,
+    tables_of,
 )
 from facerender.page.document import document, figure, row
 from facerender.page.document import table as page_table
 from facerender.system.atomic import make_folder, write_bytes
 
 METHODS = {
-    "specular term": "The time of one evaluation of the whole term from N, L and V, on all cores or"
-    " GPU units together: the slope of the time over the number of evaluations, minus the slope of"
-    " an empty loop. If the CPU draws, processor time divided by the number of cores is measured."
-    " The terms are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
+    "specular term": "The time of one evaluation of the whole term from the normal N, the"
+    " direction L to the light and the direction V to the camera, on all cores or GPU units"
+    " together: the slope of the time over the number of evaluations, minus the slope of an empty"
+    " loop. If the CPU draws, processor time divided by the number of cores is measured. The"
+    " terms are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
     " bootstrap interval. The lobe alone is measured in the same way.",
-    "whole frame": "The time to draw the mesh with one sample per pixel and to read the image back."
-    " The variants are timed in turns. The value is the lower quartile of the repeats, with a 95 %"
-    " interval.",
+    "whole frame": "The time to draw the mesh with one sample per pixel and to read the image"
+    " back. The variants are timed in turns. The value is the lower quartile of the repeats, with"
+    " a 95 % interval.",
     "samples": "The frame time is the median ratio to the time of a frame with one sample per"
     " pixel; frames are drawn in turns. The displayed image is compared with an image of 64"
     " samples, at pixels that the mesh covers partly (silhouette) and fully (inside). Per-pixel"
     " shading shades one triangle per pixel and part for all samples.",
-    "parts of skin shading": "Frames have one sample per pixel. The frame time is the median ratio"
-    " to the time of the part's first setting; frames are drawn in turns. The displayed image is"
-    " compared with the image of the part's last setting.",
-    "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's peak,"
-    " for angles γ of the half vector from 0 to 90 degrees. Both lobes are computed in float64.",
-    "error of the BRDF": "The largest difference from the exact f N.L over directions of light and"
-    " camera, in percent of the largest exact f N.L. Both are computed in float64.",
+    "parts of skin shading": "Frames have one sample per pixel. The frame time is the median"
+    " ratio to the time of the part's first setting; frames are drawn in turns. The displayed"
+    " image is compared with the image of the part's last setting.",
+    "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's"
+    " peak, for angles γ of 0 to 90 degrees between N and the half vector, which is halfway"
+    " between L and V. Both lobes are computed in float64.",
+    "error of the BRDF": "The BRDF f is the fraction of light that is reflected from L to V, per"
+    " solid angle. The error is the largest difference from the exact f N.L over all L and V, in"
+    " percent of the largest exact f N.L. Both are computed in float64.",
     "error of the image": "The OpenGL image is compared with float64 shading of the same G-buffer"
     " with the exact lobe, at covered pixels. Errors of linear radiance are in percent of"
-    " max(reference, 0.01). Levels are 1/255 of the range of the displayed 8-bit image.",
+    " max(exact radiance, 0.01). Levels are 1/255 of the range of the displayed 8-bit image."
+    " Blocks are means over 16 x 16 pixels. The error beyond 3 x 3 neighbours is the distance of"
+    " a pixel from the range of these pixels in the other image, in radiance (white is 1). FLIP"
+    " is a perceptual difference between 0 and 1 (Andersson et al. 2020).",
 }
+INTRODUCTION = (
+    "The specular term computes the highlight of a light at a point of the surface. The model is"
+    " the whole formula, Cook-Torrance or Ward. Its lobe gives the highlight its shape: the exact"
+    " lobe is an exponential function, the other lobes approximate it. A variant is a form of a"
+    " model's term; its cost is the time of one evaluation, for one light at one point. The"
+    " roughness m is the root mean square (RMS) slope of the skin's microfacets. Other parts,"
+    " such as eyes, keep their own m; the error of the image includes them."
+)
 DOMINATED = (
+    "In the charts, lower left is better: filled points are the best variants, hollow points are"
+    " dominated, horizontal bars are 95 % intervals of the cost. "
     "Dominated: another variant of the model is at least as cheap and as exact, and better in cost"
     " or error. Costs with overlapping intervals count as equal. Errors up to"
     f" {EXACT:g} % count as zero, because float32 causes errors of this size. Forms as published"
@@ -74,23 +104,31 @@ class Figure:
 def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
     """Write measure.json, plots and index.html atomically, and return their paths.
 
-    All plots are drawn before the first file is written. A missing directory is created.
+    All plots are drawn before the first file is written. A missing directory is created. Without
+    matplotlib, there are no plots of errors over the angle.
 
     Raises
     ------
-    InputError : matplotlib is missing, or the directory is not writable
+    InputError : the directory is not writable
     ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
-    plots.check()
-    content = json.dumps(measurement.as_dict(), indent=1, allow_nan=False) + "\n"
-    trades, curves = _trades(measurement), _curves(measurement)
+    text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
+    curves = _curves(measurement) if plots.available() else []
     strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
-        JSON: content.encode(),
-        **{plot.file: plot.png for plot in (*trades, *curves, *strips)},
-        PAGE: _page(measurement, trades, curves, strips).encode(),
+        JSON: text.encode(),
+        **{plot.file: plot.png for plot in (*curves, *strips)},
+        PAGE: _page(measurement, curves, strips).encode(),
     }
     return write_files(directory, files)
+
+
+def content(measurement: Measurement) -> dict[str, Any]:
+    """Return the content of measure.json: the measurement and the recommended variants."""
+    best = [
+        each.as_dict() for model in measurement.models for each in recommended(measurement, model)
+    ]
+    return {"recommended": best, **measurement.as_dict()}
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
@@ -111,28 +149,18 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 def table(measurement: Measurement) -> str:
     """Return tables of cost and error as text for a terminal.
 
-    There is one table for each combination of model and kind of cost, one table for samples per
-    pixel, and one table for the parts of skin shading.
+    The recommended variants come first. There is one table for each combination of model and kind
+    of cost, one table for samples per pixel, and one table for the parts of skin shading.
     """
-    tables = [*cost_tables(measurement), sample_table(measurement), skin_table(measurement)]
-    return "\n\n".join(table.text() for table in tables)
-
-
-def _trades(measurement: Measurement) -> list[Figure]:
-    """Return plots of error over cost, one for each measured kind of cost."""
-    figures = []
-    for kind in KINDS:
-        panels = {}
-        for model, name in MODELS.items():
-            rows = pareto(measurement, model, kind)
-            if any(row.cost is not None and row.error is not None for row in rows):
-                title = f"{name}, m = {measurement.settings.slope}: {kind.title}"
-                panels[title] = (rows, ERRORS[measure_of(measurement, model)])
-        if panels:
-            png = plots.trade(panels, f"cost, {kind.unit}")
-            caption = f"Error over cost, {kind.title}. The line joins the variants not dominated."
-            figures.append(Figure(f"trade-{kind.title.split()[-1]}.png", png, caption))
-    return figures
+    models = measurement.models
+    sentences = [say(measurement, model) for say in (advice, frame_advice) for model in models]
+    tables = [
+        *(recommendation_table(measurement, model) for model in models),
+        *cost_tables(measurement),
+        sample_table(measurement),
+        skin_table(measurement),
+    ]
+    return "\n\n".join(["\n".join(filter(None, sentences)), *(table.text() for table in tables)])
 
 
 def _curves(measurement: Measurement) -> list[Figure]:
@@ -157,46 +185,96 @@ def _strip(triptych: Triptych, slope: str) -> Figure:
     return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
 
 
-def _page(
-    measurement: Measurement,
-    trades: Iterable[Figure],
-    curves: Iterable[Figure],
-    strips: Iterable[Figure],
-) -> str:
+def _page(measurement: Measurement, curves: Sequence[Figure], strips: Iterable[Figure]) -> str:
     """Return the page: one self-contained HTML file."""
-    content, settings = measurement.as_dict(), measurement.settings
-    size = {"size": "{} x {}".format(*settings.size)}
-    facts = (content["environment"] | content["settings"] | size).items()
-    fact_rows = [row(escape(name), [escape(_fact(value))]) for name, value in facts]
-    missing = measurement.not_measured or ["nothing"]
+    models, slope = measurement.models, measurement.settings.slope
+    frames = " ".join(frame_advice(measurement, model) for model in models)
+    missing = "".join(f"<li>{escape(each)}</li>" for each in measurement.not_measured)
+    terms, *rest = (tables_of(measurement, kind) for kind in KINDS)
+    machine = f"{measurement.settings.mesh} on {measurement.environment.GL_RENDERER}"
+    angles = _folded(
+        "Error of the lobe over the angle", f'<div class="pair">{_figures(curves)}</div>'
+    )
     body = [
-        page_table("facts", (), fact_rows, "Machine and settings"),
-        "<h2>Cost and error</h2>",
-        f"<p>{escape(DOMINATED)}</p>",
-        *(_html(table, "numbers costs") for table in cost_tables(measurement)),
-        f'<div class="pair">{_figures(trades)}</div>',
-        "<h2>Error over the angle</h2>",
-        f'<div class="pair">{_figures(curves)}</div>',
-        "<h2>Errors</h2>",
-        *(_html(table, "numbers") for table in error_tables(measurement)),
-        _html(sample_table(measurement), "numbers"),
-        _html(skin_table(measurement), "numbers"),
-        "<h2>Images</h2>",
-        _figures(strips),
-        "<h2>Not measured</h2>",
-        f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in missing)}</ul>",
-        "<h2>How the values are measured</h2>",
-        "<dl>",
-        *(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in METHODS.items()),
-        "</dl>",
+        f'<p class="note">{escape(machine)}</p>',
+        _trades(measurement, TERM),
+        f"<p>{escape(frames)}</p>" * bool(frames),
+        f"<p>{escape(INTRODUCTION)}</p>",
+        f'<p class="note">{escape(DOMINATED)}</p>',
+        *(_html(recommendation_table(measurement, model), "numbers costs") for model in models),
+        *(_html(table, "numbers costs") for table in terms),
+        _folded(
+            "Cost of a whole frame",
+            _trades(measurement, FRAME),
+            *(_html(table, "numbers costs") for tables in rest for table in tables),
+        ),
+        _folded(
+            f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",
+            *(_html(table, "numbers") for table in error_tables(measurement)),
+        ),
+        angles * bool(curves),
+        _folded(f"Images at m = {slope}", _figures(strips)),
+        _folded("Cost and error of samples per pixel", _html(sample_table(measurement), "numbers")),
+        _folded(
+            "Cost and error of parts of skin shading", _html(skin_table(measurement), "numbers")
+        ),
+        _folded(
+            "How the values are measured",
+            "<dl>",
+            *(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in METHODS.items()),
+            "</dl>",
+        ),
+        f"<h2>Not measured</h2><ul>{missing}</ul>" * bool(missing),
+        "<h2>Machine and settings</h2>",
+        page_table("facts", (), _facts(measurement)),
     ]
-    return document("Cost and error of specular terms", "\n".join(body))
+    return document(f"Cost and error at m = {slope}", "\n".join(body), chart.STYLE)
 
 
-def _fact(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "none" if value is None else str(value)
+def _marked(sentence: str) -> str:
+    """Return a sentence as HTML; quoted names of variants become bold."""
+    pieces = escape(sentence, quote=False).split('"')
+    return "".join(f"<b>{piece}</b>" if i % 2 else piece for i, piece in enumerate(pieces))
+
+
+def _trades(measurement: Measurement, kind: CostKind) -> str:
+    """Return the charts of cost and error side by side, for each model with its recommendation."""
+    cost = f"cost of the {kind.title}, {kind.unit}"
+    figures = []
+    for model in measurement.models:
+        error = ERRORS[measure_of(measurement, model)]
+        svg = chart.trade(pareto(measurement, model, kind), cost, error)
+        say = advice if kind is TERM else frame_advice
+        if svg:
+            text = _marked(say(measurement, model))
+            figures.append(f'<figure><figcaption class="lead">{text}</figcaption>{svg}</figure>')
+    return f'<div class="pair trades">{"".join(figures)}</div>'
+
+
+def _folded(summary: str, *content: str) -> str:
+    return "\n".join([f"<details><summary>{escape(summary)}</summary>", *content, "</details>"])
+
+
+def _facts(measurement: Measurement) -> list[str]:
+    """Return rows of a table with the machine and the settings."""
+    environment, settings = measurement.environment, measurement.settings
+    facts = {
+        "mesh": settings.mesh,
+        "m of the skin (RMS slope of the microfacets)": settings.slope,
+        "size of the images, pixels": "{} x {}".format(*settings.size),
+        "repeats of each timing": settings.repeats,
+        "reduced measurement (--quick)": "yes" if settings.quick else "no",
+        "OpenGL driver (GL_RENDERER)": environment.GL_RENDERER,
+        "version of OpenGL (GL_VERSION)": environment.GL_VERSION,
+        "drawn by": "CPU" if environment.software else "GPU",
+        "processor": environment.processor,
+        "processor cores that the process may use": environment.cores,
+        "version of facerender": environment.facerender,
+        "version of Python": environment.python,
+        "version of NumPy": environment.numpy,
+        "date of the measurement": environment.date,
+    }
+    return [row(name, [escape(str(value))]) for name, value in facts.items()]
 
 
 def _figures(figures: Iterable[Figure]) -> str:

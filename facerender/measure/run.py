@@ -20,7 +20,7 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
 from facerender.images.srgb import encode_srgb8
-from facerender.measure import error
+from facerender.measure import error, plots
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
@@ -61,7 +61,7 @@ def measure(
     Parameters
     ----------
     mesh : mesh for the cost of a frame and the error of an image
-    m : roughness of the whole mesh, in [1e-4, 2]
+    m : roughness of the skin, in [1e-4, 2]; see :meth:`facerender.Mesh.with_skin`
     quick : whether to use smaller images and fewer repeats, and skip the cost of lobes alone
     progress : called with the current step and its completed fraction
 
@@ -71,7 +71,7 @@ def measure(
     InputError : m is outside its range, or a map is damaged
     """
     size, repeats = ((256, 256), 7) if quick else ((512, 512), 21)
-    plain = mesh.with_material(m=m, roughness_map=None)
+    plain = mesh.with_skin(m=m)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
     settings = Settings(mesh.name, m, size, repeats, quick)
@@ -89,6 +89,9 @@ def measure(
     not_measured = []
     if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
+    if not plots.available():
+        need = "plots of errors over the angle need matplotlib"
+        not_measured.append(f"{need}: pip install 'facerender[measure]'")
     measurement = Measurement(
         environment(backend),
         settings,
@@ -116,8 +119,11 @@ def _model(
     if not settings.quick:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     rendered = [variant for variant in _standard(model) if _inside(variant, m)]
-    # The slope filter is off, since it may raise m above the lobe's domain.
-    shadings = [replace(variant.shading, slope_filter=False) for variant in rendered]
+    # The slope filter is off, since it may raise m above the lobe's domain. The m of other parts
+    # than the skin may be outside.
+    shadings = [
+        replace(variant.shading, slope_filter=False, outside="exact") for variant in rendered
+    ]
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
     renderings = error.image_errors(scene, shadings, size, backend)

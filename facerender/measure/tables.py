@@ -1,6 +1,6 @@
-"""Tables of a measurement as text: cost and error, and errors alone.
+"""Texts and tables of a measurement: recommendations, cost and error, and errors alone.
 
-``pareto.py`` determines the dominated variants.
+``pareto.py`` determines the recommended and the dominated variants.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from facerender.glsl.code import lobe_macros
 from facerender.measure.measurement import (
     MODELS,
     BySlope,
@@ -15,16 +16,36 @@ from facerender.measure.measurement import (
     ImageError,
     Measurement,
 )
-from facerender.measure.pareto import KINDS, CostKind, Row, measure_of, pareto
+from facerender.measure.pareto import (
+    EXACT,
+    FRAME,
+    KINDS,
+    LIMITS,
+    CostKind,
+    Row,
+    measure_of,
+    pareto,
+    recommended,
+)
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant
 
 ERRORS = {
-    "image": "largest error of the image, % of max(reference, 0.01)",
+    "image": "largest error of a pixel, % of max(exact radiance, 0.01)",
     "lobe": "largest error of the lobe, % of its peak",
 }
 NOT_MEASURED = "not measured"
-_LEFT = ("variant", "lobe", "remark", "shading")  # columns of text, aligned to the left
+_RECOMMENDED_HEAD = (
+    "limit of the error, %",
+    "variant",
+    "error, %",
+    "ns per evaluation",
+    "95 % interval, ns",
+    "95 % interval of a frame, ms",
+    "render option",
+    "shader macros",
+)
+_LEFT = ("variant", "lobe", "remark", "shading", *_RECOMMENDED_HEAD[-2:])  # aligned to the left
 _IMAGE_HEAD = (
     "lobe",
     "largest, %",
@@ -80,10 +101,80 @@ class Table:
         return "\n".join([self.title, self.note, *(row.format(*line).rstrip() for line in lines)])
 
 
+def advice(measurement: Measurement, model: str) -> str:
+    """Return a sentence with the recommended variants of a model."""
+    best = recommended(measurement, model)
+    start = f"{MODELS[model]} at m = {measurement.settings.slope}: "
+    if not best:
+        return f"{start}no variant has an error of at most {LIMITS[-1]:g} %."
+    parts = []
+    for each in best:
+        limit = each.limits[0]
+        allowed = f" if an error of {limit:g} % is acceptable" if limit > EXACT else ""
+        parts.append(f'"{each.row.variant.name}"{allowed} ({_cost_and_error(each.row)})')
+    rest = f"; no variant with an error of at most {LIMITS[-1]:g} % is measurably cheaper"
+    return f"{start}use {', or '.join(parts)}{rest * (len(parts) == 1)}."
+
+
+def _cost_and_error(row: Row) -> str:
+    error = row.error or 0.0
+    words = f"error below {EXACT:g} %" if error <= EXACT else f"error {_number(error)} %"
+    return f"{_number(row.cost.value if row.cost else None)} ns per evaluation, {words}"
+
+
+def frame_advice(measurement: Measurement, model: str) -> str:
+    """Return the time of a frame with the exact lobe, and the faster lobes; "" if not measured."""
+    rows = [row for row in pareto(measurement, model, FRAME) if row.cost]
+    exact = next((row.cost for row in rows if row.variant.lobe == "exact"), None)
+    if exact is None:
+        return ""
+    allowed = f"with an error of at most {LIMITS[-1]:g} %"
+    faster = [
+        f"{row.variant.name} ({_number(row.cost.value)} ms)"
+        for row in rows
+        if row.cost and row.cost.high < exact.low and (row.error or 0.0) <= LIMITS[-1]
+    ]
+    found = f"No lobe {allowed} is measurably faster."
+    if faster:
+        found = f"Faster lobes {allowed}: {', '.join(faster)}."
+    time = f"{_number(exact.value)} ms (95 % interval {_cell(exact)})"
+    size = "{} x {} pixels".format(*measurement.settings.size)
+    return f"{MODELS[model]}: the exact lobe draws a frame of {size} in {time}. {found}"
+
+
+def recommendation_table(measurement: Measurement, model: str) -> Table:
+    """Return the table of a model's recommended variants, and how to select them."""
+    error = ERRORS[measure_of(measurement, model)]
+    frames = {row.variant.lobe: row.cost for row in pareto(measurement, model, FRAME) if row.cost}
+    rows = []
+    for each in recommended(measurement, model):
+        variant, cost = each.row.variant, each.row.cost
+        macros = lobe_macros(variant.lobe) | ({"FR_SMALL_SLOPE": "0"} if variant.plain else {})
+        rows.append(
+            [
+                ", ".join(f"{limit:g}" for limit in each.limits),
+                variant.name,
+                _number(each.row.error),
+                _number(cost.value if cost else None),
+                _cell(cost),
+                _cell(frames.get(variant.lobe)),
+                f"--lobe {variant.lobe}",
+                ", ".join(f"{name} {value}" for name, value in macros.items()),
+            ]
+        )
+    return _table(
+        f"{MODELS[model]}, m = {measurement.settings.slope}: recommended variants",
+        f"The cheapest term with an error up to the limit. Error: {error}.",
+        _RECOMMENDED_HEAD,
+        rows,
+    )
+
+
 def cost_tables(measurement: Measurement) -> list[Table]:
     """Return a table for each combination of cost kind and model, with the cheapest variant first.
 
-    A kind of cost that was not measured has one table without rows.
+    Variants without a cost are absent; a kind of cost that was not measured has one table without
+    rows.
     """
     return [table for kind in KINDS for table in tables_of(measurement, kind)]
 
@@ -96,11 +187,11 @@ def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
         if any(row.cost is not None for row in rows):
             exact = next((row.cost for row in rows if row.variant == Variant(model, "exact")), None)
             tables.append(
-                Table(
+                _table(
                     f"{title}, m = {measurement.settings.slope}: {kind.title}",
                     f"Error: {ERRORS[measure_of(measurement, model)]}.",
                     ["variant", "remark", kind.unit, "cost / exact", "error, %", *kind.columns],
-                    [_cost_cells(row, kind, exact) for row in rows],
+                    [_cost_cells(row, kind, exact) for row in rows if row.cost],
                     [row.variant.name for row in rows if row.dominated],
                 )
             )
@@ -112,12 +203,15 @@ def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
     ratio = f"{cost / exact.value:.2f}" if cost is not None and exact else ""
     remarks = ["as published"] * row.variant.printed + ["dominated"] * row.dominated
     error = _number(row.error, NOT_MEASURED if row.variant.printed else "outside the domain")
-    extra = [_cell(value(row.measured)) if row.cost else "" for value in kind.columns.values()]
+    extra = [_cell(value(row.measured)) for value in kind.columns.values()]
     return [row.variant.name, ", ".join(remarks), _number(cost), ratio, error, *extra]
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
-    """Return three tables per model: image errors at one m; lobe errors and BRDF errors by m."""
+    """Return three tables per model: image errors at one m; lobe errors and BRDF errors by m.
+
+    Lobes whose domain excludes m have no row of image errors.
+    """
     tables = []
     for model, title in MODELS.items():
         errors = {
@@ -128,11 +222,12 @@ def error_tables(measurement: Measurement) -> list[Table]:
         if not errors:
             continue
         tables += [
-            Table(
+            _table(
                 f"{title}, m = {measurement.settings.slope}: error of the image",
-                "Relative to max(reference, 0.01) unless stated otherwise.",
+                "Errors of linear radiance in % of max(exact radiance, 0.01); displayed errors in"
+                " 8-bit levels (1/255).",
                 _IMAGE_HEAD,
-                [[lobe, *_image_cells(error.image)] for lobe, error in errors.items()],
+                [[lobe, *_image_cells(e.image)] for lobe, e in errors.items() if e.image],
             ),
             _slope_table(
                 f"{title}: error of the lobe",
@@ -141,7 +236,7 @@ def error_tables(measurement: Measurement) -> list[Table]:
             ),
             _slope_table(
                 f"{title}: error of the BRDF",
-                "Largest error of f N.L, % of the largest exact f N.L.",
+                "Largest error of the BRDF times N.L, % of its largest exact value.",
                 {lobe: error.brdf for lobe, error in errors.items()},
             ),
         ]
@@ -183,6 +278,20 @@ def _levels(error: DisplayError) -> tuple[float, float]:
     return 255.0 * error.mean, 255.0 * error.percentile
 
 
+def _table(
+    title: str,
+    note: str,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    dominated: Collection[str] = (),
+) -> Table:
+    """Return a table without the columns that are empty or were not measured in any row."""
+    columns = zip(head, zip(*rows, strict=True), strict=True) if rows else ()
+    kept = [(name, *cells) for name, cells in columns if {*cells} - {"", NOT_MEASURED}]
+    lines = list(zip(*kept, strict=True)) or [()]
+    return Table(title, note, lines[0], lines[1:], dominated)
+
+
 def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
     slopes = list(next(iter(errors.values())))
     rows = [
@@ -192,9 +301,7 @@ def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
     return Table(title, note, ["lobe", *(f"m = {m}" for m in slopes)], rows)
 
 
-def _image_cells(error: ImageError | None) -> list[str]:
-    if error is None:
-        return [NOT_MEASURED] * (len(_IMAGE_HEAD) - 1)
+def _image_cells(error: ImageError) -> list[str]:
     percent = [100.0 * each for each in (error.largest, error.percentile, error.block)]
     others = (error.point, error.steps, error.steps_percentile, error.flip)
     return [_number(value) for value in (*percent, *others)]

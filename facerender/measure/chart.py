@@ -1,0 +1,179 @@
+"""The chart of cost and error as inline SVG; chart.css has its colours for light and dark mode.
+
+``pareto.py`` selects the data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+
+from facerender.measure.pareto import EXACT, Row
+
+STYLE = Path(__file__).with_name("chart.css")
+_WIDTH, _HEIGHT = 340, 270
+_LEFT, _RIGHT, _TOP, _BOTTOM = 50.0, 324.0, 22.0, 230.0  # edges of the plot area
+_FONT = 12.0  # font size of chart.css
+_LETTER = 0.72  # mean width of a bold letter in font sizes; wide fonts have about 0.7
+_RADIUS = 4.0
+# Candidate positions of a name: distances from its point, and directions.
+_DISTANCES = (8, 13, 19, 27, 38, 50)
+_DIRECTIONS = ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+
+Box = tuple[float, float, float, float]  # left, top, right, bottom
+
+
+def trade(rows: Sequence[Row], cost: str, error: str) -> str:
+    """Return a chart of error over cost as SVG, or "" if no row has cost and error.
+
+    Published forms are omitted. A line joins the variants that no other variant dominates. Their
+    names are always written; other names are written where they overlap nothing.
+
+    Parameters
+    ----------
+    rows : variants of one model, cheapest first
+    cost, error : labels of the axes, with units
+    """
+    shown = [row for row in rows if row.cost and row.error is not None and not row.variant.printed]
+    costs = [(row.cost.value, row.cost.low, row.cost.high) for row in shown if row.cost]
+    errors = [max(row.error or 0.0, EXACT) for row in shown]
+    if not shown:
+        return ""
+    low, high = float(np.min(costs)), float(np.max(costs))
+    half = 0.7 * max(high - low, 0.1 * high)  # a difference of a few percent must look small
+    start, end = max(0.0, (low + high) / 2.0 - half), (low + high) / 2.0 + half
+    floor, top = math.log10(EXACT / 2.0), math.log10(4.0 * max(1.0, *errors))
+
+    def across(value: float) -> float:
+        return _LEFT + (value - start) / (end - start) * (_RIGHT - _LEFT)
+
+    def down(value: float) -> float:
+        return _BOTTOM - (math.log10(value) - floor) / (top - floor) * (_BOTTOM - _TOP)
+
+    columns = {f"{tick:g}": across(tick) for tick in _ticks(start, end)}
+    decades = [10.0**power for power in range(round(math.log10(EXACT)), math.floor(top) + 1)]
+    lines = {f"{'≤ ' * (tick == EXACT)}{tick:g}": down(tick) for tick in decades}
+    grid = [f"M{x:.1f} {_TOP}V{_BOTTOM}" for x in columns.values()]
+    grid += [f"M{_LEFT} {y:.1f}H{_RIGHT}" for y in lines.values()]
+    places = [
+        (across(value), down(y), across(least), across(most))
+        for (value, least, most), y in zip(costs, errors, strict=True)
+    ]
+    front = [(x, y) for (x, y, *_), row in zip(places, shown, strict=True) if not row.dominated]
+    steps = [f"H{x:.1f}V{y:.1f}" for x, y in front[1:]]
+    parts = [
+        f'<path class="grid" d="{"".join(grid)}"/>',
+        *(_text(x, _BOTTOM + 15.0, "middle", name, "tick") for name, x in columns.items()),
+        *(_text(_LEFT - 6.0, y + 4.0, "end", name, "tick") for name, y in lines.items()),
+        _text((_LEFT + _RIGHT) / 2.0, _BOTTOM + 33.0, "middle", cost),
+        _text(2.0, 12.0, "start", error),
+        *(f'<path class="front" d="M{x:.1f} {y:.1f}{"".join(steps)}"/>' for x, y in front[:1]),
+        *(_point(row, *place) for row, place in zip(shown, places, strict=True)),
+        *_names(shown, places, _boxes(places, front)),
+    ]
+    label = escape(f"{error} over {cost}")
+    head = f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">'
+    return f"{head}{''.join(parts)}</svg>"
+
+
+def _ticks(start: float, end: float) -> list[float]:
+    """Return at most six multiples of 1, 2 or 5 times a power of ten, from start to end."""
+    power = 10.0 ** math.floor(math.log10(end - start))
+    steps = (factor * power for factor in (0.2, 0.5, 1.0, 2.0))
+    step = next(step for step in steps if (end - start) / step < 6.0)
+    return [step * k for k in range(math.ceil(start / step), math.floor(end / step) + 1)]
+
+
+def _text(x: float, y: float, anchor: str, text: str, kind: str = "") -> str:
+    place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"'
+    return f'<text class="{kind}" {place}>{escape(text)}</text>'
+
+
+def _kind(row: Row) -> str:
+    return "other" if row.dominated else "best"
+
+
+def _point(row: Row, x: float, y: float, low: float, high: float) -> str:
+    """Return the point of a row with its interval of cost; a tooltip has the row's name."""
+    bar = f"M{low:.1f} {y - 3.0:.1f}v6m0-3H{high:.1f}m0-3v6"
+    return (
+        f'<g class="{_kind(row)}"><title>{escape(row.variant.name)}</title>'
+        f'<path d="{bar}"/><circle cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS}"/></g>'
+    )
+
+
+def _boxes(places: Sequence[Box], front: Sequence[tuple[float, float]]) -> list[Box]:
+    """Return the boxes of points, of intervals and of the line, which names do not overlap."""
+    boxes = []
+    for x, y, low, high in places:
+        boxes.append((x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS))
+        boxes.append((low - 2.0, y - 3.0, high + 2.0, y + 3.0))
+    for (x, y), (dearer, less) in pairwise(front):
+        boxes += [(x, y - 1.0, dearer, y + 1.0), (dearer - 1.0, y, dearer + 1.0, less)]
+    return boxes
+
+
+def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list[str]:
+    """Return names with lines to their points; ``taken`` are boxes that they do not overlap."""
+    lines: list[str] = []
+    found: list[str] = []
+    names: list[Box] = []
+    points = [(x, y) for x, y, *_ in places]
+    pairs = zip(rows, places, strict=True)
+    for row, (x, y, *_) in sorted(pairs, key=lambda pair: pair[0].dominated):
+        # Without free space, the name of a variant on the line overlaps no other name.
+        for obstacles in [[*taken, *names]] + [names] * (not row.dominated):
+            free = (
+                place
+                for place in product(_DISTANCES, _DIRECTIONS)
+                if not _overlaps(box := _box(row.variant.name, x, y, *place), obstacles)
+                and (place[0] > _DISTANCES[1] or _nearest(box, points) == (x, y))
+            )
+            place = next(free, None)
+            if place:
+                break
+        else:
+            continue
+        distance, (right, up) = place
+        names.append(_box(row.variant.name, x, y, *place))
+        anchor = ("middle", "start", "end")[right]
+        left, bottom = x + distance * right, names[-1][3] - 0.25 * _FONT
+        if distance > _DISTANCES[1]:
+            end = f"{x + 0.9 * distance * right:.1f} {y - 0.9 * distance * up:.1f}"
+            lines.append(f'<path class="{_kind(row)}" d="M{x:.1f} {y:.1f}L{end}"/>')
+        found.append(_text(left, bottom, anchor, row.variant.name, f"name {_kind(row)}"))
+    return lines + found
+
+
+def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, int]) -> Box:
+    """Return the box of a name at a distance from its point."""
+    right, up = direction
+    width, x, y = _FONT * _LETTER * len(name), x + distance * right, y - distance * up
+    left, bottom = x + (-0.5, 0.0, -1.0)[right] * width, y + (0.5, 0.0, 1.0)[up] * 1.1 * _FONT
+    return left, bottom - 1.1 * _FONT, left + width, bottom
+
+
+def _nearest(box: Box, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the point that is nearest to a box."""
+    left, top, right, bottom = box
+
+    def distance(point: tuple[float, float]) -> float:
+        x, y = point
+        return math.hypot(max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom))
+
+    return min(points, key=distance)
+
+
+def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:
+    """Return whether a box overlaps an obstacle or leaves the plot area."""
+    left, top, right, bottom = box
+    outside = left < _LEFT or top < _TOP or right > _RIGHT or bottom > _BOTTOM
+    return outside or any(
+        left < other[2] and right > other[0] and top < other[3] and bottom > other[1]
+        for other in obstacles
+    )
