@@ -428,9 +428,8 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     maps = [view.errors(shading) for view in views]
     error = _error(maps, views, task.cameras, sizes, [*drawn.errors(shading)] if drawn else [])
     progress("decisions", 0.0)
-    error_of = partial(_largest_error, views, drawn)
-    finest = partial(error_of, drawn and drawn.finest)
-    own = partial(error_of, drawn and drawn.detail)
+    own = partial(_largest_error, views, drawn, None)
+    finest = partial(_largest_error, views, drawn, drawn.finest if drawn else None)
     made = [*decisions(choice, shading, finest, own, witnesses.error)]
     if framed:
         made = [*details(choice, framed), *made]
@@ -481,7 +480,7 @@ def _elsewhere(
     camera = next(each for each in others if each not in task.cameras)
     other = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
     drawn = DrawnViews([other], choice.full, choice.budget)
-    ((maximum, within),) = drawn.errors(shading, framed and framed.detail)
+    ((maximum, within),) = drawn.errors(shading, framed.detail if framed else None)
     return Elsewhere(camera, maximum, within)
 
 
