@@ -291,7 +291,7 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--scene", pinned)
     assert (status, err) == (0, "")
     assert re.search(r"^samples +1 instead of 4: error .* of the frame time$", out, re.MULTILINE)
-    assert re.search(r"^cost +0.40 to 0.62 of the full frame, in 80 %", out, re.MULTILINE)
+    assert re.search(r"^cost +0.40 to 0.62 of the full frame in 80 %", out, re.MULTILINE)
     found = load_scene(pinned)
     assert found["planned"] == Planned(
         ((48, 48),), 4, 1, wide.detail.triangles, cull_back_faces=True
@@ -450,7 +450,7 @@ def test_samples_and_triangles_are_explained(budget, drawing, scene, planned):
     *_, last, cost = lines
     assert (last, cost) == ("error", "cost")
     assert text(plan.error.drawn) + " as rendered" in lines["error"]
-    cost = "0.40 to 0.62 of the full frame, in 80 % of the rounds; median 0.50, "
+    cost = "0.40 to 0.62 of the full frame in 80 % of rounds, median 0.50: "
     assert lines["cost"].startswith(cost)
 
 
@@ -537,7 +537,7 @@ def test_error_at_another_camera_is_an_example(drawing, scene, planned):
     turned = replace(scene, camera=plan.elsewhere.camera)
     at_share, worst = error(drawing, turned, plan.detail, plan.shading)
     assert (plan.elsewhere.maximum, plan.elsewhere.within) == pytest.approx((worst, at_share))
-    told = f"{plan.budget.text(worst)} as rendered at azimuth 45: plan with every camera"
+    told = f"{plan.budget.text(worst)} as rendered at azimuth 45: plan with all cameras"
     assert lines_of(plan)["elsewhere"].startswith(told)
     around = fr.plan(scene, WIDE, cameras=fr.turntable(), renderer=drawing)
     assert around.elsewhere.camera == fr.Camera(22.5)

@@ -439,7 +439,7 @@ def test_render_within_a_budget(cli, framed):
     assert (status, out) == (0, f"{cli.png}\n")
     error, cost = err.splitlines()
     assert error in framed.explain().splitlines()
-    assert re.fullmatch(r"cost +0.40 to 0.62 of the full frame, .* ms a frame; drawn in .*", cost)
+    assert re.fullmatch(r"cost +0.40 to 0.62 of the full frame .* ms a frame, drawn in .*", cost)
     with fr.Renderer((48, 48), samples=1) as renderer:
         image = renderer.render(framed.detail.of(framed.scene), framed.shading)
         full = renderer.render(framed.scene)

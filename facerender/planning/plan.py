@@ -78,7 +78,7 @@ class Elsewhere:
 
     Attributes
     ----------
-    camera : the first camera of the plan, turned by up to 45 degrees
+    camera : the first camera of the plan, turned by up to 45 degrees around the frame's centre
     maximum, within : as in :class:`Error`, of the drawn image
     """
 
@@ -248,7 +248,7 @@ class Plan:
         within = f", {fraction} within {text(other.within)}" if self.budget.within < 1.0 else ""
         return (
             f"{text(other.maximum)} as rendered at azimuth {other.camera.azimuth:g}{within}: plan "
-            "with every camera and size that you draw, and each pose on its own"
+            "with all cameras and sizes, and each pose on its own"
         )
 
     def _error(self) -> str:
@@ -472,11 +472,12 @@ def _elsewhere(
     shading: Shading,
     framed: DrawnViews | None,
 ) -> Elsewhere | None:
+    """Return the error at another camera, which looks at the mesh even if the first one does not."""
     if shading == choice.full and (framed is None or framed.detail == framed.finest):
         return None
     first, count = task.cameras[0], len(task.cameras)
     turned = ((first.azimuth + 45.0 / 2**n + 180.0) % 360.0 - 180.0 for n in range(count + 1))
-    others = (orbiting(first, azimuth=azimuth) for azimuth in turned)
+    others = (orbiting(first, azimuth=azimuth, target=None) for azimuth in turned)
     camera = next(each for each in others if each not in task.cameras)
     other = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
     drawn = DrawnViews([other], choice.full, choice.budget)

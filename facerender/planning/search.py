@@ -101,8 +101,8 @@ class Cost:
         if not self.saves:
             return f"saves nothing: this is the full frame; the cheaper one took {ends} of its time"
         return (
-            f"{ends} of the full frame, in 80 % of the rounds; median {self.relative:.2f}, "
-            f"{self.total:.4g} of {self.full_total:.4g} {self.unit}; {self.source}"
+            f"{ends} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
+            f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, {self.source}"
         )
 
 
