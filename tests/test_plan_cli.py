@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import main
+from facerender.commands import main, render
 from facerender.commands.common import parse_sizes
+from facerender.loading.vertices import posed
 from facerender.lobes import GPower
 from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
@@ -469,6 +470,19 @@ def shoot(cli, *options, mesh=MINI_HEAD):
     assert status == 0, err
     with Image.open(cli.png) as image:
         return np.asarray(image), err
+
+
+def test_render_within_a_budget_poses_the_mesh_once(cli, planned, monkeypatch):
+    poses = []
+
+    def spy(mesh, pose):
+        poses.append(pose)
+        return posed(mesh, pose)
+
+    monkeypatch.setattr(render, "posed", spy)
+    np.save(cli.folder / "moved.npy", fr.load_mesh(MINI_HEAD).parts[0].positions[None])
+    shoot(cli, "--vertices", f"{cli.folder / 'moved.npy'},0")
+    assert len([each for each in poses if each.vertices]) == 1
 
 
 def test_plans_are_cached(cli, planned, framed, cache):

@@ -472,7 +472,7 @@ def _elsewhere(
     shading: Shading,
     framed: DrawnViews | None,
 ) -> Elsewhere | None:
-    """Return the error at another camera, which looks at the mesh even if the first one does not."""
+    """Return the error at a camera that looks at the mesh, even if the first one does not."""
     if shading == choice.full and (framed is None or framed.detail == framed.finest):
         return None
     first, count = task.cameras[0], len(task.cameras)
