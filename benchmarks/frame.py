@@ -106,10 +106,8 @@ def plan_of(
         cameras=cameras,
         within=share,
         renderer=renderer,
-        verify_cost=True,
     )
     assert found.detail is not None
-    assert found.measured is not None
     assert found.error.drawn is not None
     assert found.error.drawn_within is not None
     scene, values = found.detail.of(subject.scene), found.detail.values
@@ -126,8 +124,7 @@ def plan_of(
     return {
         "scene": subject.name,
         "chosen": chosen or "the full frame",
-        "predicted": found.cost.relative,
-        "measured": found.measured.value,
+        "measured": found.cost.relative,
         "of_drawn": ratio(planned, drawn, 7).value,
         "error": text(found.error.drawn_within),
         "worst": text(found.error.drawn),

@@ -1,14 +1,18 @@
 """Measure the choices, savings and errors of plans for ten scenes, and check them.
 
     python -m benchmarks.plan
+    python -m benchmarks.plan frames
 
-Writes docs/measurements/plan.json in half an hour. Needs an OpenGL context and the compilers for
-RADV's estimates; two scenes also need the head scan.
+The first command writes docs/measurements/plan.json in half an hour. The second command prints the
+measured costs of plans of whole frames for several fractions of the pixels, in ten minutes. Both
+need an OpenGL context, and the first the compilers for RADV's estimates. Two scenes also need the
+head scan.
 """
 
 from __future__ import annotations
 
 import statistics
+import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +39,14 @@ SIZE = (512, 512)
 SMALL = (64, 64)
 TURNTABLE = 8
 UNPLANNED = 50
+FRAME = (256, 256)
+FRACTIONS = (
+    ("1/255", "100%"),
+    ("1/255", "99.9%"),
+    ("3/255", "100%"),
+    ("1/255", "95%"),
+    ("1/255", "90%"),
+)
 MODES = {"one": "one camera", "around": "eight cameras"}
 
 
@@ -220,7 +232,23 @@ def plans_of(
         results[subject.name, budget, kind] = Result(found, seconds, drawn, others)
 
 
+def frames() -> None:
+    """Print the measured cost of each scene's plans, and the medians over the scenes."""
+    costs: dict[str, list[float]] = {}
+    with fr.Renderer(FRAME) as renderer:
+        for subject, (budget, within) in product(scenes(), FRACTIONS):
+            found = plan(subject.scene, budget, full=subject.full, within=within, renderer=renderer)
+            kind = f"{budget} at {within}"
+            costs.setdefault(kind, []).append(found.cost.relative)
+            print(f"{kind}, {subject.name}: {found.cost}", flush=True)
+    for kind, ratios in costs.items():
+        print(f"{kind}: median {statistics.median(ratios):.2f}, {[round(r, 2) for r in ratios]}")
+
+
 def main() -> None:
+    if sys.argv[1:] == ["frames"]:
+        frames()
+        return
     modes: dict[str, Results] = {mode: {} for mode in MODES}
     counts: dict[str, tuple[int, int]] = {}
     with fr.Renderer(SIZE) as renderer, fr.Renderer(SMALL, samples=1) as small:

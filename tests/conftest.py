@@ -19,6 +19,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, create_context
+from facerender.pricing.interval import Interval
 from facerender.system import meshoptimizer
 from tests.verification import chromium
 from tests.verification.scan import TEST_DATA, load_scan, scan_folder
@@ -150,6 +151,13 @@ def wait_for_cache() -> None:
     for thread in threading.enumerate():
         if thread.name == "facerender-cache":
             thread.join()
+
+
+@pytest.fixture
+def measured_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every plan measure a gain, since a plan without a gain is the full frame."""
+    gain = Interval(0.5, 0.4, 0.625)
+    monkeypatch.setattr("facerender.planning.plan.relative_time", lambda *_: gain)
 
 
 @pytest.fixture

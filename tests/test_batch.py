@@ -158,6 +158,7 @@ def test_batch_images_equal_those_of_a_renderer(table, draw, tmp_path):
     assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
 
 
+@pytest.mark.usefixtures("measured_gain")
 def test_planned_scene_equals_that_of_render(table, draw, tmp_path):
     """The scene file of `facerender plan` is given by an option or by a job."""
     planned, size = str(tmp_path / "planned.toml"), ("--size", "48")

@@ -180,6 +180,7 @@ def test_parts_with_occlusion_maps_are_not_baked(head, ring):
     assert unused.parts[0].occlusion is not None
 
 
+@pytest.mark.usefixtures("measured_gain")
 def test_simplified_meshes_and_plans_keep_occlusion(baked, bare, egl):
     level = fr.simplified(baked, 2000)
     (part,), (whole,) = level.parts, baked.parts

@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import main
+from facerender.commands import main, render
 from facerender.commands.common import parse_sizes
+from facerender.loading.vertices import posed
 from facerender.lobes import GPower
 from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
@@ -32,6 +33,8 @@ FACE = (MINI_HEAD, *SMALL)
 
 
 PLANS: dict[bytes, fr.Plan] = {}
+
+pytestmark = pytest.mark.usefixtures("measured_gain")
 
 
 def plan_once(*arguments, **options):
@@ -117,7 +120,9 @@ def test_text_output(plan):
     lines = out.splitlines()
     assert lines[0].startswith("budget ")
     assert lines[0].endswith(" 1/255, of which rounding may use 0.05/255")
-    assert lines[1].endswith(" 1 camera, 48 x 48 pixels; no guarantee for other cameras and sizes")
+    assert lines[1].endswith(
+        " 1 camera, 48 x 48 pixels; no guarantee for other cameras, sizes and poses"
+    )
     assert re.search(r"^error +0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % of the", lines[-2])
     assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", lines[-1])
 
@@ -435,7 +440,7 @@ def test_render_within_a_budget(cli, framed):
     assert (status, out) == (0, f"{cli.png}\n")
     error, cost = err.splitlines()
     assert error in framed.explain().splitlines()
-    assert re.fullmatch(r"cost +[\d.]+ of [\d.]+ ms a frame, ratio \d+\.\d\d; estimated .*", cost)
+    assert re.fullmatch(r"cost +0.40 to 0.62 of the full frame .* ms a frame, drawn in .*", cost)
     with fr.Renderer((48, 48), samples=1) as renderer:
         image = renderer.render(framed.detail.of(framed.scene), framed.shading)
         full = renderer.render(framed.scene)
@@ -465,6 +470,19 @@ def shoot(cli, *options, mesh=MINI_HEAD):
     assert status == 0, err
     with Image.open(cli.png) as image:
         return np.asarray(image), err
+
+
+def test_render_within_a_budget_poses_the_mesh_once(cli, planned, monkeypatch):
+    poses = []
+
+    def spy(mesh, pose):
+        poses.append(pose)
+        return posed(mesh, pose)
+
+    monkeypatch.setattr(render, "posed", spy)
+    np.save(cli.folder / "moved.npy", fr.load_mesh(MINI_HEAD).parts[0].positions[None])
+    shoot(cli, "--vertices", f"{cli.folder / 'moved.npy'},0")
+    assert len([each for each in poses if each.vertices]) == 1
 
 
 def test_plans_are_cached(cli, planned, framed, cache):

@@ -48,14 +48,12 @@ def add(plan: argparse.ArgumentParser) -> None:
     prices = Help(
         "cost to minimise",
         "frame",
-        note="frame is the time of whole frames, of which a few are measured. Other values are the "
-        "cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 (RDNA2) "
-        "and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws, otherwise navi21; here "
-        "is measured on this machine",
+        note="frame is the time of whole frames, drawn in turns with the full frame. Other values "
+        "are the cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 "
+        "(RDNA2) and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws, otherwise "
+        "navi21; here is measured on this machine",
     )
     search.add_argument("--cost", default="frame", metavar="COST", help=prices)
-    verify = "measure the chosen frame and the full frame alternately"
-    add_flag(search, "verify-cost", verify)
     _, scene = add_scene(plan)
     file = "scene file with camera, lights, material and shading"
     scene.add_argument("--from", dest="scene", metavar="FILE.toml", help=Help(file, "none"))
@@ -104,7 +102,6 @@ def run(options: argparse.Namespace) -> int:
             sizes=sizes,
             within=options.within,
             cost=options.cost,
-            verify_cost=options.verify_cost,
             exposure=options.exposure,
             renderer=renderer,
             progress=progress,

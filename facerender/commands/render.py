@@ -197,9 +197,9 @@ def run(options: argparse.Namespace) -> int:
         if options.budget is not None:
             from facerender.planning.cache import cached_plan
 
+            scene, poses = replace(scene, mesh=posed(scene.mesh, job.pose)), [Pose()]
             within = options.within or 1.0
-            first = replace(scene, mesh=posed(scene.mesh, job.pose))
-            asked = first, options.budget, job.shading, options.exposure, within, renderer
+            asked = scene, options.budget, job.shading, options.exposure, within, renderer
             plan = cached_plan(*asked, cache=not options.no_cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:

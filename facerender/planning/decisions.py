@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -37,7 +38,8 @@ class Decision:
     changed : whether the plan differs from the full shading in this attribute
     chosen : the chosen value, as text
     other : the full shading's value; without a change, the cheaper value with the smallest error
-    error : error of this change alone; without a change, error of ``other``
+    error : error of this change alone; without a change, error of the plan's frame with ``other``.
+        The larger of two errors: of the drawn frame, and of the terms in float64 at pixel centres
     saving : fraction of the full shading's cost that the change saves, or that ``other`` would save
     text : line of :meth:`Plan.explain`
     values : the cheaper of chosen and other value, keyed by attribute of the shading, such as
@@ -59,13 +61,15 @@ def decisions(
     shading: Shading,
     error: Callable[[Shading], float],
     otherwise: Callable[[Shading], float],
+    bound: Callable[[Shading], float],
 ) -> Iterator[Decision]:
     """Yield each decision of a shading.
 
     Parameters
     ----------
-    error : function that returns the error of a shading
-    otherwise : function that returns a lower bound of a shading's error
+    error, otherwise : functions that return the error of a shading, at the level of detail of the
+        full frame and of the plan
+    bound : function that returns a lower bound of a shading's error
     """
     made = groups(shading, choice.full)
     for name in DECISIONS:
@@ -73,7 +77,7 @@ def decisions(
             yield _changed(choice, shading, name, made[name], error)
         elif any(name in names for names in made.values()):
             continue  # part of another decision
-        elif (unchanged := _unchanged(choice, shading, name, otherwise)) is not None:
+        elif (unchanged := _unchanged(choice, shading, name, otherwise, bound)) is not None:
             yield unchanged
 
 
@@ -90,7 +94,7 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
             alone_ = replace(drawn.finest, **{name: own})
             if name == "shading_rate":  # the error of "pixel" depends on the samples
                 alone_ = replace(alone_, samples=drawn.detail.samples)
-            added = max(within for _, within in drawn.errors(choice.full, alone_))
+            added = drawn.error(choice.full, alone_)
             chosen, other = (_detail(name, each, drawn) for each in (own, full))
             text = f"{chosen} instead of {other}: error {choice.budget.text(added)} on its own, "
             text += (
@@ -99,7 +103,7 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
             )
             yield Decision(name, True, chosen, other, added, saved, text)
             continue
-        refused = (each for each in drawn.coarser if getattr(each[0], name) != own)
+        refused = (each for each in drawn.tried if getattr(each[0], name) != own)
         for detail, error in islice(refused, 1):
             chosen, other = (_detail(name, each, drawn) for each in (own, getattr(detail, name)))
             text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)}"
@@ -134,6 +138,7 @@ def _unchanged(
     shading: Shading,
     name: str,
     otherwise: Callable[[Shading], float],
+    bound: Callable[[Shading], float],
 ) -> Decision | None:
     own = choice.total(shading)
     names = SINGLE if name == "two lobes" else (name,)
@@ -152,16 +157,18 @@ def _unchanged(
     ]
     if not others:
         return None
-    errors = [otherwise(each) for each in others]
-    nearest = others[errors.index(min(errors))]
+    nearest, error = others[0], math.inf
+    bounds = {each: bound(each) for each in others}
+    for each in sorted(others, key=bounds.__getitem__):
+        if bounds[each] >= error:
+            break
+        if (added := otherwise(each)) < error:
+            nearest, error = each, added
     chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
-    text = (
-        f"{chosen}: {other} would cause an error of at least {choice.budget.text(min(errors))} "
-        "and save "
-    )
+    text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)} and save "
     text += _fraction(choice, name, saved)
-    return Decision(name, False, chosen, other, min(errors), saved, text, values(nearest, names))
+    return Decision(name, False, chosen, other, error, saved, text, values(nearest, names))
 
 
 def _fraction(choice: Choice, name: str, saved: float) -> str:

@@ -9,12 +9,13 @@ import numpy as np
 
 from facerender.planning.search import Choice
 from facerender.planning.views import DrawnViews, draw
-from facerender.pricing.frame import Frames, Line, ratio, seconds
+from facerender.pricing.frame import Frames, Line, relative, seconds
 from facerender.pricing.interval import Interval
 from facerender.scenes.lod import LevelOfDetail
 from facerender.shading import Shading
 
-_VIEWPOINTS, _REPEATS, _VERIFY = 3, 5, 15
+_VIEWPOINTS, _REPEATS = 3, 5
+_ROUNDS, _SECONDS = 25, 5.0  # most rounds of the chosen and the full frame, and their time
 
 
 def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
@@ -35,7 +36,8 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
     draws = [_frame(drawn, *frame) for frame in frames]
-    medians = 1e3 * np.median(seconds(draws, _REPEATS), axis=0)
+    each = seconds(draws, _REPEATS)
+    medians = 1e3 * np.median(each[:, 0]) * np.median(each / each[:, :1], axis=0)
     times: dict[tuple[LevelOfDetail, Shading], float] = dict(
         zip(frames, medians.tolist(), strict=True)
     )
@@ -46,15 +48,16 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
         return Line.through((prices[0], own[0]), (prices[1], own[1]))
 
     driver = drawn.viewpoints[0].renderer.context.renderer
-    source = f"estimated from {len(frames)} frames measured on {driver}"
+    source = f"drawn in turns on {driver}"
     taken = {name: times[detail, full] for name, detail in steps.items()}
     return Frames(line(drawn.finest), line(drawn.detail), taken, source)
 
 
 def relative_time(full: Shading, shading: Shading, drawn: DrawnViews) -> Interval:
-    """Measure a shading's frame and the full frame alternately; return the median time ratio."""
+    """Draw a shading's frame and the full frame alternately; see
+    :func:`facerender.pricing.frame.relative`."""
     own = _frame(drawn, drawn.detail, shading)
-    return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
+    return relative(own, _frame(drawn, drawn.finest, full), _ROUNDS, _SECONDS)
 
 
 def _frame(drawn: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.renderer import Renderer
 from facerender.drawing.resolve import resolve
-from facerender.errors import InputError, check_switch, check_type, each_of
+from facerender.errors import InputError, check_type, each_of
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
 from facerender.images.write import save_png
@@ -26,11 +26,10 @@ from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions, details
 from facerender.planning.frame_times import measured_frames, relative_time
-from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_of
+from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_of, saves
 from facerender.planning.views import DrawnViews, Viewpoint
-from facerender.pricing.interval import Interval
 from facerender.pricing.table import FRAME
-from facerender.scenes.camera import Camera, cameras_of
+from facerender.scenes.camera import Camera, cameras_of, orbiting
 from facerender.scenes.file import scene_toml
 from facerender.scenes.lod import LevelOfDetail, Planned
 from facerender.scenes.mesh import drawn_alpha
@@ -73,6 +72,21 @@ class Error:
     drawn_within: float | None = None
 
 
+@dataclass(frozen=True)
+class Elsewhere:
+    """The error at a camera for which a plan does not hold, as an example.
+
+    Attributes
+    ----------
+    camera : the first camera of the plan, turned by up to 45 degrees around the frame's centre
+    maximum, within : as in :class:`Error`, of the drawn image
+    """
+
+    camera: Camera
+    maximum: float
+    within: float
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """The cheapest frame that was found within a budget.
@@ -88,8 +102,7 @@ class Plan:
     sizes : width and height in pixels of the measured images, for every camera
     samples : samples per pixel of the measured images
     detail : level of detail of the chosen frame; None if only fragments are priced
-    measured : time of the chosen frame divided by the time of the full frame; None without
-        ``verify_cost``
+    elsewhere : error at another camera, see :class:`Elsewhere`; None for the full frame
     constants : constants that could replace maps, and orders in which lights could lose terms or
         shadows
     candidates : number of shadings that cost less than the full shading
@@ -109,7 +122,7 @@ class Plan:
     sizes: tuple[tuple[int, int], ...]
     samples: int
     detail: LevelOfDetail | None
-    measured: Interval | None
+    elsewhere: Elsewhere | None
     constants: Constants
     candidates: int
     tried: int
@@ -131,17 +144,17 @@ class Plan:
         part = "of which rounding may use" if limit > rounding else "but rounding may cause"
         fraction = f" for {self.budget.fraction} of the pixels" if self.budget.within < 1.0 else ""
         reserve = f"{part} {self.budget.text(rounding)}"
+        given_up = self.cost.measured is not None and not self.cost.saves
+        exact = self.shading == self.full and not given_up
         lines = {
             "budget": f"{self.budget.text(limit)}{fraction}, {reserve}",
             "basis": self._basis(),
+            **({"elsewhere": self._elsewhere(self.elsewhere)} if self.elsewhere else {}),
             **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
-            **({} if self.shading != self.full else {"shading": "exact: nothing cheaper fits"}),
+            **({"shading": "exact: nothing cheaper fits"} if exact else {}),
             "error": self._error(),
             "cost": str(self.cost),
         }
-        if self.measured:
-            ends = f"95 % interval {self.measured.low:.2f} to {self.measured.high:.2f}"
-            lines["measured"] = f"{self.measured.value:.2f} of the full frame's time ({ends})"
         return lines
 
     def shader(self, target: Target | Language | None = None) -> str:
@@ -191,13 +204,14 @@ class Plan:
             "budget": asdict(self.budget),
             "full": self.full.as_dict(),
             "error": asdict(self.error),
-            "cost": asdict(self.cost) | {"relative": self.cost.relative},
+            "cost": asdict(self.cost)
+            | {name: getattr(self.cost, name) for name in ("relative", "interval", "saves")},
             "decisions": [asdict(decision) for decision in self.decisions],
             "cameras": [asdict(camera) for camera in self.cameras],
             "sizes": self.sizes,
             "samples": self.samples,
             "detail": self.detail and asdict(self.detail),
-            "measured": self.measured and asdict(self.measured),
+            "elsewhere": self.elsewhere and asdict(self.elsewhere),
             "candidates": self.candidates,
             "tried": self.tried,
         }
@@ -230,7 +244,15 @@ class Plan:
         sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
         count = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "1 camera"
         shown = f", exposure {self.budget.exposure:+g} stops" if self.budget.exposure else ""
-        return f"{count}, {sizes} pixels{shown}; no guarantee for other cameras and sizes"
+        return f"{count}, {sizes} pixels{shown}; no guarantee for other cameras, sizes and poses"
+
+    def _elsewhere(self, other: Elsewhere) -> str:
+        text, fraction = self.budget.text, self.budget.fraction
+        within = f", {fraction} within {text(other.within)}" if self.budget.within < 1.0 else ""
+        return (
+            f"{text(other.maximum)} as rendered at azimuth {other.camera.azimuth:g}{within}: plan "
+            "with all cameras and sizes, and each pose on its own"
+        )
 
     def _error(self) -> str:
         error, text, fraction = self.error, self.budget.text, self.budget.fraction
@@ -270,7 +292,6 @@ def plan(
     sizes: Sequence[tuple[int, int]] | None = None,
     within: str | float = 1.0,
     cost: str = FRAME,
-    verify_cost: bool = False,
     exposure: float = 0.0,
     renderer: Renderer | None = None,
     progress: Progress = no_progress,
@@ -289,11 +310,10 @@ def plan(
         :func:`facerender.turntable`; default: the scene's camera
     sizes : width and height of the measured images, for every camera; default: the renderer's size
     within : fraction of each image's covered pixels that must meet the budget: 0.999 or "99.9%"
-    cost : "frame": time of whole frames on this driver, estimated from a few measured ones. Other
-        values price a fragment and leave samples and triangles unchanged: "auto", "llvmpipe",
-        "navi21" (RDNA2), "vega10" (GCN5) or "here", see
-        :func:`facerender.pricing.table.load_prices`
-    verify_cost : whether to measure the chosen frame and the full frame, alternately; default false
+    cost : "frame": time of whole frames on this driver, drawn in turns with the full frame. A plan
+        without a measured gain is the full frame. Other values price a fragment and leave samples
+        and triangles unchanged: "auto", "llvmpipe", "navi21" (RDNA2), "vega10" (GCN5) or "here",
+        see :func:`facerender.pricing.table.load_prices`
     exposure : exposure of the displayed image, in stops; default 0
     renderer : renderer with the size and samples of the planned frame; default: a new
         :class:`facerender.Renderer`
@@ -306,10 +326,9 @@ def plan(
     ContextError : no OpenGL context
     """
     _check_types(scene, budget, full, cost, renderer)
-    check_switch("verify_cost", verify_cost)
     allowed = Budget.parse(budget, exposure, within)
     at = (scene.camera,) if cameras is None else cameras_of(cameras)
-    task = _Task(scene, allowed, _checked(scene, full), at, cost, verify_cost, progress)
+    task = _Task(scene, allowed, _checked(scene, full), at, cost, progress)
     with ExitStack() as stack:
         return _planned(task, _renderers(renderer, sizes, stack))
 
@@ -323,7 +342,6 @@ class _Task:
     full: Shading
     cameras: tuple[Camera, ...]
     cost: str
-    verify_cost: bool
     progress: Progress
 
 
@@ -391,7 +409,7 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     samples, drawn = renderers[0].samples, None
     pairs = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     layered = any(own.refracts or drawn_alpha(part, own) == "blend" for part, own in pairs)
-    if samples > 1 or layered or task.cost == FRAME or task.verify_cost:
+    if samples > 1 or layered or task.cost == FRAME:
         drawn = DrawnViews(viewpoints, choice.full, choice.budget)
     framed = drawn if task.cost == FRAME else None  # set if the level of detail is chosen too
     if framed and choice.limit >= 0.0:
@@ -399,14 +417,21 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         framed.coarsen()
     witnesses = Witnesses(views, choice, drawn)
     shading = choice.first(witnesses.accepts, progress)
+    measured = None
     if framed:
         progress("frames", 0.0)
         choice.frames = measured_frames(choice, framed)
+        if (shading, framed.detail) != (choice.full, framed.finest):
+            measured = relative_time(choice.full, shading, framed)
+            if not saves(measured):
+                shading, framed.detail = choice.full, framed.finest
+                choice.frames = replace(choice.frames, own=choice.frames.full)
     maps = [view.errors(shading) for view in views]
     error = _error(maps, views, task.cameras, sizes, [*drawn.errors(shading)] if drawn else [])
     progress("decisions", 0.0)
-    largest = partial(_largest_error, views)
-    made = [*decisions(choice, shading, error=largest, otherwise=witnesses.error)]
+    own = partial(_largest_error, views, drawn, None)
+    finest = partial(_largest_error, views, drawn, drawn.finest if drawn else None)
+    made = [*decisions(choice, shading, finest, own, witnesses.error)]
     if framed:
         made = [*details(choice, framed), *made]
         maps = [*framed.maps(shading)] if framed.detail != framed.finest else maps
@@ -415,14 +440,14 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         shading=shading,
         full=choice.full,
         error=error,
-        cost=choice.cost(shading),
+        cost=choice.measured_cost(shading, measured) if framed else choice.cost(shading),
         decisions=tuple(made),
         budget=choice.budget,
         cameras=task.cameras,
         sizes=tuple(dict.fromkeys(sizes)),
         samples=samples,
         detail=framed.detail if framed else None,
-        measured=relative_time(choice.full, shading, drawn) if drawn and task.verify_cost else None,
+        elsewhere=_elsewhere(viewpoints[0], task, choice, shading, framed),
         constants=choice.constants,
         candidates=choice.count,
         tried=witnesses.tried,
@@ -430,8 +455,35 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     )
 
 
-def _largest_error(views: Sequence[Region], shading: Shading) -> float:
-    return max(view.error(shading) for view in views)
+def _largest_error(
+    views: Sequence[Region],
+    drawn: DrawnViews | None,
+    detail: LevelOfDetail | None,
+    shading: Shading,
+) -> float:
+    """Return the larger of two errors: in float64, and of the images at a level of detail."""
+    largest = max(view.error(shading) for view in views)
+    return largest if drawn is None else max(largest, drawn.error(shading, detail))
+
+
+def _elsewhere(
+    viewpoint: Viewpoint,
+    task: _Task,
+    choice: Choice,
+    shading: Shading,
+    framed: DrawnViews | None,
+) -> Elsewhere | None:
+    """Return the error at a camera that looks at the mesh, even if the first one does not."""
+    if shading == choice.full and (framed is None or framed.detail == framed.finest):
+        return None
+    first, count = task.cameras[0], len(task.cameras)
+    turned = ((first.azimuth + 45.0 / 2**n + 180.0) % 360.0 - 180.0 for n in range(count + 1))
+    others = (orbiting(first, azimuth=azimuth, target=None) for azimuth in turned)
+    camera = next(each for each in others if each not in task.cameras)
+    other = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
+    drawn = DrawnViews([other], choice.full, choice.budget)
+    ((maximum, within),) = drawn.errors(shading, framed.detail if framed else None)
+    return Elsewhere(camera, maximum, within)
 
 
 def _worst(maps: Sequence[NDArray[np.float64]]) -> int:

@@ -34,6 +34,7 @@ from facerender.planning.candidates import (
 )
 from facerender.planning.views import DrawnViews, ScatteredLight, Viewpoint
 from facerender.pricing.frame import Frames
+from facerender.pricing.interval import Interval
 from facerender.pricing.table import NoPrice, load_prices
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
@@ -51,13 +52,16 @@ _ENVIRONMENTS = 8
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a fragment or of a frame, computed from the prices of the plan.
+    """Cost of a fragment, computed from the prices of the plan, or of a frame.
 
     Attributes
     ----------
     total, specular : cost of the whole fragment program or frame, and cost of its specular terms
     full_total, full_specular : the same two costs with full shading and full level of detail
     unit, source : unit and origin of the prices
+    measured : time of the cheaper frame divided by the time of the full frame, both drawn in turns:
+        median, and the interval of 80 % of the rounds. If this interval includes 1, the plan is the
+        full frame. None for fragments, or if there is no cheaper frame
     """
 
     total: float
@@ -66,17 +70,45 @@ class Cost:
     full_specular: float
     unit: str
     source: str
+    measured: Interval | None = None
 
     @property
     def relative(self) -> float:
-        """The cost divided by the cost of the full shading or frame."""
+        """The cost divided by the cost of the full shading or frame, at most 1."""
         return self.total / self.full_total
 
+    @property
+    def saves(self) -> bool:
+        """Whether a frame was measured to be cheaper, or prices make a fragment cheaper."""
+        return self.total < self.full_total if self.measured is None else saves(self.measured)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The interval of ``relative``, a single value for fragments and the full frame."""
+        if self.measured is not None and self.saves:
+            return self.measured.low, self.measured.high
+        return self.relative, self.relative
+
     def __str__(self) -> str:
+        if self.measured is None and self.saves:
+            return (
+                f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, "
+                f"ratio {self.relative:.2f}; {self.source}"
+            )
+        if self.measured is None:
+            return "saves nothing: nothing cheaper is within the budget"
+        ends = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
+        if not self.saves:
+            return f"saves nothing: this is the full frame; the cheaper one took {ends} of its time"
         return (
-            f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, "
-            f"ratio {self.relative:.2f}; {self.source}"
+            f"{ends} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
+            f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, {self.source}"
         )
+
+
+def saves(measured: Interval) -> bool:
+    """Return whether a time relative to the full frame is below 1, also when rounded to 0.01."""
+    return round(measured.high, 2) < 1.0
 
 
 class Choice:
@@ -150,6 +182,12 @@ class Choice:
             return Cost(*own, *full, f"{self.prices.unit} a fragment", self.prices.source)
         priced = self.frames.own.cost(*own), self.frames.full.cost(*full)
         return Cost(*priced[0], *priced[1], "ms a frame", self.frames.source)
+
+    def measured_cost(self, shading: Shading, measured: Interval | None) -> Cost:
+        """Return :meth:`cost` with the measured time of the frame; None: it is the full frame."""
+        cost = self.cost(shading)
+        relative = measured.value if measured is not None and saves(measured) else 1.0
+        return replace(cost, total=relative * cost.full_total, measured=measured)
 
     def saved(self, shading: Shading, other: Shading) -> float:
         """Return how much less ``shading`` costs than ``other``, as a fraction of the full cost."""

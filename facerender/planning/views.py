@@ -86,7 +86,7 @@ class DrawnViews:
     triangles : number of the mesh's triangles
     finest : level of detail of the full frame
     detail : level of detail of the frames that are tried
-    coarser : levels of detail that exceeded the budget, each with its error
+    tried : levels of detail that were tried, each with its error
     """
 
     def __init__(self, viewpoints: Sequence[Viewpoint], full: Shading, budget: Budget) -> None:
@@ -96,7 +96,7 @@ class DrawnViews:
         self.exact = [
             draw(viewpoint, full, self.finest).astype(np.float64) for viewpoint in viewpoints
         ]
-        self.coarser: list[tuple[LevelOfDetail, float]] = []
+        self.tried: list[tuple[LevelOfDetail, float]] = []
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
@@ -118,11 +118,11 @@ class DrawnViews:
 
     def _first(self, details: Iterable[LevelOfDetail]) -> bool:
         for detail in details:
-            error = max(within for _, within in self.errors(self.full, detail))
+            error = self.error(self.full, detail)
+            self.tried.append((detail, error))
             if error <= self.budget.limit:
                 self.detail = detail
                 return True
-            self.coarser.append((detail, error))
         return False
 
     def accepts(self, shading: Shading) -> bool:
@@ -140,6 +140,10 @@ class DrawnViews:
 
     def _within(self, shading: Shading) -> bool:
         return all(error <= self.budget.limit for _, error in self.errors(shading))
+
+    def error(self, shading: Shading, detail: LevelOfDetail | None = None) -> float:
+        """Return the largest error of all images without the spared pixels."""
+        return max(within for _, within in self.errors(shading, detail))
 
     def errors(
         self, shading: Shading, detail: LevelOfDetail | None = None

@@ -3,6 +3,7 @@ frames."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,19 +15,31 @@ from facerender.pricing.interval import Interval, bootstrap
 
 Draw = Callable[[], object]
 
+_FEWEST = 11  # smallest number of rounds before a time limit ends a measurement
+
 
 def seconds(
-    draws: Sequence[Draw], repeats: int, progress: Callable[[float], object] = lambda done: None
+    draws: Sequence[Draw],
+    repeats: int,
+    progress: Callable[[float], object] = lambda done: None,
+    limit: float = math.inf,
 ) -> NDArray[np.float64]:
-    """Return the duration of each draw, (repeats, draws) in seconds.
+    """Return the duration of each draw, (rounds, draws) in seconds.
 
     The draws alternate. A first round, which compiles and uploads, is not measured.
-    ``progress`` is called with the completed fraction.
+
+    Parameters
+    ----------
+    repeats : number of rounds
+    progress : called with the completed fraction
+    limit : seconds after which no further round begins, once there are _FEWEST rounds
     """
     for draw in draws:
         draw()
     times = np.empty((repeats, len(draws)))
     for turn in range(repeats):
+        if turn >= _FEWEST and times[:turn].sum() > limit:
+            return times[:turn]
         for index, draw in enumerate(draws):
             start = time.perf_counter()
             draw()
@@ -46,6 +59,19 @@ def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
     """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
     own, other = seconds([draw, full], repeats).T
     return bootstrap(lambda turns: np.median((own / other)[turns], keepdims=True), repeats)[0]
+
+
+def relative(draw: Draw, full: Draw, repeats: int, limit: float) -> Interval:
+    """Divide the time of ``draw`` by the time of ``full`` per round; return the median and the 10 %
+    and 90 % quantiles of the ratios.
+
+    The load of a machine changes within seconds, and more rounds of one load do not show that. So
+    these quantiles contain the median of a later measurement more often than a bootstrap interval.
+
+    limit : as in :func:`seconds`
+    """
+    own, other = seconds([draw, full], repeats, limit=limit).T
+    return Interval(*np.quantile(own / other, [0.5, 0.1, 0.9]).tolist())
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ DEFERRED = (
 PLANS = (
     ("scene", "{scene}"),
     ("chosen", "{chosen}"),
-    ("predicted time", "{predicted:.2f}"),
     ("measured time", "{measured:.2f}"),
     ("relative to forward shading", "{of_drawn:.2f}"),
     ("error", "{error}"),
