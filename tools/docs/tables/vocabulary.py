@@ -85,7 +85,7 @@ _OTHERS = (
     ("frame.save(FILE, exposure=...)", "", "--exposure STOPS"),
     ("fr.save_animation(FILE, images, fps=...)", "", "--fps N"),
     ("fr.load_mesh(FILE, cache=...)", "", "--no-cache"),
-    ("", "", "--sheet"),
+    ("fr.sheet(frames)", "", "--sheet"),
 )
 
 
