@@ -241,3 +241,17 @@ def test_many_regions_share_one_map(single):
 def test_features_without_refraction_warn():
     with pytest.warns(FacerenderWarning, match="shows eye without blended parts"):
         assert len(drawable(eye()).parts) == 2
+
+
+def test_maps_follow_the_order_of_the_lights():
+    """Terms of single lights reorder the lights, and with them the shadow maps."""
+    camera = fr.Camera(-35, target=(0.03, 0.02, 0.1), zoom=5.0)
+    shading = fr.Shading(lights={0: {"lobe": "d16"}})
+    images = []
+    for shadings in ((shading,), (fr.Shading(), shading)):
+        scene = fr.Scene(fr.load_mesh().with_material(), camera)
+        for each in shadings:
+            with fr.Renderer((128, 128), samples=1) as renderer:
+                image = renderer.render(scene, each).linear
+        images.append(image)
+    np.testing.assert_array_equal(*images)

@@ -278,7 +278,7 @@ def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:
         *(ref(part) for part in scene.mesh.parts),
         *(ref(material) for material in scene.mesh.materials),
         *(scene.mesh.center.tobytes(), scene.mesh.radius, side),
-        *(scene.lights, np.asarray(scene.ambient).tobytes()),
+        *(scene.lights, resolved.lighting.order, np.asarray(scene.ambient).tobytes()),
         around and (ref(around.panorama), around.rotation, around.scale),
         shading.slope_filter,
     )
