@@ -25,6 +25,7 @@ from facerender.drawing.frame import GBuffer
 from facerender.explorer.mesh import QUALITIES, encoded, octahedral
 from facerender.explorer.page import explorer_page
 from facerender.glsl.library import TARGETS, term_source
+from facerender.images.srgb import linear_to_srgb
 from facerender.job import Job, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
@@ -269,13 +270,52 @@ def test_images_agree_with_the_renderer(page, mesh, egl):
     assert shown["linear"]["largest"] == pytest.approx(result.largest, rel=0.02)
 
 
+ROOT = 6.0  # levels, because the root of an error near 0 amplifies the rounding of float32
+OVERLAYS = "#handles, #cut, .tag, #mark, #legend { visibility: hidden }"
+
+
 def shot(page):
     """Return a screenshot of the canvas, (H, W, 3)."""
-    hidden = "#handles, #cut, .tag, #mark, #legend { visibility: hidden }"
-    image = page.locator("#canvas").screenshot(style=hidden)
+    image = page.locator("#canvas").screenshot(style=OVERLAYS)
     pixels = np.asarray(Image.open(io.BytesIO(image)).convert("RGB")).astype(int)
     width, height = page.evaluate("explorer.size")
     return pixels[: height - 1, :width]  # the last row may be incomplete
+
+
+def heat(x):
+    """Return the colours of the difference view, (..., 3) in [0, 255]."""
+    stops = [(0, 0, 0), (0.09, 0.17, 0.45), (0.10, 0.52, 0.58), (0.66, 0.82, 0.36), (1, 1, 0.9)]
+    places = np.linspace(0.0, 1.0, len(stops))
+    columns = [np.interp(np.sqrt(x), places, column) for column in np.transpose(stops)]
+    return 255.0 * np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize(
+    "lobes",
+    ["b=lobe:d16", "a=lobe:fitted&b=lobe:fitted-fine", "b=m:0.05;lobe:exact", "b=lobe:exact"],
+)
+def test_gain_fits_the_largest_difference(page, lobes):
+    errors = look(page, f"show=difference&{lobes}")["display"]
+    a, b = (255.0 * linear_to_srgb(np.clip(each[..., :3], 0.0, 1.0)) for each in images(page))
+    apart = np.abs(a - b).max(axis=-1)[:-1]
+    shown = shot(page)
+    if errors["largest"] == 0.0:
+        assert shown.max() == 0
+        return
+    np.testing.assert_allclose(shown, heat(np.clip(apart / errors["largest"], 0, 1)), atol=ROOT)
+    assert shown.max() == 255
+    gain = 255.0 / errors["largest"]
+    assert f"× {gain:.3g}"[:5] in page.inner_text("#sliders").replace(",", "")
+    end = float(page.inner_text("#legend-end").split()[0])
+    assert end == pytest.approx(errors["largest"], rel=0.01)
+    assert page.evaluate("explorer.state.gain") is None
+
+    page.get_by_label("gain", exact=True).fill("3")
+    page.evaluate("explorer.errors()")
+    np.testing.assert_allclose(shot(page), heat(np.clip(apart * 8 / 255, 0, 1)), atol=ROOT)
+    page.get_by_label("Fit the gain").click()
+    page.evaluate("explorer.errors()")
+    np.testing.assert_array_equal(shot(page), shown)
 
 
 def test_split_view_divides_the_images(page):
@@ -291,7 +331,6 @@ def test_split_view_divides_the_images(page):
     apart = np.abs(a - b).max(axis=-1)
     y, x = np.unravel_index(difference.sum(axis=-1).argmax(), apart.shape)
     assert apart[y, x] > 0.9 * apart.max() > 10
-    assert difference[apart == 0].max() < 20
 
     look(page, f"{link}&show=b&budget=2")
     red = (shot(page) * (2, -1, -1)).sum(axis=-1) > 255
@@ -557,7 +596,7 @@ def test_new_lobe_of_the_registry_appears_in_the_page(browser, tmp_path, monkeyp
             radiance, expected(page, mesh, [found], Term(lobe="toy"), {}), rtol=1e-3
         )
         options = page.get_by_label("lobe of A").locator("option").all_inner_texts()
-        assert options == [*LOBES, "custom g-power"]
+        assert options == [*LOBES, "g-power"]
     for label, entries in (("Fresnel", FRESNEL), ("masking", MASKING)):
         assert f'"{next(iter(entries))}"' in (tmp_path / "explorer.html").read_text(), label
     assert len(MODELS) == 3
@@ -646,13 +685,85 @@ def test_lost_context_is_reported_and_restored(browser, address):
         assert page.evaluate("explorer.errors()") == shown
 
 
-def test_nothing_overflows(page):
-    look(page)
-    for width in (360, 768, 1280, 2560):
-        page.set_viewport_size({"width": width, "height": 900})
-        page.wait_for_timeout(50)
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-    page.set_viewport_size(VIEW["viewport"])
+# Texts of the page that are cut off by the window, by a box that clips, or by their own control.
+CUT = """() => {
+    const cut = [];
+    const name = each => each.ariaLabel || each.id || each.textContent.trim() || each.tagName;
+    const all = [...document.querySelectorAll(".explorer *")]
+        .filter(each => each.checkVisibility() && !each.closest("#code, .hidden, svg")
+            && !each.matches(".choice input, option"));
+    for (const each of all) {
+        const box = each.getBoundingClientRect();
+        if (box.left < -0.5 || box.right > innerWidth + 0.5) cut.push(`${name(each)}: the window`);
+        for (let outer = each.parentElement; outer; outer = outer.parentElement) {
+            if (getComputedStyle(outer).overflowX === "visible") continue;
+            const [own, most] = [box, outer.getBoundingClientRect()];
+            const hidden = getComputedStyle(outer).overflowY === "hidden";
+            if (own.left < most.left - 0.5 || own.right > most.right + 0.5
+                || hidden && (own.top < most.top - 0.5 || own.bottom > most.bottom + 0.5)) {
+                cut.push(`${name(each)}: ${name(outer)}`);
+            }
+        }
+        if (each.matches("input, select")) {
+            const copy = each.cloneNode();
+            if (each.matches("select")) copy.append(each.selectedOptions[0].cloneNode(true));
+            Object.assign(copy.style, {width: "auto", position: "absolute", flex: "none"});
+            const needs = each.matches("select") ? (each.after(copy), copy.offsetWidth) : 0;
+            copy.remove();
+            if (needs > each.offsetWidth || each.scrollWidth > each.clientWidth) {
+                cut.push(`${name(each)}: ${each.value}`);
+            }
+        }
+    }
+    return cut;
+}"""
+
+
+@pytest.mark.parametrize("width", [360, 420, 768, 1280, 1920])
+@pytest.mark.parametrize("show", ["wipe", "difference"])
+def test_nothing_is_cut_off(page, width, show):
+    lights = ";".join(
+        f"{azimuth},-12.345,1,0.5,0.314159,12.25" for azimuth in (-180, -100.25, 90.5, 100, 120.75)
+    )
+    page.set_viewport_size({"width": width, "height": 900})
+    try:
+        for term in (
+            "lobe:g-power;factor:0.314159;offset:-12.3456;m:0.314159",
+            "model:ward-printed",
+        ):
+            look(
+                page, f"a={term}&b={term}&lights={lights}&show={show}&budget=2.5&camera=azimuth:-28"
+            )
+            assert page.evaluate(CUT) == []
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+    finally:
+        page.set_viewport_size(VIEW["viewport"])
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1366, 768), (1920, 1080)])
+@pytest.mark.parametrize("ratio", [1, 1.25, 1.5, 2])
+def test_canvas_has_one_pixel_per_device_pixel(browser, address, size, ratio):
+    viewport = {"width": size[0], "height": size[1]}
+    with opened(
+        browser, address, fragment="#show=a", viewport=viewport, device_scale_factor=ratio
+    ) as page:
+        page.evaluate("explorer.errors()")
+        page.wait_for_timeout(300)
+        page.evaluate("explorer.errors()")
+        page.add_style_tag(content=OVERLAYS)
+        linear = images(page)[0]
+        shown = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
+        box = page.evaluate("document.getElementById('canvas').getBoundingClientRect().toJSON()")
+    height, width = linear.shape[:2]
+    left, top = (round(ratio * box[name]) for name in ("left", "top"))
+    assert (width, height) == (
+        round(ratio * box["right"]) - left,
+        round(ratio * box["bottom"]) - top,
+    )
+    drawn = 255.0 * linear_to_srgb(np.clip(linear[..., :3], 0.0, 1.0))
+    off = np.abs(shown[top : top + height, left : left + width] - drawn)
+    assert np.ptp(drawn) > 200
+    assert off.max() <= 0.6
 
 
 def test_the_built_in_head_fits(tmp_path, capsys):
