@@ -600,9 +600,7 @@ def test_blended_parts_are_drawn_over_deferred_shading(
 
 def test_the_explorer_warns_of_blended_parts():
     mesh = parts_head("blend")
-    with pytest.warns(
-        FacerenderWarning, match="shows parts without blended parts \\(.+\\), masks$"
-    ):
+    with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):
         shown = drawable(mesh)
     assert len(shown.parts) == 3
     assert {material.alpha for material in shown.materials} == {"opaque"}

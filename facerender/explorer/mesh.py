@@ -54,7 +54,8 @@ def drawable(mesh: Mesh) -> Mesh:
         removed = dict.fromkeys((*second, "opacity_map", "emissive_map"))
         plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
         strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
-        materials.append(replace(material, **{**maps, **removed, **plain, **strengths}))
+        one = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None, "scattering": None}
+        materials.append(replace(material, **{**maps, **removed, **plain, **strengths, **one}))
     if lost := lost_features(mesh):
         warn(f"the explorer shows {mesh.name} without {', '.join(lost)}")
     alphas = _alphas(mesh)

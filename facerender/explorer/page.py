@@ -305,7 +305,7 @@ def _words(job: Job) -> dict[str, Any]:
         ),
         "maps": options(maps),
         "python": f"fr.tracked({python})" if job.pose.track else python,
-        "material": {"toml": toml_text([("", own)]).split("\n")[:-1], "python": keywords(own)},
+        "material": {"toml": toml_text([("", own)]).strip().splitlines(), "python": keywords(own)},
         "pose": toml_text([("[pose]", pose)]) if pose else "",
     }
 

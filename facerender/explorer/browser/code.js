@@ -9,7 +9,7 @@ const materialFields = term => Object.fromEntries(
 function shadingFields(term) {
   const first = {model: firstModel, lobe: Object.keys(registry.lobes)[0],
     ...modelOf(term).factors && {fresnel: firstFresnel, masking: firstMasking}};
-  const m = term.constant === null ? {} : {m: short(term.constant)};
+  const m = term.constant === null ? {} : {m: +short(term.constant)};
   return {...m, ...Object.fromEntries(
     Object.keys(first).filter(name => term[name] !== first[name]).map(name => [name, term[name]]))};
 }
