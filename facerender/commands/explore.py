@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from facerender.commands.common import (
-    MAPS_TITLE,
-    add_allow_outside,
-    add_flip_v,
-    add_maps,
-    add_mesh,
-    add_parts,
     add_verbose,
     check_outputs,
     import_trimesh,
-    mesh_files,
-    part_materials,
     progress_bar,
 )
 from facerender.commands.help import Help
+from facerender.commands.scene import add_scene, files_read, job_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
-from facerender.explorer.page import explorer_page
-from facerender.job import Job, MeshFile
+from facerender.explorer.page import TERM_FACTORS, explorer_page
 from facerender.system.atomic import write_text
+from facerender.terms import LOBES
+
+_LOBE = "d16"
 
 
 def add(explore: argparse.ArgumentParser) -> None:
@@ -32,16 +28,17 @@ def add(explore: argparse.ArgumentParser) -> None:
     explore.description = (
         "Write one HTML file that draws a mesh in a browser with two shadings, and shows\n"
         "their difference and cost. The file opens from disk, needs no network, and uses\n"
-        "the GPU of the reader's machine."
+        "the GPU of the reader's machine. A note on the page lists features that it omits."
     )
-    add_mesh(explore)
     output = Help("output file, which ends in .html or .htm", "required")
     explore.add_argument("-o", "--output", required=True, metavar="OUT.html", help=output)
-    maps = explore.add_argument_group(MAPS_TITLE)
-    add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map")
-    add_flip_v(maps)
-    add_allow_outside(maps)
-    add_parts(explore)
+    terms, scene = add_scene(explore)
+    lobe = Help("lobe of shading B", f"the scene file's, otherwise {_LOBE}")
+    terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
+    against = Help("lobe of shading A, against which the page measures B", "exact")
+    terms.add_argument("--against", choices=tuple(LOBES), default="exact", help=against)
+    file = Help("scene file with camera, lights, material and the shading B", "none")
+    scene.add_argument("--scene", metavar="FILE.toml", help=file)
     add_verbose(explore)
 
 
@@ -50,27 +47,22 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"{options.output}: the explorer is an HTML page; give a name that ends in .html"
         )
-    file = MeshFile(
-        options.mesh,
-        albedo=options.albedo,
-        normal_map=options.normal_map,
-        specular_map=options.specular_map,
-        roughness_map=options.roughness_map,
-        flip_v=options.flip_v,
-        allow_outside=options.allow_outside,
-        parts=options.parts,
-        hide=options.hide,
-        as_is=options.as_is,
-        double_sided=options.double_sided,
-    )
-    job = Job(file, parts=part_materials(options))
-    check_outputs([options.output], mesh_files(file))
+    job, cameras = job_of(options, None)
+    if len(cameras) > 1:
+        raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
+    check_outputs([options.output], files_read(options, job))
     import_trimesh(options.mesh)
+    b = job.shading.term
+    if options.lobe is None and options.scene is None:
+        b = replace(b, lobe=_LOBE)
+    a = replace(b, lobe=options.against, m=None, small_slope=None)
     with progress_bar(options) as progress:
         progress("mesh", 0.0)
-        mesh = job.scene().mesh
+        # The page applies these factors itself, so that its controls can remove them.
+        material = {n: own for n, own in job.material.items() if n not in TERM_FACTORS}
+        mesh = replace(job, material=material, environment=None).scene().mesh
         progress("page", 0.0)
-        page = explorer_page(job, mesh)
+        page = explorer_page(job, mesh, a, b)
     write_text(options.output, page)
     print_result(options.output)
     return 0

@@ -30,6 +30,7 @@ QUALITIES: dict[Kind, tuple[int, ...]] = {
     "normal": (95, 98),
     "data": (93, 97),
 }
+MOST_NAMES = 4  # parts that a note names
 LEAST_LOSS = 1.0  # Limit of a JPEG map's mean error, in 8-bit levels; above it, the map is a PNG.
 
 
@@ -44,29 +45,51 @@ def drawable(mesh: Mesh) -> Mesh:
     -----
     FacerenderWarning : a feature is left out
     """
-    pairs = zip(mesh.parts, mesh.materials, strict=True)
-    alphas = ["blend" if pair[1].refracts else drawn_alpha(*pair) for pair in pairs]
-    lost = ["blended parts"] * ("blend" in alphas) + ["masks"] * ("mask" in alphas)
     materials = []
     for material in mesh.materials:
-        lost += ["emission"] * any(material.emissive)
-        second = [name for name in MAPS if material.by_second(name)]
-        lost += ["maps with second texture coordinates"] * bool(second)
-        default = (material.normal_strength, material.occlusion_strength) == (1.0, 1.0)
-        lost += ["map strengths"] * (not default)
+        second = _by_second(material)
         maps = {name: getattr(material, name) for name in MAPS if name not in second}
         if not material.packs:
             maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
         removed = dict.fromkeys((*second, "opacity_map", "emissive_map"))
         plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
         strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
-        materials.append(replace(material, **{**maps, **removed, **plain, **strengths}))
-    if lost:
-        warn(f"the explorer shows {mesh.name} without {', '.join(dict.fromkeys(lost))}")
+        one = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None, "scattering": None}
+        materials.append(replace(material, **{**maps, **removed, **plain, **strengths, **one}))
+    if lost := lost_features(mesh):
+        warn(f"the explorer shows {mesh.name} without {', '.join(lost)}")
+    alphas = _alphas(mesh)
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
     parts = tuple(mesh.parts[number] for number in numbers)
     return replace(mesh, parts=parts, materials=tuple(materials[number] for number in numbers))
+
+
+def lost_features(mesh: Mesh) -> list[str]:
+    """Return the names of the features of a mesh that the page does not draw."""
+    alphas, materials = _alphas(mesh), mesh.materials
+    strengths = {(each.normal_strength, each.occlusion_strength) for each in materials}
+    blended = [part.name for part, own in zip(mesh.parts, alphas, strict=True) if own == "blend"]
+    more = [f"{len(blended) - MOST_NAMES} more"] if len(blended) > MOST_NAMES else []
+    names = f" ({', '.join([*blended[:MOST_NAMES], *more])})" if all(blended) else ""
+    found = {
+        f"blended parts{names}": bool(blended),
+        "masks": "mask" in alphas,
+        "emission": any(any(each.emissive) for each in materials),
+        "maps with second texture coordinates": any(map(_by_second, materials)),
+        "map strengths": strengths != {(1.0, 1.0)},
+    }
+    return [name for name, lost in found.items() if lost]
+
+
+def _alphas(mesh: Mesh) -> list[str]:
+    """Return how each part is drawn: opaque, mask or blend. Refracting parts count as blended."""
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    return ["blend" if pair[1].refracts else drawn_alpha(*pair) for pair in pairs]
+
+
+def _by_second(material: Material) -> list[str]:
+    return [name for name in MAPS if material.by_second(name)]
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]]]:

@@ -7,6 +7,7 @@ import shlex
 import zlib
 from base64 import b64encode
 from collections.abc import Mapping
+from dataclasses import asdict
 from html import escape
 from itertools import product
 from pathlib import Path
@@ -15,19 +16,20 @@ from typing import Any
 import numpy as np
 
 from facerender import __version__
-from facerender.explorer.mesh import drawable, encoded, packed
+from facerender.errors import InputError
+from facerender.explorer.mesh import drawable, encoded, lost_features, packed
 from facerender.glsl.code import call
 from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_source
-from facerender.job import Job
+from facerender.job import Job, MeshFile
 from facerender.page.document import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
-from facerender.scenes.file import part_text
+from facerender.scenes.file import Pose, part_text, toml_text
 from facerender.scenes.framing import region_of
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.view import FRAMING_MARGIN
-from facerender.shading import SMALL_SLOPE, Term
+from facerender.scenes.view import FRAMING_MARGIN, target_of
+from facerender.shading import SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.lobe import MIN_SLOPE, Lobe
 from facerender.terms.ranges import EXPOSURES, Range, range_of, ranges_of
@@ -41,40 +43,61 @@ _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 _CAMERA = ("azimuth", "elevation", "zoom", "fov")
 _G_POWER = GPower(8, 0.25, 0.5)  # placeholders: the page replaces these numbers
+TERM_FACTORS = ("m", "f0", "ks")  # factors of the skin that the page changes, in A and in B
+MOST_LIGHTS = 8
+_DRAWN = {*("model", "lobe", "fresnel", "masking", "m", "small_slope", "outside", "diffuse")}
+_OWN_NOTE = ("scatter_samples", "environment", "environment_samples", "two_lobes", "shadow_lights")
+# Factors that the page does not draw. Its code leaves them out.
+_UNDRAWN = (
+    *("second_slope", "lobe_weight", "scattering", "normal_strength", "occlusion_strength"),
+    *("emissive", "alpha", "alpha_cutoff", "opacity", "transmission", "refraction"),
+)
 
 
-def explorer_page(job: Job, mesh: Mesh) -> str:
+def explorer_page(job: Job, mesh: Mesh, a: Term = Term(), b: Term = Term(lobe="d16")) -> str:
     """Return the page as HTML.
 
-    Features that the page cannot draw are removed, see :func:`drawable`. Maps with more than 2048
-    texels per side are reduced.
+    Features that the page cannot draw are removed, and a note on the page lists them. Maps with
+    more than 2048 texels per side are reduced.
 
     Parameters
     ----------
-    job : job whose mesh file, lights, ambient light, background and camera the page shows first
-    mesh : mesh of the job
+    job : job whose mesh file, lights, ambient light, background, camera, and m, f0 and ks of the
+        skin the page shows first
+    mesh : mesh of the job, with all factors except m, f0 and ks
+    a, b : the two shadings of the skin that the page shows first
 
     Raises
     ------
-    InputError : a map is damaged
+    InputError : a map is damaged, the job has more than 8 lights, or a camera that does not orbit
     """
-    region = region_of(mesh, Camera.frame)
-    mesh = drawable(mesh)
+    _check(job)
+    whole, mesh = mesh, drawable(mesh)
+    lights, ambient = job.lights, job.ambient
+    if job.environment is not None and not lights:
+        lights, ambient = Job.lights, Job.ambient
     mesh_facts, arrays, textures = packed(mesh)
+    scale, offset = whole.radius / mesh.radius, (whole.center - mesh.center) / mesh.radius
+    framed = region_of(whole, job.camera.frame) or whole
+    factors = {name: job.material[name] for name in TERM_FACTORS if name in job.material}
     facts = {
         "version": __version__,
         "name": mesh.name,
         "mesh": _words(job),
         "center": mesh.center.tolist(),
         "radius": mesh.radius,
-        "target": np.zeros(3).tolist() if region is None else region.center.tolist(),
-        "profile": (region or mesh).profile.round(5).tolist(),
+        "target": (target_of(whole, job.camera) * scale + offset).tolist(),
+        "profile": (framed.profile * scale).round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
         **mesh_facts,
         "camera": {name: getattr(job.camera, name) for name in _CAMERA},
+        "aim": _aim(job.camera),
         "cameras": AZIMUTHS_BY_NAME,
-        "lights": [_light(light, mesh) for light in job.lights],
-        "ambient": job.ambient,
+        "lights": [_light(light, mesh) for light in lights],
+        "most_lights": MOST_LIGHTS,
+        "ambient": np.broadcast_to(ambient, 3).tolist(),
+        "shadings": {"a": _term(a) | factors, "b": _term(b) | factors},
+        "omitted": {"mesh": lost_features(whole), "scene": _omitted(job, whole)},
         "background": job.background or (0.0, 0.0, 0.0),
         "registry": registry(),
         "ranges": _ranges(),
@@ -90,6 +113,56 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
     body = _text("explorer.html") + "".join(data)
     files = [_BROWSER / "explorer.css", *(_BROWSER / f"{name}.js" for name in _SCRIPTS)]
     return document(f"facerender explorer: {mesh.name}", body, *files)
+
+
+def _check(job: Job) -> None:
+    """Raise InputError if the page cannot show the job's camera or the number of its lights."""
+    if job.camera.position is not None or job.camera.extrinsics is not None:
+        raise InputError(
+            "the explorer needs a camera that orbits the mesh: give --camera front, three-quarter, "
+            "profile or AZIMUTH,ELEVATION,ZOOM"
+        )
+    if len(job.lights) > MOST_LIGHTS:
+        raise InputError(
+            f"the explorer has at most {MOST_LIGHTS} lights, and there are {len(job.lights)}: "
+            "leave some out"
+        )
+
+
+def _term(term: Term) -> dict[str, Any]:
+    """Return the values of a shading's controls; ``constant`` is the constant m of a plan."""
+    own = {"model": term.model, "fresnel": term.fresnel, "masking": term.masking}
+    lobe = term.lobe
+    power = asdict(lobe) if isinstance(lobe, GPower) else {}
+    return {**own, "lobe": "g-power" if power else lobe, "constant": term.m, **power}
+
+
+def _omitted(job: Job, mesh: Mesh) -> list[str]:
+    """Return the names of the features of a job that neither the page nor its code draws."""
+    shading = job.shading
+    cast = [light for light in job.lights if light.shadow]
+    lit = job.environment is None or job.lights != ()
+    around = "the environment map" + (
+        "" if lit else " (the default lights and ambient light replace the map)"
+    )
+    others = [name for name in shading.as_dict() if name not in _DRAWN and name not in _OWN_NOTE]
+    found = {
+        "soft shadows": any(light.radius for light in cast),
+        "shadows": any(not light.radius for light in cast),
+        around: job.environment is not None,
+        "second lobes": any(each.two_lobes for each in mesh.materials),
+        "subsurface scattering": any(each.scattering for each in mesh.materials),
+        "the coupled diffuse term": shading.diffuse != Shading.diffuse,
+        f"{', '.join(others)} of the shading": bool(others),
+        "all frames of the clip but one": job.pose.clip is not None and job.pose.time is None,
+    }
+    return [name for name, omitted in found.items() if omitted]
+
+
+def _aim(camera: Camera) -> dict[str, Any]:
+    """Return the fields of a camera's framing that differ from their defaults."""
+    fields = {"frame": camera.frame, "target": camera.target}
+    return {name: own for name, own in fields.items() if own != getattr(Camera, name)}
 
 
 def registry() -> dict[str, Any]:
@@ -199,6 +272,9 @@ def _words(job: Job) -> dict[str, Any]:
     maps = {name: value for name in files if (value := getattr(file, name)) is not None}
     names = ("flip_v", "allow_outside", "as_is", "double_sided")
     switches = [name for name in names if getattr(file, name)]
+    green = (
+        {} if file.normal_map_y == MeshFile.normal_map_y else {"normal_map_y": file.normal_map_y}
+    )
     parts = {"parts": file.parts, "hide": file.hide}
     selected = {name: ",".join(values) for name, values in parts.items() if values}
     path = [file.path] if file.path else []
@@ -212,19 +288,40 @@ def _words(job: Job) -> dict[str, Any]:
     def keywords(values: Mapping[str, Any]) -> list[str]:
         return [f"{name}={value!r}" for name, value in values.items()]
 
-    flags = [f"--{name.replace('_', '-')}" for name in switches]
-    arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True))]
+    occlusion = ["occlusion"] * file.occlusion
+    flags = [f"--{name.replace('_', '-')}" for name in (*switches, *occlusion)]
+    arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True) | green)]
+    load = f"fr.load_mesh({', '.join(arguments)})"
     select = f".select({', '.join(keywords(selected))})" if selected else ""
+    python = (f"fr.with_occlusion({load})" if occlusion else load) + _posed(job.pose) + select
+    pose = {name: own for name, own in asdict(job.pose).items() if own != getattr(Pose(), name)}
+    own = {n: each for n, each in job.material.items() if n not in (*TERM_FACTORS, *_UNDRAWN)}
     materials = [f"--part {shlex.quote(part_text(*each))}" for each in job.parts.items()]
     for name, table in job.parts.items():
         select += f".with_material({', '.join([repr(name), *keywords(table)])})"
     return {
         "shell": " ".join(
-            [*map(shlex.quote, path), *flags, *options(selected).values(), *materials]
+            [*map(shlex.quote, path), *flags, *options(green | selected).values(), *materials]
         ),
         "maps": options(maps),
-        "python": f"fr.load_mesh({', '.join(arguments)}){select}",
+        "python": f"fr.tracked({python})" if job.pose.track else python,
+        "material": {"toml": toml_text([("", own)]).strip().splitlines(), "python": keywords(own)},
+        "pose": toml_text([("[pose]", pose)]) if pose else "",
     }
+
+
+def _posed(pose: Pose) -> str:
+    """Return the Python call that poses a mesh."""
+    if pose.vertices is not None:
+        frame, load = pose.frame, f"np.load({pose.vertices!r})"
+        npz = pose.vertices.lower().endswith(".npz")
+        every = f"{{name: own[{frame}] for name, own in {load}.items()}}"
+        return f".with_positions({every if npz else f'{load}[{frame}]'})"
+    words = [
+        f"{name}={own!r}" for name in ("clip", "time") if (own := getattr(pose, name)) is not None
+    ]
+    values = [*([repr(dict(pose.weights))] if pose.weights else []), *words]
+    return f".with_pose({', '.join(values)})" if values else ""
 
 
 def _text(name: str) -> str:

@@ -9,9 +9,21 @@ const materialFields = term => Object.fromEntries(
 function shadingFields(term) {
   const first = {model: firstModel, lobe: Object.keys(registry.lobes)[0],
     ...modelOf(term).factors && {fresnel: firstFresnel, masking: firstMasking}};
-  return Object.fromEntries(
-    Object.keys(first).filter(name => term[name] !== first[name]).map(name => [name, term[name]]));
+  const m = term.constant === null ? {} : {m: +short(term.constant)};
+  return {...m, ...Object.fromEntries(
+    Object.keys(first).filter(name => term[name] !== first[name]).map(name => [name, term[name]]))};
 }
+
+// Returns whether the command needs the scene file: some values have no option.
+const needsFile = term => term.lobe === "g-power" || term.constant !== null
+  || facts.mesh.pose !== "" || facts.mesh.material.toml.length > 0;
+
+// Returns the arguments of an image that a scene file does not contain.
+const imageWords = (state, which, size) => [
+  ...state.exposure ? [`--exposure ${short(state.exposure)}`] : [],
+  ...state.only === "all" ? [] : [`--only ${state.only}`],
+  `--size ${size.join("x")}`, `-o ${which}.png`,
+];
 
 function pointOf(light) {
   return scaledBy(directionTo(light), light.distance * facts.radius).map((x, i) => x + facts.center[i]);
@@ -29,7 +41,7 @@ function commandLine(state, which, size) {
   const option = ([name, value]) => `--${name} ${value}`;
   const lines = [
     "facerender render", ...meshWords(term),
-    ...term.lobe === "g-power" ? [`--scene ${which}.toml`] : Object.entries(shadingFields(term)).map(option),
+    ...needsFile(term) ? [`--scene ${which}.toml`] : Object.entries(shadingFields(term)).map(option),
     ...Object.entries(materialFields(term)).map(option),
     ...state.lights.map(light => {
       const place = light.distance === null
@@ -39,9 +51,7 @@ function commandLine(state, which, size) {
     }),
     `--ambient ${state.ambient.map(short)}`, `--background ${facts.background.map(short)}`,
     `--camera ${short(azimuth)},${short(elevation)},${short(zoom)}`, `--fov ${short(fov)}`,
-    ...state.exposure ? [`--exposure ${short(state.exposure)}`] : [],
-    ...state.only === "all" ? [] : [`--only ${state.only}`],
-    `--size ${size.join("x")}`, `-o ${which}.png`,
+    ...Object.entries(facts.aim).map(option), ...imageWords(state, which, size),
   ];
   return (state.lights.length ? "" : "# No light: use the TOML scene file, because --light needs a light.\n")
     + lines.join(" \\\n    ");
@@ -57,7 +67,7 @@ const lightFields = (light, no) => ({
 });
 const fieldsOf = (table, form) => Object.entries(table).map(([name, value]) => form(name, value));
 
-function toml(state, which) {
+function toml(state, which, size) {
   const term = state[which];
   const field = (name, value) => `${name} = ${Array.isArray(value) ? `[${value.join(", ")}]` : value}`;
   const lobe = value => value === "g-power"
@@ -65,14 +75,16 @@ function toml(state, which) {
     : JSON.stringify(value);
   const section = (name, fields) => fields.length ? ["", `[${name}]`, ...fields] : [];
   const camera = Object.fromEntries(Object.keys(ranges.camera).map(name => [name, short(state.camera[name])]));
+  const aim = Object.entries(facts.aim).map(([name, value]) => field(name, JSON.stringify(value)));
   const lights = state.lights.map(light => `    { ${fieldsOf(lightFields(light, "false"), field).join(", ")} },\n`);
   return [
-    `# ${["facerender render", ...meshWords(term), `--scene ${which}.toml -o ${which}.png`].join(" ")}`,
+    `# ${["facerender render", ...meshWords(term), `--scene ${which}.toml`, ...imageWords(state, which, size)].join(" ")}`,
     `ambient = [${rounded(state.ambient)}]`, `background = [${rounded(facts.background)}]`,
     lights.length ? `lights = [\n${lights.join("")}]` : "lights = []",
-    ...section("camera", fieldsOf(camera, field)),
-    ...section("material", fieldsOf(materialFields(term), field)),
+    ...section("camera", [...fieldsOf(camera, field), ...aim]),
+    ...section("material", [...facts.mesh.material.toml, ...fieldsOf(materialFields(term), field)]),
     ...section("shading", fieldsOf(shadingFields(term), (name, value) => field(name, lobe(value)))),
+    ...facts.mesh.pose ? ["", facts.mesh.pose.trimEnd()] : [],
   ].join("\n") + "\n";
 }
 
@@ -83,15 +95,16 @@ function python(state, which, size) {
   const lobe = value => value === "g-power"
     ? `GPower(${term.g}, ${literal(term.factor)}, ${literal(term.offset)})` : JSON.stringify(value);
   const lights = state.lights.map(light => `    fr.Light(${fieldsOf(lightFields(light, "False"), field).join(", ")}),\n`);
-  const material = fieldsOf(materialFields(term), field).join(", ");
+  const material = [...facts.mesh.material.python, ...fieldsOf(materialFields(term), field)].join(", ");
   const shading = fieldsOf(shadingFields(term), (name, value) => field(name, lobe(value))).join(", ");
   const mesh = facts.mesh.python + (material && `.with_skin(${material})`);
   const only = state.only === "all" ? "" : `, only="${state.only}"`;
   return [
-    "import facerender as fr",
+    "import facerender as fr", ...mesh.includes("np.load") ? ["import numpy as np"] : [],
     ...term.lobe === "g-power" ? ["from facerender.lobes import GPower"] : [], "",
     `lights = (\n${lights.join("")})`,
-    `camera = fr.Camera(${short(azimuth)}, ${short(elevation)}, fov=${short(fov)}, zoom=${short(zoom)})`,
+    `camera = fr.Camera(${short(azimuth)}, ${short(elevation)}, fov=${short(fov)}, zoom=${short(zoom)}`
+      + `${Object.entries(facts.aim).map(([name, value]) => `, ${name}=${JSON.stringify(value)}`).join("")})`,
     `scene = fr.Scene(\n    ${mesh},\n    camera,\n    lights,\n    ambient=(${rounded(state.ambient)}),`
       + `\n    background=(${rounded(facts.background)}),\n)`,
     `with fr.Renderer((${size.join(", ")})) as renderer:`,

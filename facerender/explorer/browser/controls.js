@@ -35,6 +35,17 @@ function selection(label, names, read, write) {
   return made;
 }
 
+// Shows a text below an input, or hides the text if it is empty.
+function showRange(input, text) {
+  const box = input.getBoundingClientRect();
+  const made = byId("range");
+  made.hidden = !text;
+  made.textContent = text || "";
+  const [left, below] = [innerWidth - made.offsetWidth, innerHeight - made.offsetHeight];
+  made.style.left = `${clamp(box.left, 0, Math.max(left - 8, 0))}px`;
+  made.style.top = `${box.bottom + 4 > below ? box.top - made.offsetHeight - 4 : box.bottom + 4}px`;
+}
+
 // Returns an input for a number in a range. With `empty`, an empty input means null, and the
 // placeholder shows `empty`.
 function number(label, [min, max], read, write, {step = "any", empty = null} = {}) {
@@ -43,15 +54,22 @@ function number(label, [min, max], read, write, {step = "any", empty = null} = {
   });
   made.addEventListener("input", () => {
     const none = made.value === "" && empty !== null && !made.validity.badInput;
-    const good = made.value !== "" && isWithin(+made.value, [min, max]);
+    const good = made.value !== "" && isWithin(+made.value, [min, max])
+      && (step === "any" || Number.isInteger(+made.value / step));
     if (none || good) write(none ? null : +made.value);
-    made.classList.toggle("wrong", !none && !good);
+    const wrong = !none && !good;
+    made.classList.toggle("wrong", wrong);
+    showRange(made, wrong && `${label}: give ${step === 1 ? "a whole number" : "a number"} from `
+      + `${short(min)} to ${short(max)}${empty === null ? "" : `, or nothing for ${empty}`}`);
   });
-  made.addEventListener("blur", refresh);
+  made.addEventListener("blur", () => {
+    refresh();
+    showRange(made, "");
+  });
   refreshers.push(() => {
     if (made === document.activeElement && made.value !== "") return;
     const value = read();
-    made.value = value === null ? "" : short(value);
+    made.value = value === null ? "" : narrow(value);
     made.classList.remove("wrong");
   });
   return made;
@@ -127,13 +145,13 @@ function termTable(state, changed) {
   const chosen = (label, name, names, more) =>
     row(label, name, (title, read, write) => selection(title, names, read, write), more);
   const typed = (label, name, options, more) => row(label, name,
-    (title, read, write) => number(title, ranges.term[name], read, write, options), more);
+    (title, read, write) => number(title, ranges.term[name] ?? ranges.term.m, read, write, options), more);
   const same = names => names.map(name => [name, name]);
   const power = {shown: () => isOwn(state().a) || isOwn(state().b), used: isOwn};
   const factors = {used: term => modelOf(term).factors};
 
   chosen("model", "model", Object.entries(registry.models).map(([name, {title}]) => [name, title]));
-  chosen("lobe", "lobe", [...same(Object.keys(registry.lobes)), ["g-power", "custom g-power"]]);
+  chosen("lobe", "lobe", same([...Object.keys(registry.lobes), "g-power"]));
   typed("power g", "g", {step: 1}, power);
   typed("factor", "factor", {}, power);
   typed("offset", "offset", {}, power);
@@ -148,6 +166,8 @@ function termTable(state, changed) {
     return element("div", {className: "ranged"},
       number(title, ranges.term.m, read, write, {empty: slopeWords()}), range);
   });
+  typed("m of plan", "constant", {empty: "none"},
+    {shown: () => state().a.constant !== null || state().b.constant !== null});
   typed("f0", "f0", {empty: ownValue("f0")});
   typed("ks", "ks", {empty: ownValue("specular_weight")});
 
@@ -196,7 +216,7 @@ function lightTable(state, changed) {
   }
   refreshers.push(() => {
     const {lights} = state();
-    add.disabled = lights.length >= MOST_LIGHTS;
+    add.disabled = lights.length >= facts.most_lights;
     if (lights.length === body.rows.length) return;
     refreshers.splice(0, refreshers.length, ...refreshers.filter(each => !own.includes(each)));
     const before = refreshers.length;

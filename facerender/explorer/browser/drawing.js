@@ -191,7 +191,7 @@ class Drawing {
     gl.viewport(0, 0, ...this.size);
   }
 
-  show({show, cut, gain, budget, exposure}) {
+  show({show, cut, budget, exposure}, gain) {
     const {gl} = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     const program = this.onScreen(sources.page["error.glsl"], sources.page["show.frag"]);

@@ -1,6 +1,8 @@
 // The page: drawing, pointer and keyboard input, and the URL fragment.
 const SETTLED = 180;  // Milliseconds without a change before errors, code and URL are updated.
 
+const HANDLE = 32;    // Size of a light's handle with its outline, in CSS pixels.
+
 let state = firstState();
 let drawing = null;  // Null before the start and after a failure.
 let pixels = null;   // Errors at the pixels of the current image.
@@ -8,7 +10,7 @@ let statisticsNow = null;
 let awaited = [];    // Promises for the errors of the current image.
 let [frame, timer, version] = [0, 0, 0];
 const canvas = byId("canvas");
-const viewport = byId("viewport");
+const viewport = byId("image");
 const still = () => state;
 const isDrawing = () => drawing && !drawing.gl.isContextLost();
 
@@ -21,23 +23,50 @@ function showMessage(text) {
 function changed() {
   ++version;
   statisticsNow = null;
+  showOld(true);
   refresh();
   if (!frame) frame = requestAnimationFrame(paint);
   clearTimeout(timer);
   timer = setTimeout(settle, SETTLED);
 }
 
+// Marks the shown errors as errors of an earlier image.
+function showOld(old) {
+  for (const each of document.querySelectorAll("#readout table, #where, #over, #mark")) {
+    each.classList.toggle("old", old);
+  }
+  byId("against").textContent = old ? "computing …" : "B against A";
+}
+
+let fittedGain = 1;   // Gain at which the largest error of the last measured image is white.
+const gainNow = () => state.gain ?? fittedGain;
+
+// Aligns the image with device pixels, and returns its size in pixels: one per device pixel, or two
+// per CSS pixel on finer screens. The edges are also whole CSS pixels if a multiple of up to four is
+// whole in both, because browsers that emulate a screen align boxes with CSS pixels.
+function fitImage() {
+  const box = byId("viewport").getBoundingClientRect();
+  const common = [1, 2, 3, 4].find(count => count * devicePixelRatio % 1 === 0);
+  const step = common ?? 1 / devicePixelRatio;
+  const first = edge => Math.ceil(edge / step - 1e-3) * step;
+  const sides = [[box.left, box.right], [box.top, box.bottom]].map(([low, high]) =>
+    [first(low) - low, Math.max(Math.floor(high / step + 1e-3) * step - first(low), step)]);
+  const [[left, width], [top, height]] = sides;
+  for (const [name, length] of Object.entries({left, top, width, height})) {
+    viewport.style[name] = `${length}px`;
+  }
+  const scale = Math.min(devicePixelRatio, 2);
+  return [width, height].map(side => Math.round(side * scale));
+}
+
 function paint() {
   frame = 0;
   if (!isDrawing()) return;
-  const scale = Math.min(devicePixelRatio, 2);
-  const [width, height] = [viewport.clientWidth, viewport.clientHeight]
-    .map(side => Math.max(Math.round(side * scale), 1));
   try {
-    drawing.resize(width, height);
+    drawing.resize(...fitImage());
     drawing.draw("a", state);
     drawing.draw("b", state);
-    drawing.show(state);
+    drawing.show(state, gainNow());
   } catch (error) {
     fail(error);
   }
@@ -57,6 +86,14 @@ async function settle() {
   if (now !== version || !found) return;
   pixels = found;
   statisticsNow = statistics(found, drawing.size[0]);
+  const {largest} = statisticsNow.display;
+  fittedGain = largest > 0 ? clamp(255 / largest, 1, MOST_GAIN) : 1;
+  if (state.gain === null) {
+    refresh();
+    drawing.show(state, fittedGain);
+    place();
+  }
+  showOld(false);
   readout();
   plotHere();
   awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
@@ -70,8 +107,10 @@ function place() {
   [...byId("handles").children].forEach((handle, i) => {
     const light = state.lights[i];
     const at = projected(view, fromTarget(scaledBy(directionTo(light), reach)));
-    handle.style.left = `${100 * clamp(at.x, 0.03, 0.97)}%`;
-    handle.style.top = `${100 * clamp(at.y, 0.04, 0.96)}%`;
+    const inside = (fraction, side) =>  // the whole handle stays visible
+      `${clamp(fraction * side, HANDLE / 2, Math.max(side - HANDLE / 2, HANDLE / 2))}px`;
+    handle.style.left = inside(at.x, width);
+    handle.style.top = inside(at.y, height);
     handle.classList.toggle("behind", at.z > 0);
   });
   const wipe = state.show === "wipe";
@@ -84,7 +123,8 @@ function place() {
     byId(`tag-${which}`).replaceChildren(element("b", {}, SWATCH[which]), ` ${lobeName(state[which])}`);
   }
   byId("legend").hidden = state.show !== "difference";
-  byId("legend-end").textContent = `${figure(255 / state.gain)} of 255`;
+  byId("legend-middle").textContent = figure(255 / gainNow() / 4);
+  byId("legend-end").textContent = `${figure(255 / gainNow())} of 255`;
 }
 
 function readout() {
@@ -126,14 +166,15 @@ function plotHere() {
   if (found.a.part < 0) return;
   const {position} = viewOf(state.camera, drawing.size[0] / drawing.size[1]);
   const here = geometryAt(found.a, position, state.lights);
+  const slopeOf = which => state[which].constant ?? found[which].m;
   const angles = here.lights.filter(light => light.lit).map(light => light.angle);
   lobes = Object.fromEntries(["a", "b"].map(which => {
-    const {m} = found[which];
+    const m = slopeOf(which);
     return [which, {m, angles, values: lobeValues(drawing, state[which], m)}];
   }));
   plotLobes(byId("lobes"), lobes, scale);
-  const slopes = found.a.m === found.b.m ? `m = ${figure(found.a.m)}`
-    : `m = ${figure(found.a.m)} in A, ${figure(found.b.m)} in B`;
+  const slopes = slopeOf("a") === slopeOf("b") ? `m = ${figure(slopeOf("a"))}`
+    : `m = ${figure(slopeOf("a"))} in A, ${figure(slopeOf("b"))} in B`;
   const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
   byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
     + `N.V = ${figure(here.facing)}, ${cosines ? `N.L = ${cosines}` : "no lights"}.`;
@@ -161,7 +202,7 @@ async function measureCost() {
     byId("cost").disabled = false;
   }
   refresh();
-  if (began === version) drawing.show(state);
+  if (began === version) drawing.show(state, gainNow());
 }
 
 // Updates the table of costs: a measurement is valid for one image only.
@@ -224,7 +265,17 @@ function writeCode() {
       sign === "@" ? `⋯ ${line}\n` : `${sign} ${line}\n`)));
 }
 
+// Returns a note of the features that the page omits, or "".
+function omissions() {
+  const {mesh, scene} = facts.omitted;
+  const list = names => names.join(", ");
+  if (!mesh.length && !scene.length) return "";
+  return `This page omits ${list([...mesh, ...scene])}.`
+    + (scene.length ? ` Its code omits ${list(scene)}.` : "");
+}
+
 function buildControls() {
+  byId("omitted").textContent = omissions();
   const set = name => value => {
     state[name] = value;
     changed();
@@ -239,10 +290,13 @@ function buildControls() {
     Object.assign(state.camera, {azimuth: cameras[name], elevation: 0});
     changed();
   });
+  const fit = button("fit", "Fit the gain to the largest error", () => set("gain")(null));
+  refreshers.push(() => fit.setAttribute("aria-pressed", state.gain === null));
   const budget = number("budget in 1/255", [0, 255], () => state.budget, set("budget"), {empty: "none"});
   byId("sliders").append(
-    slider("gain", {low: 0, high: 6, step: 1}, () => Math.log2(state.gain),
-      value => set("gain")(2 ** value), () => `× ${state.gain}`),
+    slider("gain", {low: 0, high: Math.log2(MOST_GAIN), step: 0.5}, () => Math.log2(gainNow()),
+      value => set("gain")(+short(2 ** value)), () => `× ${figure(gainNow())}`),
+    fit,
     slider("exposure", {low: -4, high: 4, step: 0.25}, () => state.exposure, set("exposure"),
       value => `${value > 0 ? "+" : ""}${value}`),
     element("label", {className: "budget"}, element("span", {}, "red above"), budget, "/255"),
@@ -378,7 +432,7 @@ function listen() {
   byId("cost").addEventListener("click", () => attempt(measureCost));
   byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));
-  new ResizeObserver(changed).observe(viewport);
+  new ResizeObserver(changed).observe(byId("viewport"));
 }
 
 function restore(fragment) {

@@ -3,8 +3,12 @@ let sources = null;  // GLSL texts, keyed by role; null until the texts are unpa
 
 const modelOf = term => registry.models[term.model];
 const lobeOf = term => term.lobe === "g-power" ? registry.g_power : registry.lobes[term.lobe];
-// Returns a term with the factors for a part: m, f0 and ks of the term apply only to skin.
-const termOf = (part, term) => part.skin ? term : {...term, m: null, f0: null, ks: null};
+// Returns a term with the factors for a part: m, f0 and ks of the term apply only to skin, a constant
+// m of the term to every part.
+const termOf = (part, term) => ({
+  ...term, ...!part.skin && {m: null, f0: null, ks: null},
+  ...term.constant !== null && {m: term.constant},
+});
 const smallestSlope = term =>
   Math.min(...facts.parts.map(part => termOf(part, term).m ?? part.slopes[0]));
 
@@ -18,13 +22,16 @@ function termSource(term, smallest) {
   if (term.lobe !== "g-power") return {text, call};
   const offset = term.offset ? ` - ${literal(term.offset)}` : "";
   const steepness = `(${literal(term.factor)} / ((m) * (m))${offset})`;
-  return {call, text: text.replace(/lobe g-power .*(?=\.$)/m, `lobe ${lobeName(term)}`)
+  return {call, text: text.replace(/lobe g-power .*(?=\.$)/m, `lobe ${powerFormula(term)}`)
     .replace(/(?<=^#define FR_G ).*/m, term.g)
     .replace(/(?<=^#define FR_STEEPNESS\(m, k\) ).*/m, steepness)};
 }
 
-function lobeName({lobe, g, factor, offset}) {
-  if (lobe !== "g-power") return lobe;
+const lobeName = ({lobe, g, factor, offset}) =>
+  lobe === "g-power" ? `g-power ${g}, factor ${short(factor)}, offset ${short(offset)}` : lobe;
+
+// Returns the name of a g-power lobe in GLSL files.
+function powerFormula({g, factor, offset}) {
   const less = offset ? ` ${offset > 0 ? "-" : "+"} ${+Math.abs(offset).toPrecision(5)}` : "";
   return `g-power ${g} (${+factor.toPrecision(5)}/m^2${less})`;
 }
@@ -47,6 +54,7 @@ function shadeSource(part, term, {lights, ambient, only}, specular = true) {
     const {text, call} = termSource(term, termOf(part, term).m ?? part.slopes[0]);
     head.push(text, "#define SPECULAR\n",
       "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
+      term.constant === null ? "" : `    m = ${literal(term.constant)};\n`,
       `    return ${call};\n}\n`);
   } else {
     head.push("precision highp float;\n");

@@ -5,6 +5,12 @@ const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 // Returns a number as text with six significant digits, without trailing zeros.
 const short = x => String(+x.toPrecision(6));
 
+// Returns a number as text of at most seven characters for an input, with two or more digits.
+function narrow(x) {
+  const texts = [6, 5, 4, 3, 2].map(digits => String(+x.toPrecision(digits)));
+  return texts.find(text => text.length <= 7) ?? texts.at(-1);
+}
+
 // Returns a number as text with three significant digits for display, never with an exponent.
 function figure(x) {
   if (!Number.isFinite(x)) return "not finite";

@@ -1,5 +1,6 @@
 // Shows A left of the cut and B right of the cut, or their difference. Pixels whose error exceeds
-// the budget are red. Row 0 of an image is on top.
+// the budget are red. Colours are on a square-root scale, because a few pixels often have errors far
+// above the others. Row 0 of an image is on top.
 uniform int height;
 uniform int cut;           // distance of the cut from the left side, in pixels
 uniform bool difference;
@@ -20,6 +21,6 @@ void main() {
     ivec2 at = ivec2(int(gl_FragCoord.x), height - 1 - int(gl_FragCoord.y));
     vec4 error = error_at(at);
     vec4 image = at.x < cut ? texelFetch(a, at, 0) : texelFetch(b, at, 0);
-    color = vec4(difference ? heat(gain * error.y / 255.0) : displayed(image.rgb), 1.0);
+    color = vec4(difference ? heat(sqrt(gain * error.y / 255.0)) : displayed(image.rgb), 1.0);
     if (budget >= 0.0 && error.y > budget) color.rgb = mix(color.rgb, vec3(1.0, 0.0, 0.05), 0.85);
 }

@@ -1,19 +1,17 @@
 // The state of the page. The URL fragment stores the differences from the initial state as text.
 const SHOWS = {wipe: "A | B", a: "A", b: "B", difference: "|A − B|"};
 const ONLY = {all: "all terms", specular: "specular"};
-const MOST_LIGHTS = 8;
 const SWATCH = {a: "A", b: "B"};
+const MOST_GAIN = 4096;
 const {ranges} = facts;
 
 const [firstModel] = Object.keys(registry.models);
 const [firstFresnel] = registry.fresnel;
 const [firstMasking] = registry.masking;
 
-// m, f0, ks: null selects the value of the mesh file.
-const plainTerm = lobe => ({
-  model: firstModel, lobe, g: 8, factor: 0.25, offset: 0.5,
-  fresnel: firstFresnel, masking: firstMasking, m: null, f0: null, ks: null,
-});
+// m, f0, ks: null selects the value of the mesh file. constant: m of a plan for all parts, or null.
+const termWith = own =>
+  ({g: 8, factor: 0.25, offset: 0.5, m: null, f0: null, ks: null, constant: null, ...own});
 
 const isWithin = (value, [low, high]) => value >= low && value <= high;
 const within = range => text => {
@@ -31,6 +29,7 @@ const TERM_FIELDS = {
   fresnel: oneOf(registry.fresnel),
   masking: oneOf(registry.masking),
   ...allWithin(ranges.term),
+  constant: text => text === "" ? null : within(ranges.term.m)(text),
   g: text => Number.isInteger(Number(text)) ? within(ranges.term.g)(text) : undefined,
 };
 const CAMERA_FIELDS = allWithin(ranges.camera);
@@ -38,16 +37,15 @@ const FIELDS = {
   show: oneOf(Object.keys(SHOWS)),
   only: oneOf(Object.keys(ONLY)),
   cut: within([0, 1]),
-  gain: within([1, 64]),
+  gain: text => text === "" ? null : within([1, MOST_GAIN])(text),
   budget: text => text === "" ? null : within([0, 255])(text),
   exposure: within(ranges.exposure),
 };
 
 function firstState() {
-  const lobes = Object.keys(registry.lobes);
   return {
-    a: plainTerm(lobes[0]), b: plainTerm(registry.lobes.d16 ? "d16" : lobes.at(-1)),
-    show: "wipe", only: "all", cut: 0.5, gain: 8, budget: null, exposure: 0,
+    a: termWith(facts.shadings.a), b: termWith(facts.shadings.b),
+    show: "wipe", only: "all", cut: 0.5, gain: null, budget: null, exposure: 0,
     camera: {...facts.camera},
     lights: facts.lights.map(light => ({...light})),
     ambient: [...facts.ambient],
@@ -109,7 +107,7 @@ function stateOf(fragment) {
   const lists = {
     lights(text) {
       const lights = text === "none" ? [] : text.split(";").map(lightOf);
-      return lights.includes(undefined) || lights.length > MOST_LIGHTS ? undefined : lights;
+      return lights.includes(undefined) || lights.length > facts.most_lights ? undefined : lights;
     },
     ambient(text) {
       const ambient = text.split(",").map(Number);
