@@ -539,7 +539,7 @@ def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, caps
         ({"environment": "noise.npy"}, "{}/noise.npy is not a NumPy file"),
         ({"landmarks": "pipe.json"}, "{}/pipe.json is a pipe; give a JSON file with landmarks"),
         ({"pose.vertices": "noise.npy"}, "noise.npy is damaged"),
-        ({"before.vertices": "none.npy"}, "cannot read '{}/none.npy': no such file"),
+        ({"before.vertices": "none.npy"}, "cannot read {}/none.npy: no such file"),
     ]
     good = {"mesh": str(small)}
     jobs: list[dict[str, Any]] = [good]

@@ -21,7 +21,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import INTERNAL_ERROR, main
-from facerender.comparison import compare
+from facerender.comparison import compare, sources
 from facerender.drawing import renderer as drawing
 from facerender.errors import InputError
 from facerender.images.decode import MAX_PIXELS, check_pixels
@@ -264,7 +264,7 @@ def test_internal_errors_of_compare_have_another_exit_status(
     def fail(*_: object) -> None:
         raise fault
 
-    monkeypatch.setattr(compare, "read_image", fail)
+    monkeypatch.setattr(sources, "read_image", fail)
     command = ["compare", str(tmp_path / "a.png"), str(tmp_path / "a.png")]
     assert main(command) == status
     out, err = capsys.readouterr()

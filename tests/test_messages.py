@@ -106,11 +106,12 @@ MESSAGES = [
     ),
     (
         "render --background 1,2 -o x.png",
-        "background = '1,2': give R,G,B in linear RGB, or none for transparent",
+        "background = '1,2': give 3 numbers in linear RGB, or none for a transparent background",
     ),
     (
         "render --environment gone.hdr -o x.png",
-        "cannot read gone.hdr: no such file or directory; give an environment map, or studio",
+        "cannot read gone.hdr: no such file or directory; give an environment map "
+        "(.hdr, .exr, .npy, .npz), or studio",
     ),
     (
         "render --environment-samples 7 -o x.png",
@@ -391,7 +392,8 @@ MESSAGES = [
     ),
     (
         "render --environment nofile -o x.png",
-        "cannot read nofile: no such file or directory; give an environment map, or studio",
+        "cannot read nofile: no such file or directory; give an environment map "
+        "(.hdr, .exr, .npy, .npz), or studio",
     ),
     (
         "render --vertices nofile -o x.png",
@@ -403,17 +405,17 @@ MESSAGES = [
     ),
     (
         "render --background red -o x.png",
-        "--background 'red': give 3 numbers separated by commas, or none for a transparent "
-        "background",
+        "background = 'red': give 3 numbers in linear RGB, or none for a transparent background",
     ),
     (
         "render --scene red.toml -o x.png",
-        "red.toml: background = 'red': give a number in [0, 1e+09], or three, or \"none\" (None in "
-        "Python) for a transparent background",
+        "red.toml: background = 'red': give 3 numbers in linear RGB, or none for a "
+        "transparent background",
     ),
     (
         "render --scene west.toml -o x.png",
-        "west.toml: camera azimuth = 'west' is not a number: give a number in [-3600, 3600]",
+        "west.toml: camera azimuth = 'west' is not a number: give a number in [-3600, 3600], "
+        "or front, three-quarter, profile",
     ),
     (
         "render --camera rig.json --size 0 -o x.png",

@@ -708,7 +708,7 @@ def test_texts_have_the_error_of_the_fraction_and_the_worst(small, subject, tmp_
 FILES = {
     "defaults": (fr.Camera(), KEY, {}, Shading()),
     "everything": (
-        fr.Camera(30.0, -10.0, 40.0, 1.5, (0.01, 0.0, 0.02), (0.3, 0.1, 1.2)),
+        fr.Camera(30.0, -10.0, 40.0, 1.5, (0.01, 0.0, 0.02)),
         (POINT, fr.Light(10.0, 20.0, (1.0, 0.5, 1e-5)), PLAIN["rim"]),
         {"ambient": (0.1, 0.0, 0.2), "background": None},
         Shading(

@@ -327,7 +327,7 @@ def test_bad_option(options, message, cli):
     ("text", "message"),
     [
         ("lights = []", r"the scene has no lights, so there is no shading to plan: add a light"),
-        ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of tables"),
+        ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of names or tables"),
         ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
         ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: omit d8"),
         ("[shading]\nspecular_lights = [9]", r"specular_lights names light 9: the scene has 3"),
@@ -419,7 +419,9 @@ def test_pinned_scene_can_be_planned_again(plan, cli):
     ],
 )
 def test_render_with_a_bad_budget(options, cli, cache):
-    message = r"budget|a plan chooses the lobe|exposure|--camera|within 0%|size '24\.\.48'"
+    message = (
+        r"budget|unknown camera|a plan chooses the lobe|exposure|--camera|within 0%|size '24\.\.48'"
+    )
     cli.fail_to_render(message, *options)
     assert not cache.exists()
 

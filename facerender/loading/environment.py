@@ -17,7 +17,8 @@ from facerender.scenes.file import STUDIO, EnvironmentFile, environment_file
 from facerender.system.files import read_file, suffix_of
 
 _SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
-WANTED = f"an environment map, or {STUDIO}"  # description of the expected file, for messages
+# Description of the expected file, for messages.
+WANTED = f"an environment map ({', '.join(_SUFFIXES)}), or {STUDIO}"
 
 
 def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:

@@ -212,7 +212,8 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
 def _azimuth(name: str) -> float:
     if name not in AZIMUTHS_BY_NAME:
         known = ", ".join(AZIMUTHS_BY_NAME)
-        raise InputError(f"camera azimuth = {shown(name)}: give degrees, or {known}")
+        wanted = f"give a number in [{AZIMUTHS.low:g}, {AZIMUTHS.high:g}], or {known}"
+        raise InputError(f"camera azimuth = {shown(name)} is not a number: {wanted}")
     return AZIMUTHS_BY_NAME[name]
 
 

@@ -66,7 +66,8 @@ def background_of(value: Any) -> Vector | None:
             raise ValueError
     except ValueError:
         raise InputError(
-            f"background = {shown(value)}: give R,G,B in linear RGB, or none for transparent"
+            f"background = {shown(value)}: give 3 numbers in linear RGB, or none for a transparent "
+            "background"
         ) from None
     color: Vector = range_of(Scene, "background").check("background", numbers)
     return color
