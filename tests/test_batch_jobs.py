@@ -856,7 +856,7 @@ def test_the_schema_has_every_field():
         assert shading[name]["enum"] == [*names]
     assert shading["lobe"]["anyOf"][0]["enum"] == [*LOBES]
     assert tables["outputs"]["anyOf"][0]["items"]["enum"] == [*OUTPUTS]
-    assert tables["camera"]["properties"]["fov"]["default"] == Camera().fov
+    assert found["camera"]["properties"]["fov"]["default"] == Camera().fov
     assert json.loads(json.dumps(whole_schema)) == whole_schema
 
 
