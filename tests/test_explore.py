@@ -271,7 +271,7 @@ def test_note_lists_the_features_that_the_page_omits(browser, tmp_path, mesh):
             lit = np.ptp(images(page)[0][..., :3]) > 0.1
             return page.inner_text("#omitted"), lit
 
-    plain = tuple(replace(light, shadow=False) for light in Job.lights)
+    plain = tuple(replace(light, shadow=False) for light in fr.Scene.lights)
     assert note(Job(lights=plain), mesh) == ("", True)
     soft = note(Job(lights=(fr.Light(radius=3.0),)), mesh)[0]
     assert soft == "This page omits soft shadows. Its code omits soft shadows."

@@ -28,6 +28,7 @@ from facerender.scenes.framing import region_of
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
 from facerender.scenes.view import FRAMING_MARGIN, target_of
 from facerender.shading import SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
@@ -75,7 +76,7 @@ def explorer_page(job: Job, mesh: Mesh, a: Term = Term(), b: Term = Term(lobe="d
     whole, mesh = mesh, drawable(mesh)
     lights, ambient = job.lights, job.ambient
     if job.environment is not None and not lights:
-        lights, ambient = Job.lights, Job.ambient
+        lights, ambient = Scene.lights, Scene.ambient
     mesh_facts, arrays, textures = packed(mesh)
     scale, offset = whole.radius / mesh.radius, (whole.center - mesh.center) / mesh.radius
     framed = region_of(whole, job.camera.frame) or whole
