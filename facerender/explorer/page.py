@@ -294,12 +294,12 @@ def _words(job: Job) -> dict[str, Any]:
     arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True) | green)]
     load = f"fr.load_mesh({', '.join(arguments)})"
     select = f".select({', '.join(keywords(selected))})" if selected else ""
-    python = (f"fr.with_occlusion({load})" if occlusion else load) + _posed(job.pose) + select
     pose = {name: own for name, own in asdict(job.pose).items() if own != getattr(Pose(), name)}
     own = {n: each for n, each in job.material.items() if n not in (*TERM_FACTORS, *_UNDRAWN)}
     materials = [f"--part {shlex.quote(part_text(*each))}" for each in job.parts.items()]
     for name, table in job.parts.items():
         select += f".with_material({', '.join([repr(name), *keywords(table)])})"
+    python = (f"fr.with_occlusion({load})" if occlusion else load) + _posed(job.pose) + select
     return {
         "shell": " ".join(
             [*map(shlex.quote, path), *flags, *options(green | selected).values(), *materials]
