@@ -18,7 +18,8 @@ import pytest
 import facerender as fr
 from facerender.commands import COMMANDS, main, parser_of
 from facerender.commands.help import Help, commands_of, groups_of
-from facerender.comparison.result import HIGHEST, Limits
+from facerender.comparison.result import Limits
+from facerender.comparison.sources import HIGHEST
 from facerender.images.write import FRAME_RATES
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
@@ -28,6 +29,7 @@ BASES = {
     "render": ("head.obj", "-o", "x.png"),
     "plan": ("head.obj", "--budget", "1/255", "--size", "16"),
     "batch": ("jobs.csv", "-o", "out"),
+    "explore": ("head.obj", "-o", "x.html"),
     "measure": ("--quick", "-o", "out"),
     "compare": ("a.npy", "a.npy"),
     "shaders flatten": ("cook_torrance", "--lobe", "exact"),
