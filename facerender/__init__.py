@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from facerender.glsl.library import shader_dir as shader_dir
     from facerender.glsl.library import shader_source as shader_source
     from facerender.images.animation import save_animation as save_animation
-    from facerender.job import ImageSettings as ImageSettings
     from facerender.job import Job as Job
     from facerender.job import MeshFile as MeshFile
     from facerender.job import Output as Output
@@ -68,6 +67,7 @@ if TYPE_CHECKING:
     from facerender.scenes.environment import Environment as Environment
     from facerender.scenes.environment import Panorama as Panorama
     from facerender.scenes.file import EnvironmentFile as EnvironmentFile
+    from facerender.scenes.file import ImageSettings as ImageSettings
     from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
     from facerender.scenes.framing import tracked as tracked
@@ -96,14 +96,14 @@ _HOMES = {
     "drawing.renderer": ("Renderer", "render"),
     "errors": ("ContextError", "FacerenderError", "FacerenderWarning", "InputError"),
     "glsl.library": ("moderngl_includes", "resolve_includes", "shader_dir", "shader_source"),
-    "job": ("ImageSettings", "Job", "MeshFile", "Output"),
+    "job": ("Job", "MeshFile", "Output"),
     "loading": ("load_mesh",),
     "loading.cameras": ("load_cameras",),
     "loading.environment": ("load_environment",),
     "planning.plan": ("Plan", "plan"),
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
-    "scenes.file": ("EnvironmentFile", "Pose", "load_scene"),
+    "scenes.file": ("EnvironmentFile", "ImageSettings", "Pose", "load_scene"),
     "scenes.framing": ("tracked",),
     "scenes.lod": ("simplified",),
     "scenes.landmarks": ("Landmarks", "load_landmarks"),

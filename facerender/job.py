@@ -16,6 +16,7 @@ from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.file import (
     KEYS,
     EnvironmentFile,
+    ImageSettings,
     Pose,
     environment_file,
     from_table,
@@ -23,8 +24,6 @@ from facerender.scenes.file import (
     scene_value,
     toml_text,
 )
-from facerender.scenes.file import MAX_SAMPLES as MAX_SAMPLES
-from facerender.scenes.file import ImageSettings as ImageSettings
 from facerender.scenes.light import Light, lights_of
 from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material

@@ -23,7 +23,8 @@ from facerender.comparison.calibration import (
     text_of,
 )
 from facerender.comparison.compare import compare
-from facerender.comparison.result import HIGHEST, LIMITS
+from facerender.comparison.result import LIMITS
+from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError
 from facerender.images.exr import save_exr
 from facerender.images.srgb import encode_srgb8

@@ -15,7 +15,7 @@ import facerender as fr
 from facerender.comparison.compare import compare
 from facerender.comparison.goldens import FARTHEST, SHIFTS, Updates, check, range_of
 from facerender.comparison.neighbourhoods import explained
-from facerender.comparison.result import HIGHEST
+from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError
 from facerender.images.image import ImageData
 from facerender.images.read import read_image

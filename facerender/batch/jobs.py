@@ -20,9 +20,17 @@ import numpy as np
 from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested
 from facerender.errors import InputError, check_path, clipped, shown
-from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
+from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, Pose, from_table, scene_value
+from facerender.scenes.file import (
+    KEYS,
+    STUDIO,
+    EnvironmentFile,
+    ImageSettings,
+    Pose,
+    from_table,
+    scene_value,
+)
 from facerender.scenes.light import Light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import Material

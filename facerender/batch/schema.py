@@ -10,9 +10,9 @@ from dataclasses import MISSING, fields
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
-from facerender.job import ImageSettings
 from facerender.loading.source import NORMAL_MAP_Y
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, DISTORTIONS, Camera
+from facerender.scenes.file import ImageSettings
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS

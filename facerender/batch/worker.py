@@ -24,8 +24,9 @@ from facerender.batch.records import Writer
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
-from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
+from facerender.job import MESH_PATHS, Job, MeshFile
 from facerender.loading.references import named_files
+from facerender.scenes.file import ImageSettings
 from facerender.scenes.mesh import Mesh
 from facerender.system.atomic import CannotUse
 from facerender.system.signals import heed_the_coordinator

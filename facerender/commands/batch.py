@@ -29,7 +29,7 @@ from facerender.commands.common import (
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.errors import InputError
-from facerender.job import ImageSettings
+from facerender.scenes.file import ImageSettings
 from facerender.scenes.scene import ONLY
 from facerender.terms.ranges import IntegerRange, Range
 

@@ -16,10 +16,10 @@ import numpy as np
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message
 from facerender.errors import InputError, shown
-from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile, parse_size
+from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.loading.references import named_files
 from facerender.loading.source import FORMATS, GLTF
-from facerender.scenes.file import STUDIO, parse_part
+from facerender.scenes.file import STUDIO, ImageSettings, parse_part
 from facerender.scenes.presets import PRESETS
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.files import check_file, suffix_of
@@ -44,20 +44,15 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     return [(int(width), int(height)) for width, height in zip(widths, heights, strict=True)]
 
 
-def numbers_of(option: str, text: str, counts: Sequence[int], other: str = "") -> list[float]:
-    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`.
-
-    other : further valid text of the option, for the message, such as ", or none"
-    """
+def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
+    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in counts:
         wanted = " or ".join(map(str, counts))
-        raise InputError(
-            f"--{option} {shown(text)}: give {wanted} numbers separated by commas{other}"
-        )
+        raise InputError(f"--{option} {shown(text)}: give {wanted} numbers separated by commas")
     return numbers
 
 

@@ -18,7 +18,8 @@ from facerender.commands.common import (
 )
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
-from facerender.comparison.result import HIGHEST, LIMITS
+from facerender.comparison.result import LIMITS
+from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError, warn
 from facerender.images.read import read_image
 from facerender.system.atomic import write_text

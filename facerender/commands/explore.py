@@ -17,7 +17,6 @@ from facerender.commands.scene import add_scene, files_read, job_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 from facerender.explorer.page import TERM_FACTORS, explorer_page
-from facerender.loading.environment import load_environment
 from facerender.system.atomic import write_text
 from facerender.terms import LOBES
 
@@ -58,12 +57,10 @@ def run(options: argparse.Namespace) -> int:
         b = replace(b, lobe=_LOBE)
     a = replace(b, lobe=options.against, m=None, small_slope=None)
     with progress_bar(options) as progress:
-        if job.environment is not None:
-            load_environment(job.environment)  # the page omits it, but must not hide a bad file
         progress("mesh", 0.0)
         # The page applies these factors itself, so that its controls can remove them.
         material = {n: own for n, own in job.material.items() if n not in TERM_FACTORS}
-        mesh = replace(job, material=material, environment=None).scene().mesh
+        mesh = replace(job, material=material).scene().mesh
         progress("page", 0.0)
         page = explorer_page(job, mesh, a, b)
     write_text(options.output, page)

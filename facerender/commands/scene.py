@@ -29,7 +29,7 @@ from facerender.commands.common import (
 from facerender.commands.help import Help
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped, warn
-from facerender.job import ImageSettings, Job, MeshFile
+from facerender.job import Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y
 from facerender.scenes.camera import (
     CAMERA_FILES,
@@ -44,6 +44,7 @@ from facerender.scenes.camera import (
 from facerender.scenes.file import (
     STUDIO,
     EnvironmentFile,
+    ImageSettings,
     Pose,
     load_scene,
     parse_environment,

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from facerender.comparison.compare import compare, pairs_of
 from facerender.comparison.neighbourhoods import FULL, filtered, shrunk
-from facerender.comparison.result import HIGHEST, LIMITS, Limits
+from facerender.comparison.result import LIMITS, Limits
+from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError, check_range, reason, shown
 from facerender.images.image import Encoding, ImageData
 from facerender.images.read import read_image

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from facerender.comparison.blocks import MOVED
-from facerender.comparison.sources import HIGHEST as HIGHEST
+from facerender.comparison.sources import HIGHEST
 from facerender.errors import check_range
 from facerender.images.image import Encoding
 

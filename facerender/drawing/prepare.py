@@ -87,14 +87,17 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
     anisotropy : maximum anisotropy of texture filtering
     """
     spared: dict[Texture, int] = {}
+    found: dict[tuple[Part, int, tuple[int, int]], int] = {}  # maps of one part share coordinates
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         for name, texture in _large(part, material):
             uv = coordinates(part, material, name)
             assert uv is not None
-            image = view, size, anisotropy
-            # The reference pose decides, so that the maps stay while the mesh moves.
-            levels = levels_to_spare(scene.mesh, part.root, uv, texture.size, *image)
-            spared[texture] = min(levels, spared.get(texture, levels))
+            key = part, id(uv), texture.size
+            if key not in found:
+                # The reference pose decides, so that the maps stay while the mesh moves.
+                own = scene.mesh, part.root, uv, texture.size
+                found[key] = levels_to_spare(*own, view, size, anisotropy)
+            spared[texture] = min(found[key], spared.get(texture, found[key]))
     if not any(spared.values()):
         return scene
 

@@ -50,9 +50,10 @@ from facerender.errors import (
     clipped,
     warn,
 )
-from facerender.job import ImageSettings, Job
+from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
+from facerender.scenes.file import ImageSettings
 from facerender.scenes.hints import emit_all
 from facerender.scenes.landmarks import Landmarks, located
 from facerender.scenes.light import Light

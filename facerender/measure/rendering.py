@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.srgb import linear_to_srgb
-from facerender.job import MAX_SAMPLES
 from facerender.measure.measurement import DisplayError, PartSetting, SampleSetting
 from facerender.pricing.frame import ratios
 from facerender.scenes.environment import Environment, studio
+from facerender.scenes.file import MAX_SAMPLES
 from facerender.scenes.scene import SHADING_RATES, Scene
 from facerender.shading import SCATTER_SAMPLES, Shading
 from facerender.terms.lobe import MIN_SLOPE

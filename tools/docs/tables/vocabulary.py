@@ -9,9 +9,9 @@ from functools import cache
 
 from facerender.commands import parser_of
 from facerender.commands.help import commands_of, groups_of
-from facerender.job import ImageSettings, MeshFile
+from facerender.job import MeshFile
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
-from facerender.scenes.file import STUDIO, EnvironmentFile, Pose
+from facerender.scenes.file import STUDIO, EnvironmentFile, ImageSettings, Pose
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS
