@@ -399,7 +399,7 @@ def test_bad_scene_file(cli: Cli, write: Callable[..., Path], tmp_path: Path) ->
         ("--fov", "180", r"camera fov = 180\.0 is outside"),
         ("--ambient", "1,2", r"--ambient '1,2': give 1 or 3 numbers"),
         ("--ambient", "-1", r"ambient"),
-        ("--background", "blue", r"background = 'blue': give R,G,B .*, or none"),
+        ("--background", "blue", r"background = 'blue': give 3 numbers in linear RGB, or none"),
         ("--background", "nan,0,0", r"background = \(nan, 0\.0, 0\.0\): give a number in"),
         ("--model", "phong", r"argument --model: invalid choice: 'phong'"),
         ("--lobe", "d5", r"argument --lobe: invalid choice: 'd5'"),

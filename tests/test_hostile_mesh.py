@@ -327,7 +327,10 @@ def test_factors_outside_their_domain(tmp_path):
     ("size", "message"),
     [
         ((20000, 4), "is 20000 x 4 pixels of 4 bytes: at most 16384 a side, "),
-        ((40000, 40000), "has 1600000000 pixels: at most 16384 a side and "),
+        pytest.param(
+            *((40000, 40000), "has 1600000000 pixels: at most 16384 a side and "),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_sizes_of_large_maps_are_named(write_mesh, size, message, tmp_path):

@@ -251,6 +251,7 @@ def test_nose_neck_and_cheeks(skull, renderer):
         np.testing.assert_allclose(depth, in_camera[:, 2], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_landmarks_on_silhouettes_do_not_flicker(skull, renderer):
     """Points that are nearly edge-on stay visible wherever the grid of pixels lies."""
     scene, surface = fr.Scene(skull, fr.Camera(80.0, 5.0)), Surface.of(skull)

@@ -252,6 +252,7 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     assert len({row.part for row in measurement.skin}) == 5
 
 
+@pytest.mark.slow
 def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
     eyes = fr.load_mesh().select("eyeballs").with_material(m=0.9)  # outside the domain of d16
     head = replace(

@@ -88,6 +88,7 @@ def test_motion_agrees_with_rays_in_float64(skull, drawing):
     assert error[hidden].max() < 0.01  # hidden points have their own motion too
 
 
+@pytest.mark.slow
 def test_motion_warps_one_frame_into_the_next(skull, drawing):
     """Random surface points, visible in this frame, move as the image of the motion says."""
     now, before = (bent(skull, amount) for amount in (0.05, -0.02))

@@ -162,7 +162,7 @@ assert main(["render", "-o", "head.png"]) == 2  # OpenGL is absent
 """
 
 
-@pytest.mark.parametrize("system", ["win32", "darwin"])
+@pytest.mark.parametrize("system", ["win32", pytest.param("darwin", marks=pytest.mark.slow)])
 def test_parts_without_opengl_work_elsewhere(system, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
