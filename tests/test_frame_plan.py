@@ -49,6 +49,7 @@ def one_repeat():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(frame_times, "_REPEATS", 1)
         patched.setattr(planning, "relative_time", lambda *_: GAIN)
+        patched.setattr("facerender.commands.plan._SILENT", math.inf)
         yield
 
 
@@ -449,7 +450,8 @@ def test_samples_and_triangles_are_explained(budget, drawing, scene, planned):
             assert told.text == f"{full}: {told.other} would cause an error of {text(added)}"
     *_, last, cost = lines
     assert (last, cost) == ("error", "cost")
-    assert text(plan.error.drawn) + " as rendered" in lines["error"]
+    assert lines["error"].startswith(f"budget met: all pixels within {text(plan.error.drawn)}; ")
+    assert lines["error"].endswith(f"as rendered up to {text(plan.error.drawn)}")
     cost = "0.40 to 0.62 of the full frame in 80 % of rounds, median 0.50: "
     assert lines["cost"].startswith(cost)
 
@@ -469,8 +471,9 @@ def test_a_frame_without_a_measured_gain_becomes_the_full_frame(
     assert not any(each.changed for each in plan.decisions)
     lines = lines_of(plan)
     assert "shading" not in lines  # a cheaper frame is within the budget
-    told = "saves nothing: this is the full frame; the cheaper one took 0.80 to "
-    assert lines["cost"] == f"{told}{high:.2f} of its time"
+    told = "saves nothing, so the plan is the full frame: the cheaper frame took 0.80 to "
+    assert lines["cost"].startswith(f"{told}{high:.2f} of its time. Repeat on an idle machine, or ")
+    assert lines["error"] == "budget met: the full frame has no error"
     assert load_scene_text(cli, plan) == {}
     status, out, _ = cli.run("plan", *FACE, "--budget", WIDE, "--json")
     found = json.loads(out)

@@ -279,6 +279,22 @@ MESSAGES = [
         "--target es300 has no shader: add --emit OUT.glsl",
     ),
     (
+        "plan --budget nan",
+        (
+            "budget nan is not a finite number: give a fraction of the display's range such as "
+            "1/255, 0.5%, or 0.02 flip"
+        ),
+    ),
+    (
+        "render --scene planned.toml --m 0.4 -o x.png",
+        "planned.toml was planned for m = 0.3: leave --m out, or plan again with --m 0.4",
+    ),
+    (
+        "render --scene planned.toml --roughness-map a.png -o x.png",
+        "planned.toml pins m = 0.3043 of the shading: leave --roughness-map out, or plan again "
+        "with it",
+    ),
+    (
         "compare a.png gone.png",
         "cannot read gone.png: no such file or directory; give an image file",
     ),
@@ -461,6 +477,8 @@ FILES = {
     "nosuffix": "x",
     "red.toml": "background = 'red'\n",
     "west.toml": "[camera]\nazimuth = 'west'\n",
+    "planned.toml": "[material]\nm = 0.3\n[shading]\nm = 0.3043\n"
+    "[planned]\nsizes = [[512, 512]]\nsamples = 4\n",
     "tri.obj": "o a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
     "empty.obj": "v 0 0 0\n",
     "bad.glb": "x",

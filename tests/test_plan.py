@@ -515,6 +515,13 @@ def test_every_decision_has_a_line(plans):
             assert plan.budget.text(each.error) in each.text
 
 
+def test_constants_have_the_digits_of_their_text(plans):
+    """A scene file pins the constants, so their text has to state them in full."""
+    values = [each for plan in plans for each in (plan.constants.m, plan.constants.ks)]
+    assert [float(f"{each:.4g}") for each in values] == values
+    assert len(set(values)) > 3
+
+
 def test_decisions_have_the_values_that_differ(plans):
     plan = plans[1]
     taken = {
@@ -691,8 +698,12 @@ def test_texts_have_the_error_of_the_fraction_and_the_worst(small, subject, tmp_
     assert error.maximum > plan.budget.limit
     lines = dict(re.split(" {2,}", line, maxsplit=1) for line in plan.explain().splitlines())
     assert lines["budget"].startswith("1/255 for 95.1 % of the pixels, of which rounding ")
-    assert lines["error"].startswith(f"{text(error.maximum)}, at pixel ")
-    assert lines["error"].endswith(f"; 95.1 % of the pixels within {text(error.within)}")
+    met = f"budget met: 95.1 % of the pixels within {text(error.within)}; at pixel centres up to "
+    assert lines["error"].startswith(f"{met}{text(error.maximum)}, at pixel ")
+    assert lines["error"].endswith(f"; 95.1 % within {text(error.within)}")
+    worse = replace(plan, error=replace(error, drawn=1.0, drawn_within=1.1 / 255))
+    assert "  budget not met: 95.1 % of the pixels within 1.1/255; " in worse.explain()
+    assert "; as rendered up to 255/255\n" in worse.explain()
     found = json.loads(json.dumps(plan.as_dict()))
     assert found["budget"]["within"] == 0.951
     assert (found["error"]["within"], found["error"]["maximum"]) == (error.within, error.maximum)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 import shutil
 
@@ -67,6 +68,7 @@ def cli(tmp_path, capsys: Capture, egl, cache, monkeypatch):
     folder = tmp_path / "out"
     folder.mkdir()
     monkeypatch.setattr("facerender.planning.plan.plan", plan_once)
+    monkeypatch.setattr("facerender.commands.plan._SILENT", math.inf)
     monkeypatch.setattr(plan_cache, "plan", plan_once)
     return Cli(folder, capsys)
 
@@ -123,7 +125,8 @@ def test_text_output(plan):
     assert lines[1].endswith(
         " 1 camera, 48 x 48 pixels; no guarantee for other cameras, sizes and poses"
     )
-    assert re.search(r"^error +0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % of the", lines[-2])
+    at = r"at pixel centres up to 0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % within 0\.\d+/255"
+    assert re.search(rf"^error +budget met: all pixels within 0\.\d+/255; {at}$", lines[-2])
     assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", lines[-1])
 
 
@@ -213,6 +216,23 @@ def test_from_a_scene_file(plan, cli, tmp_path):
     out = plan("--budget", "2/255", "--fresnel", "constant", "--camera", "front", mesh=arguments)
     full = Shading(fresnel="constant")
     assert out == expected("2/255", mesh=mesh, full=full).explain() + "\n"
+
+
+def test_a_message_announces_long_plans_where_no_bar_is_shown(cli, framed, monkeypatch):
+    def slow(*_, progress, **options):
+        for step in ("views", "prices"):
+            progress(step, 0.0)
+        return framed
+
+    monkeypatch.setattr("facerender.planning.plan.plan", slow)
+    monkeypatch.setattr("facerender.commands.plan._SILENT", -1.0)
+    words = ("plan", *FACE, "--budget", "2/255")
+    message = "facerender: planning may take minutes: --verbose logs each step\n"
+    assert cli.run(*words) == (0, framed.explain() + "\n", message)
+    assert cli.run(*words, "--quiet")[2] == ""
+    assert message not in cli.run(*words, "--verbose")[2]
+    monkeypatch.setattr("facerender.commands.plan._SILENT", 60.0)
+    assert cli.run(*words)[2] == ""
 
 
 def test_cameras(plan, tmp_path, monkeypatch):
@@ -395,8 +415,21 @@ def test_outputs_must_differ_from_each_other_and_from_inputs(cli, tmp_path):
 def test_options_that_conflict_with_a_pinned_shading(line, options, cli, tmp_path):
     scene = tmp_path / "pinned.toml"
     scene.write_text(f"[shading]\n{line}\n")
-    message = rf"pins {line.split()[0]} = .* of the shading: leave {options[0]} out"
+    message = rf"pins {line.split()[0]} = .* of the shading: leave {options[0]} out, or remove "
     cli.fail_to_render(message, "--scene", scene, *options)
+
+
+@pytest.mark.parametrize("shading", ["", "m = 0.3043"])
+def test_a_planned_scene_accepts_only_the_m_of_its_plan(shading, cli, tmp_path):
+    """The plan's shading may have a constant m; this makes no difference."""
+    scene = tmp_path / "planned.toml"
+    scene.write_text(
+        f"[material]\nm = 0.3\n[shading]\n{shading}\n[planned]\nsizes = [[48, 48]]\nsamples = 1\n"
+    )
+    once, again = (cli.render("--scene", scene, "--samples", "1", *m) for m in ((), ("--m", "0.3")))
+    np.testing.assert_array_equal(once, again)
+    message = r"was planned for m = 0\.3: leave --m out, or plan again with --m 0\.4"
+    cli.fail_to_render(message, "--scene", scene, "--m", "0.4")
 
 
 def test_pinned_scene_can_be_planned_again(plan, cli):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
+import time
 from pathlib import Path
 
 from facerender.commands.common import (
@@ -27,13 +29,14 @@ from facerender.commands.scene import (
     job_of,
     load,
 )
-from facerender.commands.streams import print_result
+from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
 from facerender.glsl.library import LANGUAGES, TARGETS
 from facerender.job import Output
 from facerender.system.atomic import write_text
+from facerender.system.progress import Progress, shows_bars
 
 
 def add(plan: argparse.ArgumentParser) -> None:
@@ -93,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--error-map {options.error_map}: give a .png")
     _check_pinned(options.pinned)
     scene = load(job)
+    silent = not (options.quiet or options.verbose or shows_bars(quiet=False))
     with progress_bar(options) as progress, Renderer.of(job, options.backend) as renderer:
         planned = plan(
             scene,
@@ -104,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
             cost=options.cost,
             exposure=options.exposure,
             renderer=renderer,
-            progress=progress,
+            progress=_announced(progress) if silent else progress,
         )
     if options.emit:
         write_text(options.emit, planned.shader(options.target))
@@ -114,6 +118,23 @@ def run(options: argparse.Namespace) -> int:
         planned.save_error_map(options.error_map)
     print_result(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
     return 0
+
+
+_SILENT = 3.0  # seconds without output, after which a message announces a longer wait
+
+
+def _announced(progress: Progress) -> Progress:
+    """Return a progress function that prints a message once, in the first step after _SILENT."""
+    end = time.monotonic() + _SILENT
+
+    def report(what: str, done: float) -> None:
+        nonlocal end
+        progress(what, done)
+        if time.monotonic() > end:
+            end = math.inf
+            print_message("facerender: planning may take minutes: --verbose logs each step")
+
+    return report
 
 
 _PINNED = "# Written by facerender plan.\n"

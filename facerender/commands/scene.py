@@ -260,9 +260,9 @@ def job_of(
     names = [each.name for each in fields(ImageSettings) if each.name != "size"]
     image = settings.pop("image", {}) | values_of(options, *names)
     size = size or image.get("size")
-    shading = _shading(options, settings.pop("shading", {}))
-    camera, cameras = _cameras(options, settings, size)
     material = settings.pop("material", {})
+    shading = _shading(options, settings.pop("shading", {}), material, "planned" in settings)
+    camera, cameras = _cameras(options, settings, size)
     parts = part_materials(options, settings.pop("parts", {}))
     if options.roughness_map is not None:
         material.pop("m", None)
@@ -384,13 +384,32 @@ def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     return scene
 
 
-def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
+def _shading(
+    options: argparse.Namespace,
+    pinned: Mapping[str, Any],
+    material: Mapping[str, Any],
+    planned: bool,
+) -> Shading:
     """Return the shading that the options and the scene file define.
+
+    Parameters
+    ----------
+    pinned, material : tables of the scene file. Options may repeat factors of the material
+    planned : whether a plan, which holds for this material only, wrote the scene file
 
     Raises
     ------
-    InputError : an option would have no effect, because the scene file pins the same value
+    InputError : an option would have no effect, because the scene file pins the same value, or
+        changes the material of a plan
     """
+    for name, value in values_of(options, *_FACTORS).items():
+        if planned and value != material.get(name, value):
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(
+                f"{options.scene} was planned for {name} = {material[name]}: leave {option} out, "
+                f"or plan again with {option} {value}"
+            )
+    remedy = "plan again with it" if planned else "remove that line from the file"
     for key, names in (
         ("m", ("m", "roughness_map")),
         ("ks", ("ks", "specular_map")),
@@ -404,10 +423,12 @@ def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
         ("lights", ("light", "m", "lobe", "model", "fresnel", "masking")),
     ):
         if key in pinned:
-            for name in values_of(options, *names):
+            for name, value in values_of(options, *names).items():
+                if value == material.get(name):
+                    continue
                 raise InputError(
                     f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
-                    f"--{name.replace('_', '-')} out, or remove that line from the file"
+                    f"--{name.replace('_', '-')} out, or {remedy}"
                 )
     terms = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
     others = ("slope_filter", "curvature", "scatter_samples", "environment_samples")

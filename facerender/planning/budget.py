@@ -24,7 +24,9 @@ Float = NDArray[np.float64]
 # Upper bound of the error that float32 and the driver's rounding add to the float64 error.
 ROUNDING: dict[Unit, float] = {"display": 0.05 / 255.0, "relative": 5e-4, "flip": 1e-3}
 
-_GIVEN = re.compile(r"([-+.\deE]+|nan|inf)\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.IGNORECASE)
+_GIVEN = re.compile(
+    r"([-+.\deE]+|[-+]?(?:nan|inf))\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,11 @@ class Budget:
             limit = value / below
         except (ValueError, ZeroDivisionError):
             raise InputError(f"budget {given!r} has an unknown unit: {remedy}") from None
+        if not 0.0 <= limit < math.inf:
+            fault = "is negative" if limit < 0.0 else "is not a finite number"
+            raise InputError(f"budget {given} {fault}: {remedy}")
         if isinstance(given, str) and value and not any(match.groups()[1:]):
             raise InputError(f"budget {given!r} has no unit: {remedy}")
-        if not 0.0 <= limit < math.inf:
-            raise InputError(f"budget {given} is negative or not finite: {remedy}")
         if match[3]:
             return cls(limit / 100.0, "relative", exposure, fraction)
         return cls(limit, "flip" if match[4] else "display", exposure, fraction)

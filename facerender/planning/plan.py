@@ -232,7 +232,7 @@ class Plan:
         at = self.error_map / max(self.budget.limit, 1e-12)
         heat = np.stack([np.interp(at, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
         heat[at > 1.0] = _OVER
-        comment = f"error {self._error()}; white is {self.budget.text(self.budget.limit)}"
+        comment = f"{self._error()}; white is {self.budget.text(self.budget.limit)}"
         save_png(path, np.round(heat).astype(np.uint8), {"Comment": comment})
 
     @property
@@ -257,21 +257,22 @@ class Plan:
     def _error(self) -> str:
         error, text, fraction = self.error, self.budget.text, self.budget.fraction
         if self._is_full:
-            return f"{text(0.0)}: the full shading"
+            return "budget met: the full frame has no error"
         every = self.budget.within == 1.0
-        drawn = ""
-        if error.drawn is not None and error.drawn_within is not None:
-            drawn = f"; {text(error.drawn)} as rendered"
-            drawn += "" if every else f", {fraction} within {text(error.drawn_within)}"
-        if self.shading == self.full:
-            return drawn.removeprefix("; ")
-        if error.maximum == 0.0:
-            return f"{text(0.0)} except for rounding{drawn}"
-        at = "at pixel ({}, {})".format(*error.pixel)
-        at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
-        at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
-        most = ("99.9 %", error.percentile) if every else (fraction, error.within)
-        return f"{text(error.maximum)}, {at}; {most[0]} of the pixels within {text(most[1])}{drawn}"
+        largest = max(error.within, error.drawn_within or 0.0)
+        verdict = "met" if largest <= self.budget.limit else "not met"
+        pixels = "all pixels" if every else f"{fraction} of the pixels"
+        parts = [f"budget {verdict}: {pixels} within {text(largest)}"]
+        if self.shading != self.full:
+            at = "at pixel ({}, {})".format(*error.pixel)
+            at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
+            at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
+            most = ("99.9 %", error.percentile) if every else (fraction, error.within)
+            exact = f"up to {text(error.maximum)}, {at}; {most[0]} within {text(most[1])}"
+            parts.append(f"at pixel centres {exact if error.maximum else '0, except for rounding'}")
+        if error.drawn is not None:
+            parts.append(f"as rendered up to {text(error.drawn)}")
+        return "; ".join(parts)
 
 
 def _finite(value: Any) -> Any:

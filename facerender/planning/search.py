@@ -99,7 +99,10 @@ class Cost:
             return "saves nothing: nothing cheaper is within the budget"
         ends = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
         if not self.saves:
-            return f"saves nothing: this is the full frame; the cheaper one took {ends} of its time"
+            return (
+                f"saves nothing, so the plan is the full frame: the cheaper frame took {ends} of "
+                "its time. Repeat on an idle machine, or plan within fewer pixels, such as 90%"
+            )
         return (
             f"{ends} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
             f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, {self.source}"
@@ -406,7 +409,7 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
         ks.append(view.mapped.specular_weight[view.counted])
         light.append(specular.sum(axis=0)[view.counted] + 1e-9)
     weights = np.concatenate(light)
-    means = [float(np.average(np.concatenate(each), weights=weights)) for each in (m, ks)]
+    means = [_rounded(np.average(np.concatenate(each), weights=weights)) for each in (m, ks)]
     faintest, frontal = (
         tuple(int(light) for light in np.argsort(each, kind="stable")) for each in (peaks, losses)
     )
@@ -432,4 +435,10 @@ def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
         ** (1 / power)
         for power in (-2, 2)
     )
-    return tuple(np.geomspace(peak, variance, 4).tolist())
+    return tuple(map(_rounded, np.geomspace(peak, variance, 4)))
+
+
+def _rounded(value: float) -> float:
+    """Return a value with four digits. The plan uses and measures this value, so its text states
+    the value in full."""
+    return float(f"{value:.4g}")
