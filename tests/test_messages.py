@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import shutil
 from pathlib import Path
@@ -507,6 +508,7 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize(("command", "message"), MESSAGES, ids=[each[0] for each in MESSAGES])
 def test_the_message_of_a_bad_command(command, message, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
+    monkeypatch.setattr("facerender.commands.plan._SILENT", math.inf)
     files = sorted(folder.iterdir())
     assert main(shlex.split(command)) == 2
     out, err = capsys.readouterr()
