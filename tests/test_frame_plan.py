@@ -471,6 +471,9 @@ def test_a_frame_without_a_measured_gain_becomes_the_full_frame(
     assert not any(each.changed for each in plan.decisions)
     lines = lines_of(plan)
     assert "shading" not in lines  # a cheaper frame is within the budget
+    over = {each.name for each in plan.decisions if each.error > plan.budget.limit}
+    assert {*lines} == {"budget", "basis", "error", "cost"} | over
+    assert len(over) < len(plan.decisions)
     told = "saves nothing, so the plan is the full frame: the cheaper frame took 0.80 to "
     assert lines["cost"].startswith(f"{told}{high:.2f} of its time. Repeat on an idle machine, or ")
     assert lines["error"] == "budget met: the full frame has no error"

@@ -146,11 +146,13 @@ class Plan:
         reserve = f"{part} {self.budget.text(rounding)}"
         given_up = self.cost.measured is not None and not self.cost.saves
         exact = self.shading == self.full and not given_up
+        # Changes that fit, but save nothing, would look like changes that the search has missed.
+        explained = [d for d in self.decisions if not given_up or d.error > limit]
         lines = {
             "budget": f"{self.budget.text(limit)}{fraction}, {reserve}",
             "basis": self._basis(),
             **({"elsewhere": self._elsewhere(self.elsewhere)} if self.elsewhere else {}),
-            **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
+            **({d.name: d.text for d in explained} if limit > rounding else {}),
             **({"shading": "exact: nothing cheaper fits"} if exact else {}),
             "error": self._error(),
             "cost": str(self.cost),

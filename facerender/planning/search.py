@@ -101,7 +101,7 @@ class Cost:
         if not self.saves:
             return (
                 f"saves nothing, so the plan is the full frame: the cheaper frame took {ends} of "
-                "its time. Repeat on an idle machine, or plan within fewer pixels, such as 90%"
+                "its time. Repeat on an idle machine, or plan for fewer pixels: within 90%"
             )
         return (
             f"{ends} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
