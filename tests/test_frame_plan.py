@@ -450,7 +450,8 @@ def test_samples_and_triangles_are_explained(budget, drawing, scene, planned):
             assert told.text == f"{full}: {told.other} would cause an error of {text(added)}"
     *_, last, cost = lines
     assert (last, cost) == ("error", "cost")
-    assert lines["error"].startswith(f"budget met: all pixels within {text(plan.error.drawn)}; ")
+    largest = max(plan.error.maximum, plan.error.drawn)
+    assert lines["error"].startswith(f"budget met: all pixels within {text(largest)}; ")
     assert lines["error"].endswith(f"as rendered up to {text(plan.error.drawn)}")
     cost = "0.40 to 0.62 of the full frame in 80 % of rounds, median 0.50: "
     assert lines["cost"].startswith(cost)
