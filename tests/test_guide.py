@@ -104,8 +104,9 @@ def small_images(monkeypatch):
     """Draw images of a tenth of the width and height; the test checks only that examples run."""
     init = fr.Renderer.__init__
 
-    def tenth(self, size=(1024, 1024), *arguments, **options):
-        init(self, tuple(max(side // 10, 8) for side in size), *arguments, **options)
+    def tenth(self, size=1024, *arguments, **options):
+        sides = (size, size) if isinstance(size, int) else size
+        init(self, tuple(max(side // 10, 8) for side in sides), *arguments, **options)
 
     monkeypatch.setattr(fr.Renderer, "__init__", tenth)
 

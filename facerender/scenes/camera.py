@@ -93,7 +93,7 @@ class Camera:
             frame: Frame = ...,
             extrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
             intrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
-            size: tuple[int, int] | None = ...,
+            size: int | tuple[int, int] | None = ...,
             distortion: Sequence[float] | Matrix | None = ...,
         ) -> None: ...
 
