@@ -88,7 +88,7 @@ def near(name: str, known: Iterable[str]) -> str:
     """Return the known name that is most similar to a name, or "" if no name is similar."""
     from difflib import get_close_matches
 
-    return next(iter(get_close_matches(name, [*known], 1, 0.7)), "")
+    return next(iter(get_close_matches(name, [*known], 1, 0.8)), "")
 
 
 def is_number(value: Any) -> bool:

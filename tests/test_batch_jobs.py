@@ -553,7 +553,7 @@ for _ in range(30):
     DEEP = {"a": DEEP}
 
 BAD_FILES = [
-    ("rows.txt", "", "unknown kind of table '.txt'; give .jsonl, .csv, .parquet, .toml, .py"),
+    ("rows.txt", "", "unknown table format '.txt'; give .jsonl, .csv, .parquet, .toml or .py"),
     ("rows.jsonl", "", "rows.jsonl has no rows"),
     ("rows.jsonl", "\n \n", "rows.jsonl has no rows"),
     ("rows.jsonl", "[1]", r"rows.jsonl, row 1 \(line 1\): row = \[1\]: give a table"),
