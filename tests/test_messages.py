@@ -119,7 +119,8 @@ MESSAGES = [
     ),
     (
         "render --environment studo -o x.png",
-        "cannot read studo: no such file or directory; give studio",
+        "cannot read studo: no such file or directory; give studio, or an environment map "
+        "(.hdr, .exr, .npy, .npz)",
     ),
     (
         "render --environment-samples 7 -o x.png",

@@ -700,7 +700,7 @@ def render(
     ContextError : no OpenGL context is available
     """
     for name in unknown:
-        refuse_keyword(render, name)
+        refuse_keyword(render, name, {"fr.Renderer({}=...)": Renderer})
     shading = Shading(model, lobe, fresnel, outside, masking)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:

@@ -20,8 +20,9 @@ _SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
 
 
 def wanted(file: str) -> str:
-    """Return the description of the expected file for messages, or the name similar to ``file``."""
-    return near(file, [STUDIO]) or f"an environment map ({', '.join(_SUFFIXES)}), or {STUDIO}"
+    """Return the description of the expected file for messages, first a name like ``file``."""
+    maps = f"an environment map ({', '.join(_SUFFIXES)})"
+    return f"{STUDIO}, or {maps}" if near(file, [STUDIO]) else f"{maps}, or {STUDIO}"
 
 
 def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:

@@ -15,7 +15,7 @@ from facerender.system.reprs import short_repr
 from facerender.terms.ranges import check_fields, range_of, ranged
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from facerender.scenes.environment import Environment
     from facerender.scenes.sources import EnvironmentSource, MeshSource
@@ -73,24 +73,29 @@ def background_of(value: Any) -> Vector | None:
     return color
 
 
-def refuse_keyword(function: Callable[..., Any], name: str) -> NoReturn:
+def refuse_keyword(
+    function: Callable[..., Any], name: str, others: Mapping[str, Callable[..., Any]] = {}
+) -> NoReturn:
     """Raise InputError for an unknown keyword argument. The message has the most similar argument
-    of the function, or of the class to which the value belongs."""
+    of the function, or of the class to which the value belongs.
+
+    others : further classes, keyed by the text that the message has for an argument
+    """
     from inspect import signature
 
-    from facerender.scenes.file import ImageSettings
     from facerender.scenes.material import Material
     from facerender.shading import Shading
 
     own = [*signature(function).parameters][:-1]
     places = {each: f"{each}=..." for each in own}
-    for place, kind in {
+    homes: dict[str, Callable[..., Any]] = {
         "camera=fr.Camera({}=...)": Camera,
         "lights=[fr.Light({}=...)]": Light,
         "mesh.with_skin({}=...)": Material,
         "fr.Shading({}=...) to fr.Renderer.render": Shading,
-        "fr.Renderer({}=...)": ImageSettings,
-    }.items():
+        **others,
+    }
+    for place, kind in homes.items():
         places = {each: place.format(each) for each in signature(kind).parameters} | places
     similar = near({"roughness": "m"}.get(name, name), places)
     remedy = f"give {places[similar]}" if similar else f"known: {', '.join(own)}"
