@@ -9,7 +9,7 @@ from sphinx.highlighting import lexers
 import facerender
 
 project = "facerender"
-author = "the facerender developers"
+author = "the facerender contributors"
 version = release = facerender.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"

@@ -84,6 +84,13 @@ def reason(error: Exception) -> str:
     return clipped(str(error)) or type(error).__name__
 
 
+def near(name: str, known: Iterable[str]) -> str:
+    """Return the known name that is most similar to a name, or "" if no name is similar."""
+    from difflib import get_close_matches
+
+    return next(iter(get_close_matches(name, [*known], 1, 0.8)), "")
+
+
 def is_number(value: Any) -> bool:
     """Return whether a value is a real number; true and false are not."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)

@@ -11,7 +11,7 @@ import json
 import math
 import re
 import tracemalloc
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -31,8 +31,9 @@ from facerender.batch.schema import schema
 from facerender.errors import InputError
 from facerender.job import Job
 from facerender.scenes.camera import Camera
-from facerender.scenes.light import parse_light
+from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.material import MAPS, Material
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
 from facerender.terms.ranges import IntegerRange, SizeRange, ranges_of
@@ -120,7 +121,7 @@ WRITERS = {
 def test_every_form_gives_the_same_rows(form):
     found = read_jobs(WRITERS[form](ROWS), {"image": {"size": "64x32"}, "exposure": 1})
     a, b = ({"path": str(Path.cwd() / name)} for name in ("a.glb", "b.glb"))
-    lit = {"mesh": a, "camera": {"azimuth": 30}, "lights": [{"azimuth": -40.5}]}
+    lit = {"mesh": a, "camera": {"azimuth": 30}, "lights": changed_key(azimuth=-40.5)}
     image = {"image": {"size": [64, 32]}}
     assert found == [
         Row(0, "a", lit | image, exposure=1.0),
@@ -251,6 +252,38 @@ def test_environment_replaces_other_lights():
     assert Job.from_dict(second.tables).lights == (parse_light("key"),)
     with pytest.raises(InputError, match="specular_lights names light 0: the scene has 0, counted"):
         rows_of({"environment.file": "studio", "shading.specular_lights": [0]})
+
+
+def test_a_numbered_key_changes_one_light_of_the_default_lights():
+    several = rows_of(
+        {"lights.1.azimuth": 5},
+        {"lights.3": "front"},
+        {"lights.0": {"position": [0, 0, 2]}},
+        {"lights.0.azimuth": 5, "environment": "studio"},
+        {"lights": ["rim"]},
+    )
+    key, rim, fill = Scene.lights
+    assert [Job.from_dict(row.tables).lights for row in several] == [
+        (key, replace(rim, azimuth=5.0), fill),
+        (key, rim, fill, LIGHTS["front"]),
+        (Light(position=(0.0, 0.0, 2.0)), rim, fill),
+        (Light(5.0),),
+        (rim,),
+    ]
+
+
+def test_lights_of_a_table_replace_the_lights_of_a_scene():
+    write("a.toml", "lights = ['key', 'fill', 'front']")
+    write("rows.toml", "scene = 'a.toml'\nlights = ['rim']\ngrid.lights.0.azimuth = [5]")
+    (row,) = read_jobs("rows.toml")
+    assert Job.from_dict(row.tables).lights == (replace(LIGHTS["rim"], azimuth=5.0),)
+
+
+def test_the_schema_describes_lights_as_the_parser_reads_them():
+    text = schema()["properties"]["lights"]["anyOf"][0]["description"]
+    with pytest.raises(InputError) as caught:
+        parse_light("moon")
+    assert str(caught.value).endswith(text)
 
 
 def test_keys_may_have_indices_of_lists():
@@ -553,7 +586,7 @@ for _ in range(30):
     DEEP = {"a": DEEP}
 
 BAD_FILES = [
-    ("rows.txt", "", "unknown kind of table '.txt'; give .jsonl, .csv, .parquet, .toml, .py"),
+    ("rows.txt", "", "unknown table format '.txt'; give .jsonl, .csv, .parquet, .toml or .py"),
     ("rows.jsonl", "", "rows.jsonl has no rows"),
     ("rows.jsonl", "\n \n", "rows.jsonl has no rows"),
     ("rows.jsonl", "[1]", r"rows.jsonl, row 1 \(line 1\): row = \[1\]: give a table"),
@@ -576,7 +609,12 @@ BAD_FILES = [
     ("rows.jsonl", '{"mesh": "a", "mesh.path": "b"}', "mesh.path is given twice"),
     ("rows.jsonl", '{"camera": 1, "camera.fov": 2}', "camera.fov is given twice, or as a whole"),
     ("rows.jsonl", '{"camera.fov": 1, "camera": {"fov": 2}}', "camera is given twice, or as a"),
-    ("rows.jsonl", '{"lights.1.azimuth": 1}', "lights lacks item 0: count from 0"),
+    ("rows.jsonl", '{"lights.4.azimuth": 1}', "lights lacks item 3: count from 0"),
+    (
+        "rows.toml",
+        'lights = ["key"]\ngrid.lights.2.azimuth = [1]',
+        "rows.toml: lights lacks item 1: count from 0",
+    ),
     ("rows.jsonl", '{"lights": ["sun"]}', "unknown light 'sun'"),
     ("rows.jsonl", '{"environment": "a,b"}', "environment 'a,b': give FILE"),
     ("rows.jsonl", '{"image.size": "64x"}', "image size '64x': give N or WxH"),
@@ -920,6 +958,17 @@ KEY_AND_RIM = [
         **{"radius": 4.0, "shadow": True},
     },
 ]
+FILL = {
+    **{"azimuth": 50.0, "elevation": 5.0, "irradiance": [0.34, 0.36, 0.4]},
+    **{"radius": 4.0, "shadow": True},
+}
+
+
+def changed_key(**changes):
+    """Return the default lights with other values of the first light."""
+    return [KEY_AND_RIM[0] | changes, KEY_AND_RIM[1], FILL]
+
+
 HEAD = {"path": "head.glb"}
 EXPECTED = {  # of each file the number of its rows, and the first ones: id, outputs, tables
     "heads.toml": (
@@ -932,7 +981,7 @@ EXPECTED = {  # of each file the number of its rows, and the first ones: id, out
                 "mesh": HEAD,
                 "camera": {"azimuth": -60.0},
                 "material": {"m": 0.2},
-                "lights": [{"azimuth": -60, "elevation": 40}],
+                "lights": changed_key(azimuth=-60, elevation=40),
             },
         ),
     ),
@@ -960,7 +1009,7 @@ EXPECTED = {  # of each file the number of its rows, and the first ones: id, out
             {
                 "mesh": HEAD,
                 "camera": {"azimuth": 30},
-                "lights": [{"azimuth": -40, "elevation": 50}],
+                "lights": changed_key(azimuth=-40, elevation=50),
                 "image": {"size": [256, 256]},
             },
         ),
@@ -970,8 +1019,9 @@ EXPECTED = {  # of each file the number of its rows, and the first ones: id, out
             {
                 "mesh": HEAD,
                 "lights": [
-                    {"azimuth": 45},
+                    KEY_AND_RIM[0] | {"azimuth": 45},
                     {**KEY_AND_RIM[1], "irradiance": [2.5, 2.5, 2.5], "radius": 0.0},
+                    FILL,
                 ],
                 "image": {"size": [640, 480]},
             },
@@ -984,7 +1034,7 @@ EXPECTED = {  # of each file the number of its rows, and the first ones: id, out
             "image",
             {
                 "image": {"size": [128, 128]},
-                "lights": [{"azimuth": 13.3163868101}],
+                "lights": changed_key(azimuth=13.3163868101),
                 "camera": {"elevation": 2.91451486522},
             },
         ),

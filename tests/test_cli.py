@@ -481,7 +481,7 @@ def test_non_finite_vertices(cli: Cli, tmp_path: Path) -> None:
     ("name", "message"),
     [
         ("head.bmp", r"head\.bmp: unknown image format '\.bmp'; give \.png, \.exr"),
-        ("head", r"head: unknown image format ''"),
+        ("head", "head has no suffix, which sets the image format; give .png"),
     ],
 )
 def test_bad_output(name: str, message: str, cli: Cli) -> None:

@@ -165,7 +165,7 @@ def test_a_name_without_its_suffix_leads_to_the_file(folder, capsys):
     assert capsys.readouterr().err.endswith("no such file or directory; give head.glb\n")
 
 
-# --- render without -o ----------------------------------------------------------------------------
+# --- without -o -----------------------------------------------------------------------------------
 
 
 def test_render_without_a_name(folder, capsys):
@@ -181,6 +181,16 @@ def test_render_without_a_name(folder, capsys):
     assert Path("my.scan.png").read_bytes() == first
     assert main([*words, "--camera", "profile", "-o", "my.scan.png"]) == 0
     assert Path("my.scan.png").read_bytes() != first
+
+
+def test_explore_without_a_name(folder, capsys):
+    (folder / "in").mkdir()
+    shutil.copy(MINI_HEAD, "in/my.scan.glb")
+    assert main(["explore", "in/my.scan.glb", "--quiet"]) == 0
+    assert capsys.readouterr() == ("my.scan.html\n", "")
+    assert main(["explore", "in/my.scan.glb"]) == 2
+    message = "my.scan.html exists: give -o my.scan.html to replace it, or another name"
+    assert capsys.readouterr().err == f"facerender: error: {message}\n"
 
 
 def test_render_several_views_without_a_name(folder, capsys):

@@ -35,7 +35,11 @@ MESSAGES = [
     ),
     (
         "render -o x.gif2",
-        "x.gif2: unknown image format '.gif2'; give .png, .exr, .jpg or .webp",
+        "x.gif2: unknown image format '.gif2'; give .png, .exr, .jpg, .jpeg or .webp",
+    ),
+    (
+        "render -o out",
+        "out has no suffix, which sets the image format; give .png, .exr, .jpg, .jpeg or .webp",
     ),
     (
         "render -o nowhere/x.png",
@@ -113,6 +117,11 @@ MESSAGES = [
         "render --environment gone.hdr -o x.png",
         "cannot read gone.hdr: no such file or directory; give an environment map "
         "(.hdr, .exr, .npy, .npz), or studio",
+    ),
+    (
+        "render --environment studo -o x.png",
+        "cannot read studo: no such file or directory; give studio, or an environment map "
+        "(.hdr, .exr, .npy, .npz)",
     ),
     (
         "render --environment-samples 7 -o x.png",
@@ -219,7 +228,7 @@ MESSAGES = [
     ),
     (
         "render head.glb -o head.glb",
-        "head.glb: unknown image format '.glb'; give .png, .exr, .jpg or .webp",
+        "head.glb: unknown image format '.glb'; give .png, .exr, .jpg, .jpeg or .webp",
     ),
     (
         "render --lobes d8 -o x.png",
@@ -246,7 +255,7 @@ MESSAGES = [
     ),
     (
         "batch note.txt -o out",
-        "note.txt: unknown kind of table '.txt'; give .jsonl, .csv, .parquet, .toml, .py",
+        "note.txt: unknown table format '.txt'; give .jsonl, .csv, .parquet, .toml or .py",
     ),
     (
         "batch jobs.csv --check",

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import venv
 from collections.abc import Iterable
 from email import message_from_bytes
@@ -87,6 +88,13 @@ for module in modules:
     except (ImportError, AssertionError) as error:
         print(f"{module}: {error}")
 """
+
+
+def test_all_copyright_lines_name_the_authors_of_the_metadata():
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        (author,) = tomllib.load(file)["project"]["authors"]
+    for path in ("LICENSE", "docs/conf.py", "facerender/glsl/library.py"):
+        assert f"the {author['name']}" in (ROOT / path).read_text(encoding="utf-8"), path
 
 
 def test_modules_without_opengl_do_not_import_it():

@@ -12,11 +12,11 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.comparison import visualization
 from facerender.comparison.visualization import BRIGHTER, DARKER
-from facerender.images.image import image_from_array
-from facerender.images.srgb import encode_srgb8
+from facerender.images.srgb import encode_srgb8, srgb_to_linear
 from facerender.images.write import save_png
+
+WHITE = (255, 240, 222)  # of a pixel that is brighter in B
 
 
 def opened(content: bytes) -> np.ndarray:
@@ -33,36 +33,54 @@ def pair() -> tuple[np.ndarray, np.ndarray]:
     return a, b
 
 
-def test_the_largest_difference_has_the_full_colour(pair):
+def test_the_largest_difference_is_white_and_the_title_names_it(pair):
     a, b = pair
     apart = fr.difference(a, b)
     pixels = apart.srgb8()
-    assert {tuple(each) for each in pixels[:, :8].reshape(-1, 3)} == {BRIGHTER}
+    assert {tuple(each) for each in pixels[:, :8].reshape(-1, 3)} == {WHITE}
     assert not pixels[:, 8:-8].any()
     blue = pixels[0, -1].astype(int)
     assert blue.argmax() == np.argmax(DARKER)
-    assert 20 < blue.max() < max(DARKER)
-    assert apart.metadata["difference"] == "at most 0.5 radiance"
-    own = [image_from_array(each, "") for each in pair]
-    np.testing.assert_array_equal(pixels, visualization.difference(*own)[0])
+    assert apart.metadata["difference"] == "B - A: orange +, blue -, white = 0.5"
+    titled, plain = (fr.sheet([apart], titles).srgb8() for titles in (None, [""]))
+    assert len(titled) > len(plain)
 
 
 def test_a_small_difference_is_as_visible_as_a_large_one(pair):
     a, b = pair
     small = fr.difference(a, a + (b - a) / 100.0)
-    assert small.srgb8().max() == max(BRIGHTER)
+    np.testing.assert_array_equal(small.srgb8(), fr.difference(a, b).srgb8())
+    assert small.metadata["difference"].endswith("white = 0.005")
+    same = fr.difference(a, a)
+    assert not same.srgb8().any()
+
+
+def test_neither_outliers_nor_rounding_errors_set_the_scale():
+    rng = np.random.default_rng(1)
+    a = np.full((100, 100, 3), 0.25, dtype=np.float32)
+    b = a + rng.normal(0.0, 1e-7, a.shape).astype(np.float32)
+    b[:10] -= 0.01
+    b[0, :2] += 5.0
+    apart = fr.difference(a, b)
+    assert apart.metadata["difference"].endswith("white = 0.01")
+    pixels = apart.srgb8()
+    assert tuple(pixels[0, 0]) == WHITE
+    assert pixels[1, 0].min() > 200
+    assert not pixels[10:].any()
 
 
 def test_gain_is_a_linear_scale(pair):
     a, b = pair
-    half, clipped = (fr.difference(a, b, gain=gain).srgb8() for gain in (1.0, 1000.0))
-    np.testing.assert_allclose(half[0, 0], np.array(BRIGHTER) / 2.0, atol=0.5)
-    assert tuple(clipped[0, 0]) == BRIGHTER
-    assert tuple(clipped[0, -1]) == DARKER
+    half, quarter, clipped = (fr.difference(a, b, gain=g).srgb8() for g in (1.0, 0.5, 1000.0))
+    np.testing.assert_allclose(half[0, 0], BRIGHTER, atol=1)
+    dark = srgb_to_linear(np.array(BRIGHTER) / 255.0) / 2.0
+    np.testing.assert_allclose(srgb_to_linear(quarter[0, 0] / 255.0), dark, atol=0.01)
+    assert tuple(clipped[0, 0]) == WHITE
+    assert clipped[0, -1].argmax() == np.argmax(DARKER)
     bytes_a, bytes_b = (np.full((4, 4, 3), level, np.uint8) for level in (100, 151))
     full = fr.difference(bytes_a, bytes_b, gain=5.0)
-    assert tuple(full.srgb8()[0, 0]) == BRIGHTER
-    assert full.metadata["difference"] == "at most 51 8-bit levels"
+    assert tuple(full.srgb8()[0, 0]) == WHITE
+    assert full.metadata["difference"] == "B - A: orange +, blue -, white = 51/255"
 
 
 def test_a_sheet_holds_each_kind_of_image_at_its_place(tmp_path):

@@ -13,6 +13,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
+from facerender.scenes.file import scene_value
 from facerender.scenes.lod import Planned
 from facerender.terms.ranges import (
     IntegerRange,
@@ -71,6 +72,20 @@ def test_constructors_accept_exactly_the_range(kind, name):
     for wrong in (math.nan, "1", True, [], b"1", {}, *huge, *([1.5] if whole else [])):
         with pytest.raises(fr.InputError, match=f"{name} "):
             of(kind, name, wrong)
+
+
+def test_one_number_is_width_and_height():
+    assert fr.ImageSettings(256).size == fr.ImageSettings(np.int64(256)).size == (256, 256)
+    assert scene_value("image", {"size": 256}) == {"size": 256}
+    assert fr.Job(image={"size": 256}).image.size == (256, 256)
+    assert fr.render(size=16, samples=1).linear.shape == (16, 16, 4)
+    scene = fr.Scene(fr.load_mesh())
+    view = fr.view_of(scene, 1.0)
+    np.testing.assert_array_equal(view.intrinsics(64), view.intrinsics((64, 64)))
+    move = [fr.shifted(scene, 1.0, 0.0, size).camera for size in (64, (64, 64))]
+    assert move[0] == move[1]
+    with pytest.raises(fr.InputError, match=r"^size 0 x 0: give 1 to 16384 pixels a side$"):
+        fr.Renderer(0)
 
 
 def test_none_is_refused_unless_allowed():

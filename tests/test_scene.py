@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from contextlib import suppress
 
@@ -230,3 +231,23 @@ def test_invalid_scene_files_are_refused(tmp_path, text, message):
 def test_missing_scene_file(tmp_path):
     with pytest.raises(fr.InputError, match="cannot read .*scene.toml: no such file"):
         load_scene(tmp_path / "scene.toml")
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "message"),
+    [
+        (fr.render, "lobes", "fr.render has no argument lobes: give lobe=..."),
+        (fr.render, "roughness", "fr.render has no argument roughness: give m=..."),
+        (fr.render, "f0", "fr.render has no argument f0: give mesh.with_skin(f0=...)"),
+        (fr.render, "fov", "fr.render has no argument fov: give camera=fr.Camera(fov=...)"),
+        (fr.render, "shadows", "no argument shadows: give lights=[fr.Light(shadow=...)]"),
+        (fr.render, "anisotropy", "no argument anisotropy: give fr.Renderer(anisotropy=...)"),
+        (fr.render, "bogus", "fr.render has no argument bogus: known: mesh, model, lobe"),
+        (fr.Scene, "shadows", "fr.Scene has no argument shadows: give lights=[fr.Light(shadow="),
+        (fr.Scene, "roughness", "no argument roughness: give mesh.with_skin(m=...)"),
+        (fr.Scene, "light", "fr.Scene has no argument light: give lights=..."),
+    ],
+)
+def test_an_unknown_argument_is_refused_with_its_place(function, name, message):
+    with pytest.raises(fr.InputError, match=re.escape(message)):
+        function(None, **{name: 0.3})

@@ -165,7 +165,7 @@ def test_prepared_maps_hold_the_levels(tmp_path, capsys):
         np.testing.assert_array_equal(stored[::-1], level)
     assert content[-expected[0].nbytes :] == expected[0][::-1].tobytes()  # the finest level is last
     assert main([*command[:-1], str(tmp_path / "out.png")]) == 2
-    assert "unknown format '.png'; give .ktx2" in capsys.readouterr().err
+    assert "unknown texture format '.png'; give .ktx2" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -195,8 +195,9 @@ def test_sheets_that_are_too_large_are_refused(run: Run, monkeypatch, options, m
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--camera", "turntable:0"), "count = 0: give 1 to 100000"),
-        (("--camera", "turntable:x"), "--camera turntable:x: give turntable:N, with N views"),
+        (("--camera", "turntable:0"), "turntable:0: give turntable:N, with 1 to 3600 views"),
+        (("--camera", "turntable:99999"), "turntable:99999: give turntable:N, with 1 to 3600"),
+        (("--camera", "turntable:x"), "turntable:x: give turntable:N, with 1 to 3600 views"),
         (("--camera", "gltf:eye"), "mini_head.glb has no camera"),
         (("--camera", "no.json"), "cannot read no.json"),
         (("--target", "1,2"), "--target '1,2': give 3 numbers"),

@@ -435,6 +435,6 @@ def test_the_table_has_every_field():
         for each in fields(kind):
             assert f"`{vocabulary.python(kind, each.name)}`" in text or each.name == "term"
     names = inspect.signature(fr.render).parameters
-    assert {*names} - {"mesh", "size", "samples", "backend", "only", "outside", "m"} <= {
+    assert {*names} - {"mesh", "size", "samples", "backend", "only", "outside", "m", "unknown"} <= {
         each.name for kind in vocabulary.KINDS for each in fields(kind)
     }

@@ -20,7 +20,7 @@ from facerender.batch.grid import grid_rows
 from facerender.batch.tables import Table, nested
 from facerender.errors import FacerenderError, InputError, clipped, reason, shown
 from facerender.job import MESH_PATHS
-from facerender.system.files import read_file, tables_of
+from facerender.system.files import check_suffix, read_file, tables_of
 
 # The number of the line where a row ends (None for .parquet, .toml and .py), and the row or its
 # error.
@@ -55,11 +55,9 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     file = Path(path)
     try:
         mode = file.stat().st_mode
-        if (read := _FORMATS.get(file.suffix.lower())) is None:
-            if S_ISDIR(mode):
-                raise InputError(f"{file} is a directory; give a job table")
-            known = ", ".join(_FORMATS)
-            raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}")
+        if S_ISDIR(mode) and file.suffix.lower() not in _FORMATS:
+            raise InputError(f"{file} is a directory; give a job table")
+        read = _FORMATS[check_suffix(file, (*_FORMATS,), "table")]
         if not (S_ISREG(mode) or S_ISDIR(mode)):
             raise InputError(f"{file} is not a regular file; give a table")
         yield from read(file)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from facerender.batch.formats import found_rows, read_toml
-from facerender.batch.tables import Table, listed, merged, nested
+from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
 from facerender.errors import InputError, check_path, clipped, shown
 from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.scenes.camera import Camera
@@ -208,6 +208,7 @@ def _over_scene(tables: Table, scene: Any, folder: str) -> Table:
 
 
 def _row(number: int, values: Table, folder: str) -> Row:
+    values = with_default_lights(values)
     tables: Table = {key: listed(value, key) for key, value in values.items()}
     template, outputs, exposure = (tables.pop(key, None) for key in ("id", "outputs", "exposure"))
     for key in tables:

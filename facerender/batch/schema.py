@@ -13,7 +13,7 @@ from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.loading.source import NORMAL_MAP_Y
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, DISTORTIONS, Camera
 from facerender.scenes.file import ImageSettings
-from facerender.scenes.light import LIGHTS
+from facerender.scenes.light import LIGHT_TEXTS, LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS
 from facerender.scenes.scene import Scene
@@ -73,12 +73,7 @@ def schema() -> Schema:
 
 
 def _lights(table: Schema) -> Schema:
-    text = {
-        "type": "string",
-        "description": "a name, AZIMUTH,ELEVATION[,IRRADIANCE] or point:X,Y,Z[,IRRADIANCE]; "
-        "append ,radius=DEGREES for an area light and ,shadow for a shadow",
-        "examples": [*LIGHTS],
-    }
+    text = {"type": "string", "description": LIGHT_TEXTS, "examples": [*LIGHTS]}
     names = [next(n for n, known in LIGHTS.items() if known == light) for light in Scene.lights]
     return _default({"anyOf": [text, _array({"anyOf": [text, table]})]}, names)
 

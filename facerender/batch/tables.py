@@ -17,7 +17,8 @@ import numpy as np
 from facerender.errors import InputError, clipped, shown
 from facerender.scenes.camera import orbit_of
 from facerender.scenes.file import EnvironmentFile, parse_environment
-from facerender.scenes.light import parse_light
+from facerender.scenes.light import Light, parse_light
+from facerender.scenes.scene import Scene
 
 Table = dict[str, Any]
 
@@ -73,17 +74,37 @@ def merged(base: Table, over: Table) -> Table:
 
     Nested tables are merged, numbered items replace items of a list, and other values are replaced.
     The arguments are not modified; the result may share parts with the arguments.
+
+    Raises
+    ------
+    InputError : a numbered item is not in the list and does not extend it by one
     """
     both = dict(base)
     for key, value in over.items():
         if type(value) is dict and key in both:
             old = both[key]
             if type(old) is list and _places(value):
-                old = {str(place): item for place, item in enumerate(old)}
-            if type(old) is dict:
+                items = {str(place): item for place, item in enumerate(old)}
+                value = listed(merged(items, value), key)
+            elif type(old) is dict:
                 value = merged(old, value)
         both[key] = value
     return both
+
+
+def with_default_lights(tables: Table) -> Table:
+    """Return the tables of a row, with the default lights if the row changes single lights by
+    numbered keys, such as ``lights.0.azimuth``. A light with a position replaces the default."""
+    own = tables.get("lights")
+    if not own or type(own) is not dict or not _places(own):
+        return tables
+    default = () if "environment" in tables else Scene.lights
+    lights = {
+        str(place): _table_of(light)
+        for place, light in enumerate(default)
+        if not isinstance(each := own.get(str(place)), dict) or "position" not in each
+    }
+    return {**tables, "lights": merged(lights, own)}
 
 
 def listed(value: Any, name: str) -> Any:
@@ -190,6 +211,9 @@ def _lights(lights: Any) -> Any:
 
 @lru_cache(1024)
 def _light(text: str) -> Table:
-    light = {name: each for name, each in asdict(parse_light(text)).items() if each is not None}
-    table: Table = _plain(light, "", 0)
+    return _table_of(parse_light(text))
+
+
+def _table_of(light: Light) -> Table:
+    table: Table = _plain_table(asdict(light), "", 0)
     return table

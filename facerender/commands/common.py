@@ -278,9 +278,24 @@ def check_inputs(job: Job) -> None:
         if pose.vertices is not None:
             check_file(pose.vertices, "a file of vertices", sys.maxsize)
     if job.environment is not None and job.environment.file != STUDIO:
-        from facerender.loading.environment import WANTED
+        from facerender.loading.environment import wanted
 
-        check_file(job.environment.file, WANTED)
+        check_file(job.environment.file, wanted(job.environment.file))
+
+
+# Default of -o, as the help states it.
+DEFAULT_OUTPUT = "the mesh's name with {} in the current directory, which must not exist yet"
+
+
+def default_output(mesh: str | None, suffix: str) -> str:
+    """Return the name of the output file without -o: the name of the mesh with another suffix."""
+    return f"{Path(mesh or 'head').stem}{suffix}"
+
+
+def check_absent(files: Iterable[str], output: str) -> None:
+    """Raise InputError if a file exists that a command would write without -o ``output``."""
+    if existing := [*filter(os.path.lexists, files)]:
+        raise InputError(f"{existing[0]} exists: give -o {output} to replace it, or another name")
 
 
 def check_outputs(

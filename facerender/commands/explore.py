@@ -7,8 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from facerender.commands.common import (
+    DEFAULT_OUTPUT,
     add_verbose,
+    check_absent,
     check_outputs,
+    default_output,
     import_trimesh,
     progress_bar,
 )
@@ -30,8 +33,8 @@ def add(explore: argparse.ArgumentParser) -> None:
         "their difference and cost. The file opens from disk, needs no network, and uses\n"
         "the GPU of the reader's machine. A note on the page lists features that it omits."
     )
-    output = Help("output file, which ends in .html or .htm", "required")
-    explore.add_argument("-o", "--output", required=True, metavar="OUT.html", help=output)
+    output = Help("output file, which ends in .html or .htm", DEFAULT_OUTPUT.format(".html"))
+    explore.add_argument("-o", "--output", metavar="OUT.html", help=output)
     terms, scene = add_scene(explore)
     lobe = Help("lobe of shading B", f"the scene file's, otherwise {_LOBE}")
     terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
@@ -43,14 +46,15 @@ def add(explore: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    if Path(options.output).suffix.lower() not in (".html", ".htm"):
-        raise InputError(
-            f"{options.output}: the explorer is an HTML page; give a name that ends in .html"
-        )
+    output = options.output or default_output(options.mesh, ".html")
+    if Path(output).suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{output}: the explorer is an HTML page; give a name that ends in .html")
     job, cameras = job_of(options, None)
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
-    check_outputs([options.output], files_read(options, job))
+    if options.output is None:
+        check_absent([output], output)
+    check_outputs([output], files_read(options, job))
     import_trimesh(options.mesh)
     b = job.shading.term
     if options.lobe is None and options.scene is None:
@@ -63,6 +67,6 @@ def run(options: argparse.Namespace) -> int:
         mesh = replace(job, material=material).scene().mesh
         progress("page", 0.0)
         page = explorer_page(job, mesh, a, b)
-    write_text(options.output, page)
-    print_result(options.output)
+    write_text(output, page)
+    print_result(output)
     return 0

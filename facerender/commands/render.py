@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from facerender.commands.common import (
+    DEFAULT_OUTPUT,
     SIDE,
     add_backend,
     add_field,
@@ -18,8 +17,10 @@ from facerender.commands.common import (
     add_number,
     add_size,
     add_verbose,
+    check_absent,
     check_inputs,
     check_outputs,
+    default_output,
     step_log,
 )
 from facerender.commands.help import Help
@@ -72,8 +73,7 @@ def add(render: argparse.ArgumentParser) -> None:
         ".webp or .mp4 holds all views. Requires pip install 'facerender[exr]' for .exr, "
         "'facerender[mp4]' for .mp4"
     )
-    default = "the mesh's name with .png in the current directory, which must not exist yet"
-    output = Help(f"output file: {kinds}", default, note=views)
+    output = Help(f"output file: {kinds}", DEFAULT_OUTPUT.format(".png"), note=views)
     render.add_argument("-o", "--output", metavar="OUT", help=output)
     terms, scene = add_scene(render)
     note = "facerender measure prints their errors"
@@ -146,7 +146,7 @@ def _scenes(
 
 def run(options: argparse.Namespace) -> int:
     _check(options)
-    output = options.output or f"{Path(options.mesh or 'head').stem}.png"
+    output = options.output or default_output(options.mesh, ".png")
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
     check_inputs(job)
     playing = plays(options, job.pose)
@@ -181,8 +181,8 @@ def run(options: argparse.Namespace) -> int:
         *(job.background is None, playing),
     )
     written = [] if output == STANDARD_OUTPUT else target.files
-    if options.output is None and (existing := [*filter(os.path.lexists, written)]):
-        raise InputError(f"{existing[0]} exists: give -o {output} to replace it, or another name")
+    if options.output is None:
+        check_absent(written, output)
     check_outputs(written, files_read(options, job))
     scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")

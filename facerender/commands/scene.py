@@ -36,6 +36,7 @@ from facerender.scenes.camera import (
     FRAMES,
     MOST_CAMERAS,
     ORBITS,
+    TURNS,
     Camera,
     orbit_of,
     orbiting,
@@ -476,9 +477,10 @@ def _placed(
     """
     word, _, rest = place.partition(":")
     if word == "turntable":
-        if rest and not rest.isdecimal():
-            raise InputError(f"--camera {place}: give turntable:N, with N views")
-        turned = turntable(camera, int(rest[:9]) if rest else 8)
+        count = rest or "8"
+        if not count.isdecimal() or int(count[:9]) not in TURNS:
+            raise InputError(f"--camera {place}: give turntable:N, with {TURNS} views")
+        turned = turntable(camera, int(count))
         return {f"turntable_{number:03d}": each for number, each in enumerate(turned)}
     if word == "gltf" or _is_file(place):
         file = mesh if word == "gltf" else place

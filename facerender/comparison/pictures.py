@@ -14,30 +14,42 @@ from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range, shown
 from facerender.images.image import ImageData
 from facerender.images.sheet import arranged
-from facerender.images.srgb import srgb_to_linear
+from facerender.images.srgb import encode_srgb8, srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 GAINS = (1e-3, 1e9)
+_STRIP = 256  # rows that are converted at once
+_FITTED = 99.0  # percentile of the differences that is white, so that few outliers do not count
+_NEGLIGIBLE = 1e-3  # smallest difference that counts for the percentile, relative to the largest
+# Colours of the differences -1, -1/2, 0, 1/2 and 1, in units of the difference that is white.
+_COLORS = (
+    *((222, 240, 255), visualization.DARKER, (0, 0, 0)),
+    *(visualization.BRIGHTER, (255, 240, 222)),
+)
+_STEPS = 256  # number of colours of a difference, for each sign
 
 
 def difference(reference: Comparable, image: Comparable, *, gain: float | None = None) -> Frame:
     """Return the signed difference of two images as a picture: orange where ``image`` is brighter,
     blue where it is darker, black where both are equal.
 
-    Each pixel shows the channel that differs most. Violet marks changed coverage with equal colour.
+    Each pixel shows the channel that differs most. The colour scale is linear in light: from black
+    to the full colour at half the scale, and to white at its end and above. Violet marks changed
+    coverage with equal colour.
 
     Parameters
     ----------
     reference, image : as in :func:`compare`
-    gain : factor of a linear colour scale, in [1e-3, 1e9]. A difference of 1/gain, or of 255/gain
-        8-bit levels, has the full colour. Default: a logarithmic scale, as in the report of
-        ``facerender compare``, on which the largest difference has the full colour
+    gain : a difference of 1/gain, or of 255/gain 8-bit levels, is white; in [1e-3, 1e9]. Default:
+        the 99th percentile of the differences is white, without differences below 1/1000 of the
+        largest
 
     Returns
     -------
-    Frame : its ``metadata["difference"]`` has the largest difference and its unit
+    Frame : its ``metadata["difference"]`` is a title that names the scale, such as
+        "B - A: orange +, blue -, white = 0.012", or "white = 3/255" for 8-bit images
 
     Raises
     ------
@@ -50,9 +62,35 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     check_alike(a, b)
     for each in (a, b):
         check_finite(each)
-    pixels, largest = visualization.difference(a, b, gain)
-    unit = "radiance" if a.encoding == "linear" else "8-bit levels"
-    return _frame(pixels, {"difference": f"at most {largest:.3g} {unit}"})
+    strips = [slice(top, top + _STRIP) for top in range(0, len(a.pixels), _STRIP)]
+    signed = np.concatenate([_signed(a, b, rows) for rows in strips])
+    full = 1.0 if a.encoding == "linear" else 255.0
+    white = full / gain if gain is not None else _fitted(np.abs(signed)) or full
+    steps = np.arange(-_STEPS, _STEPS + 1) / _STEPS
+    ends = srgb_to_linear(np.array(_COLORS) / 255.0).T
+    ramp = [np.interp(steps, (-1.0, -0.5, 0.0, 0.5, 1.0), each) for each in ends]
+    colors = encode_srgb8(np.stack(ramp, axis=-1).astype(np.float32))
+    pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
+    for rows in strips:
+        level = np.round(np.clip(signed[rows] / white, -1.0, 1.0) * _STEPS).astype(int)
+        pixels[rows] = colors[level + _STEPS]
+        covered = [image.rows(rows)[1] >= 0.5 for image in (a, b)]
+        pixels[rows][(covered[0] != covered[1]) & (level == 0)] = visualization.UNCOVERED
+    unit = "" if a.encoding == "linear" else "/255"
+    return _frame(pixels, {"difference": f"B - A: orange +, blue -, white = {white:.3g}{unit}"})
+
+
+def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
+    """Return b - a in the channel that differs most."""
+    signed = b.rows(rows)[0] - a.rows(rows)[0]
+    worst = np.abs(signed).argmax(axis=-1)[..., None]
+    return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
+
+
+def _fitted(apart: NDArray[np.float32]) -> float:
+    """Return the difference that is white in a picture of absolute differences; 0 if all are 0."""
+    counted = apart[apart > _NEGLIGIBLE * apart.max()]
+    return float(np.percentile(counted, _FITTED)) if counted.size else 0.0
 
 
 def sheet(
@@ -65,7 +103,7 @@ def sheet(
     Parameters
     ----------
     images : images of one size: frames, arrays, Pillow images or paths, as in :func:`compare`
-    titles : one text for each image; default: no titles
+    titles : one text for each image; default: the scale of a :func:`difference`, no other titles
     columns : number of images in a row; default: all, at most four
 
     Raises
@@ -75,6 +113,7 @@ def sheet(
     """
     if not isinstance(images, Iterable) or isinstance(images, np.ndarray | str):
         raise InputError(f"images = {shown(images)}: give a list of images")
+    images = list(images)
     cells = [_displayed(each, f"image {number}") for number, each in enumerate(images, 1)]
     if not cells:
         raise InputError("a sheet of 0 images: give at least one")
@@ -84,10 +123,12 @@ def sheet(
             raise InputError(
                 f"image {number} is {' pixels, image 1 is '.join(sizes)}: give images of one size"
             )
-    texts = () if titles is None else (titles,) if isinstance(titles, str) else tuple(titles)
+    if titles is None:
+        titles = [e.metadata.get("difference", "") if isinstance(e, Frame) else "" for e in images]
+    texts = (titles,) if isinstance(titles, str) else tuple(titles)
     if not all(isinstance(each, str) for each in texts):
         raise InputError(f"titles = {shown(titles)}: give a list of texts")
-    if titles is not None and len(texts) != len(cells):
+    if len(texts) != len(cells):
         raise InputError(f"{len(texts)} titles for {len(cells)} images: give one for each image")
     if columns is not None:
         if isinstance(columns, bool) or not isinstance(columns, int):
@@ -103,8 +144,7 @@ def side_by_side(reference: Comparable, image: Comparable) -> Frame:
         for each, name in ((reference, "A"), (image, "B"))
     )
     apart = difference(a, b)
-    scale = apart.metadata["difference"]
-    return sheet([a, b, apart], ["A", "B", f"B brighter: orange, darker: blue; {scale}"])
+    return sheet([a, b, apart], ["A", "B", apart.metadata["difference"]])
 
 
 def _displayed(source: Comparable | Image, name: str) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Never
 
 import moderngl
 import numpy as np
@@ -66,6 +66,7 @@ from facerender.scenes.scene import (
     Scene,
     ShadingRate,
     check_shading_rate,
+    refuse_keyword,
 )
 from facerender.scenes.sources import EnvironmentSource, MeshSource
 from facerender.scenes.vectors import Vector
@@ -100,7 +101,7 @@ class Renderer:
 
     Parameters
     ----------
-    size : width and height in pixels, each in [1, 16384]; default 1024 x 1024
+    size : width and height in pixels, or one number for both, each in [1, 16384]; default 1024
     samples : samples per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software
         driver), multisampling shades each visible surface once per pixel. Above this limit, the
         renderer averages one image per sample, so that each sample is shaded
@@ -123,7 +124,7 @@ class Renderer:
 
     def __init__(
         self,
-        size: tuple[int, int] = (1024, 1024),
+        size: int | tuple[int, int] = 1024,
         *,
         samples: int = 4,
         backend: Backend = "auto",
@@ -667,7 +668,7 @@ def render(
     masking: str = "v-cavity",
     outside: str = "error",
     m: float | None = None,
-    size: tuple[int, int] = (1024, 1024),
+    size: int | tuple[int, int] = 1024,
     samples: int = 4,
     backend: Backend = "auto",
     camera: Camera | str = Camera(),
@@ -676,6 +677,7 @@ def render(
     background: Vector | str | None = Scene.background,
     environment: EnvironmentSource | None = None,
     only: Only | None = None,
+    **unknown: Never,
 ) -> Frame:
     """Render one image of a mesh.
 
@@ -697,6 +699,8 @@ def render(
     InputError : a file or a value cannot be used
     ContextError : no OpenGL context is available
     """
+    for name in unknown:
+        refuse_keyword(render, name, {"fr.Renderer({}=...)": Renderer})
     shading = Shading(model, lobe, fresnel, outside, masking)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:

@@ -144,7 +144,7 @@ def _flat(
     head = [
         version,
         f"// {origin} {__version__}{'' if lobe is None else f', lobe {lobe}'}{slope}.",
-        "// SPDX-License-Identifier: MIT, (c) 2026 the facerender developers",
+        "// SPDX-License-Identifier: MIT, (c) 2026 the facerender contributors",
         defines(macros).rstrip(),
     ]
     text = "\n".join([*filter(None, head), "", flat.text])

@@ -27,6 +27,7 @@ from facerender.errors import (
 )
 from facerender.images.write import FRAME_RATES, QUALITY, check_opaque
 from facerender.system.atomic import write_whole
+from facerender.system.files import check_suffix
 from facerender.system.standard_error import redirected_stderr
 
 MOVING = (".gif", ".webp", ".mp4")
@@ -74,11 +75,7 @@ def check_animation(path: str | os.PathLike[str], fps: float) -> str:
     """Return the path's suffix. Raise InputError if suffix or fps is invalid, or if an .mp4 cannot
     be written because ffmpeg is missing."""
     check_path("image file", path)
-    suffix = os.path.splitext(path)[1].lower()
-    if suffix not in MOVING:
-        raise InputError(
-            f"{shown(os.fspath(path))}: unknown animation format; give {', '.join(MOVING)}"
-        )
+    suffix = check_suffix(path, MOVING, "animation")
     check_range("fps", fps, *FRAME_RATES)
     if suffix == ".mp4":
         _imageio_ffmpeg()

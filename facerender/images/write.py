@@ -13,8 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason
+from facerender.errors import InputError, reason
 from facerender.system.atomic import write_bytes
+from facerender.system.files import check_suffix
 
 Format = Literal["png", "exr", "jpeg", "webp"]
 WRITTEN: dict[str, Format] = {
@@ -33,13 +34,7 @@ def format_of(path: str | os.PathLike[str]) -> Format:
     ------
     InputError : unknown suffix
     """
-    suffix = os.path.splitext(path)[1].lower()
-    if suffix not in WRITTEN:
-        raise InputError(
-            f"{clipped(os.fsdecode(path))}: unknown image format {suffix!r}; give .png, .exr, .jpg "
-            "or .webp"
-        )
-    return WRITTEN[suffix]
+    return WRITTEN[check_suffix(path, (*WRITTEN,), "image")]
 
 
 def check_opaque(name: str, transparent: bool) -> None:

@@ -28,7 +28,7 @@ _IGNORED = ("name", "transform_matrix")  # ignored keys: both transform_matrix a
 
 
 def load_cameras(
-    path: str | os.PathLike[str], size: tuple[int, int] | None = None
+    path: str | os.PathLike[str], size: int | tuple[int, int] | None = None
 ) -> dict[str, Camera]:
     """Return the cameras of a file, keyed by their names. A camera without a name gets a key such
     as "rig_000": the file name without suffix (for glTF "camera") and the camera's index.

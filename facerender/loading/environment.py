@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped
+from facerender.errors import InputError, clipped, near
 from facerender.images.decode import MAX_BYTES, check_pixels
 from facerender.images.read import read_image
 from facerender.scenes.environment import Environment, Panorama, studio
@@ -17,8 +17,12 @@ from facerender.scenes.file import STUDIO, EnvironmentFile, environment_file
 from facerender.system.files import read_file, suffix_of
 
 _SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
-# Description of the expected file, for messages.
-WANTED = f"an environment map ({', '.join(_SUFFIXES)}), or {STUDIO}"
+
+
+def wanted(file: str) -> str:
+    """Return the description of the expected file for messages, first a name like ``file``."""
+    maps = f"an environment map ({', '.join(_SUFFIXES)})"
+    return f"{STUDIO}, or {maps}" if near(file, [STUDIO]) else f"{maps}, or {STUDIO}"
 
 
 def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:
@@ -53,16 +57,16 @@ def _panorama(path: str, written: int, size: int) -> Panorama:
 
 
 def _read(path: Path) -> NDArray[np.float32]:
-    if suffix_of(path, _SUFFIXES, "environment", WANTED, MAX_BYTES) == ".hdr":
-        return _read_hdr(path)
+    what = wanted(str(path))
+    if suffix_of(path, _SUFFIXES, "environment", what, MAX_BYTES) == ".hdr":
+        return _read_hdr(read_file(path, what, MAX_BYTES), path)
     picture = read_image(path)
     if picture.encoding != "linear":
         raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
     return picture.color
 
 
-def _read_hdr(path: Path) -> NDArray[np.float32]:
-    content = read_file(path, WANTED, MAX_BYTES)
+def _read_hdr(content: bytes, path: Path) -> NDArray[np.float32]:
     try:
         import OpenImageIO as oiio
     except ImportError:

@@ -26,6 +26,7 @@ AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 ORBITS = f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
+TURNS = IntegerRange(1, 3600)  # views of a turntable: steps of at least 0.1 degrees
 DISTORTIONS = (4, 5, 8)  # possible numbers of distortion coefficients
 _COEFFICIENTS, _ZERO = Range(-1e6, 1e6), Range(0.0, 0.0)
 _CHECKED = 33  # points per side of the grid on which the distortion is checked
@@ -93,7 +94,7 @@ class Camera:
             frame: Frame = ...,
             extrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
             intrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
-            size: tuple[int, int] | None = ...,
+            size: int | tuple[int, int] | None = ...,
             distortion: Sequence[float] | Matrix | None = ...,
         ) -> None: ...
 
@@ -267,10 +268,10 @@ def turntable(camera: Camera | str = Camera(), count: int = 8) -> tuple[Camera, 
 
     Raises
     ------
-    InputError : camera is not a Camera, or count is not a whole number in [1, 100000]
+    InputError : camera is not a Camera, or count is not a whole number in [1, 3600]
     """
     camera = camera_of(camera)
-    count = IntegerRange(1, MOST_CAMERAS).check("count", count)
+    count = TURNS.check("count", count)
     turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
     return tuple(orbiting(camera, azimuth=azimuth) for azimuth in turns)
 

@@ -238,6 +238,11 @@ LIGHTS: Mapping[str, Light] = {
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5, radius=4.0),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5, radius=4.0),
 }
+# Texts that parse_light accepts, for messages and the schema of batches.
+LIGHT_TEXTS = (
+    f"{', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then "
+    "optionally ,radius=DEGREES for an area light and ,no-shadow"
+)
 
 
 def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
@@ -351,11 +356,7 @@ def parse_light(text: str) -> Light:
         if len(where) != count * (first not in LIGHTS) or len(irradiance) not in (1, 3):
             raise ValueError
     except (KeyError, ValueError):
-        raise InputError(
-            f"unknown light {shown(text)}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION"
-            "[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then optionally ,radius=DEGREES for an "
-            "area light and ,no-shadow"
-        ) from None
+        raise InputError(f"unknown light {shown(text)}; give {LIGHT_TEXTS}") from None
     if first in LIGHTS:
         return replace(LIGHTS[first], **own)
     own["irradiance"] = irradiance if irradiance[1:] else irradiance[0]

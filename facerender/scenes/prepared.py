@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 
 from facerender import __version__
-from facerender.errors import InputError
 from facerender.scenes.texture import Texture
 from facerender.system.atomic import write_bytes
+from facerender.system.files import check_suffix
 
 _IDENTIFIER = b"\xabKTX 20\xbb\r\n\x1a\n"
 _R8G8B8A8_UNORM = 37  # value of Vulkan's VkFormat
@@ -32,8 +31,7 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
     InputError : the image is missing, damaged or too large; the output path has a suffix other than
         .ktx2 or cannot be written
     """
-    if Path(path).suffix.lower() != ".ktx2":
-        raise InputError(f"{path}: unknown format {Path(path).suffix!r}; give .ktx2")
+    check_suffix(path, (".ktx2",), "texture")
     levels = Texture.open(source).levels("normal").result()
     texels = [np.ascontiguousarray(level[::-1]).tobytes() for level in levels]
     height, width = levels[0].shape[:2]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Never, NoReturn, get_args
 
-from facerender.errors import InputError, check_type, shown
+from facerender.errors import InputError, check_type, near, shown
 from facerender.scenes import sources
 from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import LIGHTS, Light, lights_of
@@ -15,7 +15,7 @@ from facerender.system.reprs import short_repr
 from facerender.terms.ranges import check_fields, range_of, ranged
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from facerender.scenes.environment import Environment
     from facerender.scenes.sources import EnvironmentSource, MeshSource
@@ -73,6 +73,35 @@ def background_of(value: Any) -> Vector | None:
     return color
 
 
+def refuse_keyword(
+    function: Callable[..., Any], name: str, others: Mapping[str, Callable[..., Any]] = {}
+) -> NoReturn:
+    """Raise InputError for an unknown keyword argument. The message has the most similar argument
+    of the function, or of the class to which the value belongs.
+
+    others : further classes, keyed by the text that the message has for an argument
+    """
+    from inspect import signature
+
+    from facerender.scenes.material import Material
+    from facerender.shading import Shading
+
+    own = [*signature(function).parameters][:-1]
+    places = {each: f"{each}=..." for each in own}
+    homes: dict[str, Callable[..., Any]] = {
+        "camera=fr.Camera({}=...)": Camera,
+        "lights=[fr.Light({}=...)]": Light,
+        "mesh.with_skin({}=...)": Material,
+        "fr.Shading({}=...) to fr.Renderer.render": Shading,
+        **others,
+    }
+    for place, kind in homes.items():
+        places = {each: place.format(each) for each in signature(kind).parameters} | places
+    similar = near({"roughness": "m"}.get(name, name), places)
+    remedy = f"give {places[similar]}" if similar else f"known: {', '.join(own)}"
+    raise InputError(f"fr.{function.__name__} has no argument {name}: {remedy}")
+
+
 @dataclass(frozen=True, init=False)
 class Scene:
     """A mesh with camera, lights, environment map and background.
@@ -113,7 +142,10 @@ class Scene:
         background: Vector | str | None = _BACKGROUND,
         environment: EnvironmentSource | None = None,
         before: Scene | None = None,
+        **unknown: Never,
     ) -> None:
+        for name in unknown:
+            refuse_keyword(Scene, name)
         if sources.reader and not isinstance(mesh, Mesh) and mesh is not None:
             mesh = sources.reader(mesh)
         check_type("mesh", mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")

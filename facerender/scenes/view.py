@@ -52,7 +52,7 @@ class View:
         return "<View from ({}) along ({})>".format(*places)
 
     def project(
-        self, mesh: Mesh, points: NDArray[np.float64], size: tuple[int, int]
+        self, mesh: Mesh, points: NDArray[np.float64], size: int | tuple[int, int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Project points of mesh space to pixels, with the lens distortion, in float64.
 
@@ -83,7 +83,7 @@ class View:
             flat = distort((flat - middle) / focal, self.distortion) * focal + middle
         return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
 
-    def shifted(self, pixels: tuple[float, float], size: tuple[int, int]) -> View:
+    def shifted(self, pixels: tuple[float, float], size: int | tuple[int, int]) -> View:
         """Return the view with its image moved right by x pixels and down by y pixels.
 
         pixels : x and y
@@ -93,7 +93,7 @@ class View:
         move[3, :2] = 2.0 * np.asarray(pixels) / size
         return replace(self, matrix=self.matrix @ move)
 
-    def intrinsics(self, size: tuple[int, int]) -> NDArray[np.float64]:
+    def intrinsics(self, size: int | tuple[int, int]) -> NDArray[np.float64]:
         """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.
 
         Pixel x points right, y down. The image's top left corner is (0, 0); its first pixel's
@@ -181,7 +181,7 @@ def view_of(scene: Scene, aspect: float) -> View:
     return View(eye, forward, _look(eye, target, up) @ lens)
 
 
-def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
+def shifted(scene: Scene, x: float, y: float, size: int | tuple[int, int]) -> Scene:
     """Return the scene with its image, of the given size, moved x pixels right and y pixels down.
 
     Raises

@@ -79,10 +79,16 @@ def suffix_of(
     ------
     InputError : the suffix is unknown
     """
-    name, suffix = clipped(os.fsdecode(path)), Path(path).suffix.lower()
+    name = clipped(os.fsdecode(path))
     beside = [f"{name}{each}" for each in known if os.path.isfile(f"{os.fsdecode(path)}{each}")]
     check_file(path, beside[0] if beside else what, most)
-    formats = f"{', '.join(known[:-1])} or {known[-1]}"
+    return check_suffix(path, known, kind)
+
+
+def check_suffix(path: str | os.PathLike[str], known: Sequence[str], kind: str) -> str:
+    """Return the suffix of a path, which need not exist, in lower case; see :func:`suffix_of`."""
+    name, suffix = clipped(os.fsdecode(path)), Path(path).suffix.lower()
+    formats = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
     if not suffix:
         raise InputError(f"{name} has no suffix, which sets the {kind} format; give {formats}")
     if suffix not in known:

@@ -66,12 +66,15 @@ class IntegerRange(Range):
 
 
 class SizeRange(IntegerRange):
-    """Width and height of an image in pixels. The dataclass field is a pair (width, height)."""
+    """Width and height of an image in pixels; one number stands for both. The dataclass field is a
+    pair (width, height)."""
 
     def check(self, name: str, value: Any) -> Any:
         sides = value.tolist() if hasattr(value, "tolist") else value
+        sides = (sides, sides) if is_number(sides) else sides
         if not isinstance(sides, tuple | list) or len(sides) != 2:
-            raise InputError(f"{name} = {shown(value)}: give width and height in pixels")
+            remedy = "give width and height in pixels, or one number for both"
+            raise InputError(f"{name} = {shown(value)}: {remedy}")
         width, height = sides
         if width not in self or height not in self:
             whole = all(is_number(side) and isinstance(side, Integral) for side in sides)
