@@ -129,7 +129,7 @@ def test_range_is_stored_in_standard_exr_layers(goldens, studio):
     a, b = read_image(plain), read_image(ranged)
     np.testing.assert_allclose(a.pixels, b.pixels, rtol=2.0**-10)
     assert a.shift_range is None
-    assert ranged.stat().st_size < 1.5 * plain.stat().st_size
+    assert ranged.stat().st_size < 1.75 * plain.stat().st_size
     for x, y in ((0.0, 0.0), SHIFTS[3]):
         linear = studio.draw(x, y).linear
         covered = linear[..., 3] >= 0.5

@@ -52,8 +52,9 @@ class Frame:
           there coverage is 0
     only : the term that the image shows; None for the whole image
     transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
-    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, format of albedo maps; for
-        shaded images also model, lobe, Fresnel and masking term
+    metadata : all parameters of the image as text: facerender's version, GL_RENDERER, GL_VERSION,
+        settings of the renderer, and the values of ``scene_metadata`` and, for shaded images,
+        ``shading_metadata`` in ``facerender/drawing/metadata.py``
     """
 
     linear: NDArray[np.float32]
