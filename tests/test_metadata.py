@@ -38,7 +38,7 @@ def test_metadata_lists_every_parameter_once(renderer, mesh):
     lights = (fr.Light(10.0, radius=2.0), fr.Light(-20.0, shadow=False))
     scene = fr.Scene(mesh, fr.Camera(zoom=1.5), lights, 0.5, None, fr.Environment(studio(), 30.0))
     found = dict(renderer.render(scene, fr.Shading(shadow_lights=[0])).metadata)
-    size = "8210 vertices, 13444 triangles, radius 0.181261, 1 unit = 1000.0 mm"
+    size = "6888 vertices, 13444 triangles, radius 0.181261, 1 unit = 1000.0 mm"
     assert found.pop("mesh").startswith(f"two.glb, {size}, CRC-32 ")
     drivers = found.pop("GL_RENDERER"), found.pop("GL_VERSION")
     assert drivers == (renderer.context.renderer, renderer.context.version)
@@ -130,6 +130,15 @@ def test_metadata_has_no_paths(renderer, tmp_path):
     assert metadata["mesh"].startswith("mini_head.glb, ")
     assert metadata["environment"].startswith("sky.exr, ")
     assert not any(str(tmp_path) in text for text in metadata.values())
+
+
+@pytest.mark.parametrize(("only", "listed"), [(None, "0.5"), ("normal", None)])
+def test_8_bit_image_has_its_exposure(renderer, mesh, tmp_path, only, listed):
+    frame = renderer.render(fr.Scene(mesh), only=only)
+    frame.save(tmp_path / "a.png", exposure=0.5)
+    assert read_image(tmp_path / "a.png").metadata.get("exposure") == listed
+    frame.save(tmp_path / "a.png")
+    assert "exposure" not in read_image(tmp_path / "a.png").metadata
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.exr"])

@@ -141,8 +141,14 @@ class Frame:
                 "image.exr", {"RGBA"[: self.linear.shape[2]]: self.linear}, self.metadata
             )
         if format == "png":
-            return png_bytes(self.srgb8(exposure), self.metadata)
-        return lossy_bytes(format, self.srgb8(exposure), self.metadata)
+            return png_bytes(self.srgb8(exposure), self._metadata(exposure))
+        return lossy_bytes(format, self.srgb8(exposure), self._metadata(exposure))
+
+    def _metadata(self, exposure: float) -> Mapping[str, str]:
+        """Return the metadata of an 8-bit image, with an exposure that changes its pixels."""
+        if exposure and self.only in (None, "specular", "diffuse", "albedo"):
+            return {**self.metadata, "exposure": str(float(exposure))}
+        return self.metadata
 
     @property
     def image(self) -> Image:

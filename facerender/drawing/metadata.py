@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from facerender.drawing.prepare import part_maps
+from facerender.drawing.prepare import part_maps, simplify
 from facerender.drawing.resolve import ResolvedScene
 from facerender.errors import clipped
 from facerender.scenes.environment import Environment
@@ -20,6 +20,7 @@ from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Only, Scene
 from facerender.scenes.texture import Texture
+from facerender.shading import Shading
 
 _LONGEST = 400  # characters of a value: Exif metadata of a JPEG has at most 64 KiB
 _of_meshes: WeakKeyDictionary[Mesh, dict[str, str]] = WeakKeyDictionary()
@@ -27,13 +28,12 @@ _checksums: WeakKeyDictionary[Part, int] = WeakKeyDictionary()
 _ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if they are defaults
 
 
-def scene_metadata(scene: Scene, drawn: Scene, albedo: Kind) -> dict[str, str]:
+def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, str]:
     """Return the parameters of a scene as text, without paths of files.
 
     Parameters
     ----------
-    scene : the scene as the caller gave it
-    drawn : the simplified scene, which has the maps that are drawn
+    scene, shading : arguments of :meth:`facerender.Renderer.render`
     albedo : kind of mip chain of albedo maps: "color" or "linear-color"
 
     Returns
@@ -52,7 +52,8 @@ def scene_metadata(scene: Scene, drawn: Scene, albedo: Kind) -> dict[str, str]:
         values["environment"] = _environment(scene.environment)
     if scene.before is not None:
         values["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
-    parts = zip(drawn.mesh.parts, drawn.mesh.materials, strict=True)
+    drawn = simplify(scene, shading).mesh
+    parts = zip(drawn.parts, drawn.materials, strict=True)
     maps = (each for pair in parts for each in part_maps(*pair, albedo, slope_filter=True))
     values["textures"] = "float" if all(kind == "linear-color" for *_, kind in maps) else "8-bit"
     return _of_meshes[scene.mesh] | {name: _limited(text) for name, text in values.items()}

@@ -270,7 +270,7 @@ class Renderer:
         linear, resolved = self._radiance(scene, shading, _Image(samples, only, shading_rate))
         _check(linear, scene)
         emit_all(resolved.scene.mesh)
-        metadata = scene_metadata(scene, resolved.scene, self.albedo_kind)
+        metadata = scene_metadata(scene, shading, self.albedo_kind)
         metadata |= shading_metadata(resolved, only) | self.metadata | {"samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
         return Frame(linear, only, scene.background is None, metadata)
@@ -302,7 +302,7 @@ class Renderer:
         else:
             linear = data_view(self.gbuffer(scene, drawn, blended=False), scene, only)
         _check(linear, scene)
-        metadata = scene_metadata(scene, simplify(scene, drawn), self.albedo_kind)
+        metadata = scene_metadata(scene, shading, self.albedo_kind)
         metadata |= self.metadata | {"samples": "1"}
         if only == "parts":
             metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
