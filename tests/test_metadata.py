@@ -14,6 +14,7 @@ from facerender.drawing.context import Backend
 from facerender.images.exr import save_exr
 from facerender.images.read import read_image
 from facerender.scenes.environment import studio
+from facerender.scenes.light import LIGHTS
 from tests.awkward_files import MINI_HEAD
 
 TEXELS = np.full((4, 4, 3), 100, np.uint8)
@@ -35,7 +36,7 @@ def mesh() -> fr.Mesh:
 
 
 def test_metadata_lists_every_parameter_once(renderer, mesh):
-    lights = (fr.Light(10.0, radius=2.0), fr.Light(-20.0, shadow=False))
+    lights = (fr.Light(10.0, irradiance=2.0, radius=2.0), "key,no-shadow")
     scene = fr.Scene(mesh, fr.Camera(zoom=1.5), lights, 0.5, None, fr.Environment(studio(), 30.0))
     found = dict(renderer.render(scene, fr.Shading(shadow_lights=[0])).metadata)
     size = "6888 vertices, 13444 triangles, radius 0.181261, 1 unit = 1000.0 mm"
@@ -51,8 +52,8 @@ def test_metadata_lists_every_parameter_once(renderer, mesh):
         "scattering": "skin",
         "double_sided": found["double_sided"],
         "camera": "Camera(zoom=1.5)",
-        "light 0": "Light(azimuth=10.0, radius=2.0)",
-        "light 1": "Light(azimuth=-20.0, shadow=False)",
+        "light 0": "Light(azimuth=10.0, irradiance=(2.0, 2.0, 2.0), radius=2.0)",
+        "light 1": repr(replace(LIGHTS["key"], shadow=False)),
         "ambient": "(0.5, 0.5, 0.5)",
         "background": "None",
         "environment": "studio, rotation 30.0, scale 1.0",
