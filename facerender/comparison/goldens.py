@@ -173,7 +173,7 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
 
 def _write(path: Path, image: ImageData, draw: Draw | None, options: Mapping[str, Any]) -> None:
     """Write a golden with the fewest bits whose rounding errors are small compared with the limits:
-    half floats beside a range, else 24-bit floats, else float32."""
+    half floats next to a range, else 24-bit floats, else float32."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
