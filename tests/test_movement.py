@@ -122,14 +122,14 @@ def test_range_is_stored_in_standard_exr_layers(goldens, studio):
     plain, ranged = goldens
     with OpenEXR.File(str(ranged), separate_channels=True) as file:
         names = set(file.channels())
-        assert file.channels()["moved_least.R"].pixels.dtype == np.float16
+        assert {each.pixels.dtype for each in file.channels().values()} == {np.dtype(np.float16)}
     assert names == {
-        f"{layer}{name}" for layer in ("", "moved_least.", "moved_most.") for name in "RGBA"
+        f"{layer}{name}" for layer in ("", "moved_down.", "moved_up.") for name in "RGBA"
     }
     a, b = read_image(plain), read_image(ranged)
-    np.testing.assert_array_equal(a.pixels, b.pixels)
+    np.testing.assert_allclose(a.pixels, b.pixels, rtol=2.0**-10)
     assert a.shift_range is None
-    assert ranged.stat().st_size < 2.5 * plain.stat().st_size
+    assert ranged.stat().st_size < 1.75 * plain.stat().st_size
     for x, y in ((0.0, 0.0), SHIFTS[3]):
         linear = studio.draw(x, y).linear
         covered = linear[..., 3] >= 0.5
@@ -145,6 +145,23 @@ def test_range_is_rounded_outwards_within_half_floats():
     assert (least[0, 0, [0, 2]] < [0.1, -0.2]).all()
     assert (most[0, 0, [0, 2]] > [0.2, -0.1]).all()
     assert not np.isnan([least, most]).any()
+
+
+@pytest.mark.parametrize("ranged", [False, True])
+@pytest.mark.parametrize(
+    ("scale", "limits", "bits"),
+    [(1.0, {}, 16), (50.0, {}, 24), (1e6, {}, 32), (1.0, {"point": 0.0}, 32)],
+)
+def test_golden_is_rounded_by_a_part_of_the_limits(tmp_path, ranged, scale, limits, bits):
+    values = np.random.default_rng(1).random((48, 64, 3), np.float32) * np.float32(scale)
+    draw = (lambda x, y: values) if ranged else None
+    check("a", values, tmp_path / "a.exr", MISSING, draw=draw, **limits)
+    stored = read_image(tmp_path / "a.exr")
+    bits = bits if ranged else max(bits, 24)
+    error = (np.abs(stored.pixels - values) / values).max()
+    assert error <= {16: 2.0**-11, 24: 2.0**-16, 32: 0.0}[bits] < 1000.0 * error + (bits == 32)
+    assert (stored.shift_range is not None) == ranged
+    assert check("a", values, tmp_path / "a.exr", **limits).failure == ""
 
 
 @pytest.mark.parametrize("studio", [1], indirect=True)

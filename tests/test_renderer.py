@@ -726,7 +726,7 @@ def test_float_albedo_is_close_to_8_bits(egl, head):
     with fr.Renderer((256, 256), samples=1, backend=egl) as bytes_, \
          fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as floats:  # fmt: skip
         a, b = bytes_.render(scene), floats.render(scene)
-    assert b.metadata["albedo"] == "RGBA16F"
+    assert b.metadata["float_albedo"] == "True"
     assert block_error(a.linear[..., :3], b.linear[..., :3], b.linear[..., 3]) < 0.015
     assert (a.linear != b.linear).any()
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from facerender.batch.jobs import OUTPUTS, check_outputs, file_name
 from facerender.drawing.frame import Frame, data_view
+from facerender.drawing.metadata import scene_metadata
 from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
@@ -124,8 +125,7 @@ def draw(
         if name == "layers":
             files[file] = exr_bytes(file, _layers(frames), frames["image"].metadata)
         else:
-            pixels = _pixels(frames[name], name, exposure, facts.get("depth_scale", 1.0))
-            files[file] = png_bytes(pixels, frames[name].metadata)
+            files[file] = _png(frames[name], name, exposure, facts.get("depth_scale", 1.0))
     if {"parts", "layers"} & set(outputs):
         facts["parts"] = len(mesh.parts)
     return Drawn(files, facts)
@@ -143,7 +143,8 @@ def _frames(
     }
     if shared := outputs - _APART.keys():
         gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
-        metadata = {**renderer.metadata, "samples": "1"}
+        metadata = scene_metadata(scene, job.shading, renderer.albedo_kind)
+        metadata |= renderer.metadata | {"samples": "1"}
         for only in DATA:
             if only in shared:
                 linear = data_view(gbuffer, scene, only)
@@ -151,18 +152,21 @@ def _frames(
     return frames
 
 
-def _pixels(frame: Frame, name: str, exposure: float, depth_scale: float) -> NDArray[Any]:
-    """Return the pixel values of a PNG file."""
+def _png(frame: Frame, name: str, exposure: float, depth_scale: float) -> bytes:
+    """Return the content of a PNG file."""
+    pixels: NDArray[Any]
     if name == "mask":
-        return np.uint8(255) * (frame.linear[..., 0] > 0.0)
-    if name == "parts":
-        return frame.linear[..., 0].astype(np.uint16)
-    if name == "depth":
+        pixels = np.uint8(255) * (frame.linear[..., 0] > 0.0)
+    elif name == "parts":
+        pixels = frame.linear[..., 0].astype(np.uint16)
+    elif name == "depth":
         depth = frame.linear[..., 0].astype(np.float64)
-        return np.round(depth / depth_scale).astype(np.uint16)
-    if name == "motion":
-        return _flow(frame.linear)
-    return frame.srgb8(exposure)
+        pixels = np.round(depth / depth_scale).astype(np.uint16)
+    elif name == "motion":
+        pixels = _flow(frame.linear)
+    else:
+        return frame.encoded("png", exposure)
+    return png_bytes(pixels, frame.metadata)
 
 
 def _flow(linear: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -25,7 +25,7 @@ from facerender.comparison.compare import Pair, compare
 from facerender.comparison.neighbourhoods import COVERED
 from facerender.comparison.sources import Comparable, as_image
 from facerender.errors import InputError, reason
-from facerender.images.exr import save_exr
+from facerender.images.exr import half_above, save_exr
 from facerender.images.image import ImageData, PixelRange
 
 FARTHEST = 0.1  # largest shift, in pixels
@@ -37,6 +37,7 @@ SHIFTS = tuple(
     for i in range(8)
 )
 _HIGHEST = 65504.0  # largest half float
+_ROUNDED = 0.2  # largest rounding error of a golden, as a part of the point limit
 _FURTHER = 3.0  # largest ratio of a measured to a requested shift: fine detail exaggerates shifts
 Draw = Callable[[float, float], Comparable]
 UNKNOWN = "an unknown renderer"
@@ -146,7 +147,7 @@ def check(
         failure = f"{place.name} was just written for another image: give each image a new name"
     if failure:
         return GoldenResult(image, pair, golden, failure=failure)
-    _write(place, image, draw)
+    _write(place, image, draw, options)
     return GoldenResult(image, pair, golden, written=place)
 
 
@@ -170,13 +171,25 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     return replace(image, metadata={"facerender": __version__, **image.metadata, **metadata})
 
 
-def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
+def _write(path: Path, image: ImageData, draw: Draw | None, options: Mapping[str, Any]) -> None:
+    """Write a golden with the fewest bits whose rounding errors are small compared with the limits:
+    half floats next to a range, else 24-bit floats, else float32."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make {path.parent}: {reason(error)}") from None
-    shift_range = None if draw is None else range_of([image, *_shifted(image, draw)])
-    save_exr(path, image.pixels, image.metadata, shift_range)
+    shift_range = None
+    kinds: list[tuple[type[np.floating], bool]] = [(np.float32, True), (np.float32, False)]
+    if draw is not None:
+        shift_range = range_of([image, *_shifted(image, draw)])
+        kinds.insert(0, (np.float16, True))
+    for kind, rounded in kinds:
+        with np.errstate(over="ignore"):
+            pixels = image.pixels.astype(kind, copy=False)
+        save_exr(path, pixels, image.metadata, shift_range, rounded)
+        found = Pair.of(path.name, path, image, **options).comparison
+        if found and found.largest <= _ROUNDED * found.limits.point:
+            return
 
 
 def range_of(images: Sequence[ImageData]) -> PixelRange:
@@ -188,12 +201,8 @@ def range_of(images: Sequence[ImageData]) -> PixelRange:
         if image.pixels.shape[2] > color.shape[2]:
             values = np.concatenate([values, alpha[..., None]], axis=2)
         each.append(values)
-    ends = []
-    for choose, beyond in ((np.fmin, -np.inf), (np.fmax, np.inf)):
-        values = choose.reduce(each).clip(-_HIGHEST, _HIGHEST).astype(np.float16)
-        with np.errstate(over="ignore"):
-            ends.append(np.nextafter(values, np.float16(beyond)))
-    return PixelRange(*ends)
+    low, high = (choose.reduce(each).clip(-_HIGHEST, _HIGHEST) for choose in (np.fmin, np.fmax))
+    return PixelRange(-half_above(-low), half_above(high))
 
 
 def _shifted(image: ImageData, draw: Draw) -> list[ImageData]:

@@ -52,8 +52,9 @@ class Frame:
           there coverage is 0
     only : the term that the image shows; None for the whole image
     transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
-    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, format of albedo maps; for
-        shaded images also model, lobe, Fresnel and masking term
+    metadata : all parameters of the image as text: facerender's version, GL_RENDERER, GL_VERSION,
+        settings of the renderer, and the values of ``scene_metadata`` and, for shaded images,
+        ``shading_metadata`` in ``facerender/drawing/metadata.py``
     """
 
     linear: NDArray[np.float32]
@@ -140,8 +141,14 @@ class Frame:
                 "image.exr", {"RGBA"[: self.linear.shape[2]]: self.linear}, self.metadata
             )
         if format == "png":
-            return png_bytes(self.srgb8(exposure), self.metadata)
-        return lossy_bytes(format, self.srgb8(exposure), self.metadata)
+            return png_bytes(self.srgb8(exposure), self._metadata(exposure))
+        return lossy_bytes(format, self.srgb8(exposure), self._metadata(exposure))
+
+    def _metadata(self, exposure: float) -> Mapping[str, str]:
+        """Return the metadata of an 8-bit image, with an exposure that changes its pixels."""
+        if exposure and self.only in (None, "specular", "diffuse", "albedo"):
+            return {**self.metadata, "exposure": str(float(exposure))}
+        return self.metadata
 
     @property
     def image(self) -> Image:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
+from facerender.drawing.metadata import scene_metadata, shading_metadata
 from facerender.drawing.motion import (
     Rays,
     check_before,
@@ -211,13 +212,14 @@ class Renderer:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Version, driver, samples and albedo format. Frames add the shading to this metadata."""
+        """Version, driver and settings. Frames add the scene and the shading to this metadata."""
         return {
             "facerender": __version__,
             "GL_RENDERER": self.context.renderer,
             "GL_VERSION": self.context.version,
             "samples": str(self.samples),
-            "albedo": "RGBA16F" if self.albedo_kind == "linear-color" else "SRGB8_ALPHA8",
+            "anisotropy": str(self.anisotropy),
+            "float_albedo": str(self.albedo_kind == "linear-color"),
         }
 
     def render(
@@ -269,9 +271,9 @@ class Renderer:
         linear, resolved = self._radiance(scene, shading, _Image(samples, only, shading_rate))
         _check(linear, scene)
         emit_all(resolved.scene.mesh)
-        metadata = {**self.metadata, "samples": str(samples)}
+        metadata = scene_metadata(scene, shading, self.albedo_kind)
+        metadata |= shading_metadata(resolved, only) | self.metadata | {"samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
-        metadata = _shading_metadata(resolved, only, metadata)
         return Frame(linear, only, scene.background is None, metadata)
 
     def _radiance(
@@ -301,7 +303,8 @@ class Renderer:
         else:
             linear = data_view(self.gbuffer(scene, drawn, blended=False), scene, only)
         _check(linear, scene)
-        metadata = {**self.metadata, "samples": "1"}
+        metadata = scene_metadata(scene, shading, self.albedo_kind)
+        metadata |= self.metadata | {"samples": "1"}
         if only == "parts":
             metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
         return Frame(linear, only, scene.background is None, metadata)
@@ -592,21 +595,6 @@ def _free_dropped(context: Context, resources: Resources) -> None:
     )
     with suppress(ContextError):
         _free(context, resources)
-
-
-def _shading_metadata(
-    resolved: ResolvedScene, only: Only | None, own: Mapping[str, str]
-) -> dict[str, str]:
-    """Return the metadata of an image: values of the shading, which entries of `own` override."""
-    shading, terms = resolved.shading, resolved.lighting.terms
-    metadata = {key: str(value) for key, value in shading.as_dict().items()} | dict(own)
-    for name in ("model", "lobe", "fresnel", "masking"):
-        metadata[name] = str(getattr(shading.term, name))
-    parts = [part.terms for part in resolved.parts()] if only != "diffuse" else []
-    if any(own != terms for own in parts):
-        lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in parts]
-        metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
-    return metadata
 
 
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:

@@ -27,7 +27,10 @@ _HALF = 1  # EXR's number for the pixel type HALF
 _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers for lossy compressions
 # Largest measured ImageData.noise for images of the built-in head with 256 to 1024 pixels a side.
 _B44_LOSS, _DWA_LOSS = 0.012, 0.015
-_MOVED = ("moved_least", "moved_most")  # layers of a golden image that store its shift_range
+# Layers that store the shift_range of a golden as distances from the pixel, which compress better
+# than values: pixel - low and high - pixel, rounded up to multiples of _MOVE_STEP.
+_MOVED = ("moved_down", "moved_up")
+_MOVE_STEP = np.float32(2.0**-8)
 _DWA_LEVEL = 45.0  # default of the EXR attribute dwaCompressionLevel
 _HIGHEST_DWA_LEVEL = 1000.0  # with a higher level, any difference would count as compression loss
 
@@ -37,33 +40,51 @@ def save_exr(
     linear: NDArray[np.floating],
     metadata: Mapping[str, str],
     shift_range: PixelRange | None = None,
+    rounded: bool = False,
 ) -> None:
-    """Write linear pixels (H, W, 3 or 4) as OpenEXR, float32. Needs the extra ``exr``.
+    """Write linear pixels (H, W, 3 or 4) as OpenEXR. Needs the extra ``exr``.
 
-    shift_range : see :class:`ImageData`; stored in additional layers of half floats
+    linear, rounded : see :func:`exr_bytes`
+    shift_range : see :class:`ImageData`; stored in additional layers of half floats. It is widened
+        by less than 1/256, or by the rounding error of half floats
     """
-    channels: dict[str, NDArray[np.floating]] = {
-        "RGBA"[: linear.shape[-1]]: linear.astype(np.float32, copy=False)
-    }
+    channels: dict[str, NDArray[np.floating]] = {"RGBA"[: linear.shape[-1]]: linear}
     if shift_range is not None:
-        channels |= dict(zip(_MOVED, shift_range, strict=True))
-    write_bytes(path, exr_bytes(os.fspath(path), channels, metadata))
+        low, high = (end.astype(np.float32) for end in shift_range)
+        pixels = linear.astype(np.float32, copy=False)
+        distances = (pixels - low, high - pixels)
+        steps = (np.ceil(each / _MOVE_STEP) * _MOVE_STEP for each in distances)
+        channels |= zip(_MOVED, map(half_above, steps), strict=True)
+    write_bytes(path, exr_bytes(os.fspath(path), channels, metadata, rounded))
+
+
+def half_above(values: NDArray[np.float32]) -> NDArray[np.float16]:
+    """Return the smallest half floats that are not less than the values; NaN for NaN."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        half = values.astype(np.float16)
+        return np.where(half < values, np.nextafter(half, np.float16(np.inf)), half)
 
 
 def exr_bytes(
-    name: str, channels: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, str]
+    name: str,
+    channels: Mapping[str, NDArray[np.floating]],
+    metadata: Mapping[str, str],
+    rounded: bool = False,
 ) -> bytes:
     """Return the bytes of an OpenEXR file. Needs the extra ``exr``.
 
     name : file name for messages
     channels : arrays keyed by the channel name: (H, W), or (H, W, C) for several channels. float16
         is written as half floats, any other type as float32
+    rounded : whether float32 is rounded to 24 bits (PXR24), with a relative error up to 2^-16;
+        default false: all values are stored exactly
 
     Equal channels and metadata give equal bytes. The file is built in memory because
     OpenEXR ignores a failed write of its last buffer, for example on a full disk.
     """
     OpenEXR = openexr(name)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    compression = OpenEXR.PXR24_COMPRESSION if rounded else OpenEXR.ZIP_COMPRESSION
+    header = {"compression": compression, "type": OpenEXR.scanlineimage}
     pixels = {
         key: np.ascontiguousarray(values, np.float16 if values.dtype == np.float16 else np.float32)
         for key, values in channels.items()
@@ -102,7 +123,8 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         pixels = _in_window(pixels, header)
         shift_range = None
         if all(name in found and found[name].pixels.shape == pixels.shape for name in _MOVED):
-            shift_range = PixelRange(*(found[name].pixels.astype(np.float16) for name in _MOVED))
+            down, up = (found[name].pixels.astype(np.float32) for name in _MOVED)
+            shift_range = PixelRange(-half_above(down - pixels), half_above(pixels + up))
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"

@@ -1,0 +1,137 @@
+"""Metadata of images: the parameters of a scene and a shading as text. No OpenGL."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import PurePath
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from facerender.drawing.prepare import part_maps, simplify
+from facerender.drawing.resolve import ResolvedScene
+from facerender.errors import clipped
+from facerender.scenes.environment import Environment
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mips import Kind
+from facerender.scenes.scene import Only, Scene
+from facerender.scenes.texture import Texture
+from facerender.shading import Shading
+
+_LONGEST = 400  # characters of a value: Exif metadata of a JPEG has at most 64 KiB
+_of_meshes: WeakKeyDictionary[Mesh, dict[str, str]] = WeakKeyDictionary()
+_checksums: WeakKeyDictionary[Part, int] = WeakKeyDictionary()
+_ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if they are defaults
+
+
+def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, str]:
+    """Return the parameters of a scene as text, without paths of files.
+
+    Parameters
+    ----------
+    scene, shading : arguments of :meth:`facerender.Renderer.render`
+    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
+
+    Returns
+    -------
+    "mesh", "camera", "light 0" and so on, "ambient", "background", "environment", "before"; the
+    factors and maps of materials by the names of :class:`Material`, such as "m", unless all parts
+    have the default; and "textures": "float", or "8-bit" if an 8-bit map was drawn
+    """
+    if scene.mesh not in _of_meshes:
+        values = {"mesh": _mesh(scene.mesh), **_materials(scene.mesh)}
+        _of_meshes[scene.mesh] = {name: _limited(text) for name, text in values.items()}
+    values = {"camera": repr(scene.camera)}
+    values |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
+    values |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
+    if scene.environment is not None:
+        values["environment"] = _environment(scene.environment)
+    if scene.before is not None:
+        values["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
+    drawn = simplify(scene, shading).mesh
+    parts = zip(drawn.parts, drawn.materials, strict=True)
+    maps = (each for pair in parts for each in part_maps(*pair, albedo, slope_filter=True))
+    values["textures"] = "float" if all(kind == "linear-color" for *_, kind in maps) else "8-bit"
+    return _of_meshes[scene.mesh] | {name: _limited(text) for name, text in values.items()}
+
+
+def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, str]:
+    """Return the shading of an image as text: model, lobe, Fresnel and masking term, values that
+    differ from the defaults, and the lobe of each part if lobes differ from the shading's."""
+    shading, terms = resolved.shading, resolved.lighting.terms
+    values = {key: str(value) for key, value in shading.as_dict().items()}
+    for name in ("model", "lobe", "fresnel", "masking"):
+        values[name] = str(getattr(shading.term, name))
+    parts = [part.terms for part in resolved.parts()] if only != "diffuse" else []
+    if any(own != terms for own in parts):
+        lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in parts]
+        values["lobe of each part"] = ", ".join(map(" and ".join, lobes))
+    return {name: _limited(text) for name, text in values.items()}
+
+
+def _limited(text: str) -> str:
+    """Return a text of one line, which is cut and gets a checksum if it is long."""
+    if len(text) <= _LONGEST and text.isprintable():
+        return text
+    return f"{clipped(text, _LONGEST)} (CRC-32 {zlib.crc32(text.encode(errors='replace')):08x})"
+
+
+def _mesh(mesh: Mesh) -> str:
+    vertices, triangles = (
+        sum(len(getattr(part, name)) for part in mesh.parts) for name in ("positions", "faces")
+    )
+    # float32 hides differences between processors in the last bits of float64.
+    checksum = zlib.crc32(str([*map(_checksum, mesh.parts)]).encode())
+    size = f"{vertices} vertices, {triangles} triangles, radius {mesh.radius:.6g}"
+    unit = "" if mesh.millimetres is None else f", 1 unit = {mesh.millimetres} mm"
+    return f"{mesh.name}, {size}{unit}, CRC-32 {checksum:08x}"
+
+
+def _checksum(part: Part) -> int:
+    if part not in _checksums:
+        _checksums[part] = zlib.crc32(part.positions.astype(np.float32).tobytes())
+    return _checksums[part]
+
+
+def _materials(mesh: Mesh) -> dict[str, str]:
+    """Return each factor and map of the materials as one text for all parts."""
+    rows = {}
+    for each in fields(Material):
+        values = [_used(material, each.name) for material in mesh.materials]
+        if each.name in _ALWAYS or any(value != each.default for value in values):
+            rows[each.name] = _by_part(mesh, values)
+    return rows
+
+
+def _used(material: Material, name: str) -> Any:
+    """Return a factor or map of a material; of m and roughness_factor, only the used one."""
+    if name == "m" and material.roughness_map is not None:
+        return "of the roughness map"
+    if name == "roughness_factor" and material.roughness_map is None:
+        return Material.roughness_factor
+    return getattr(material, name)
+
+
+def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
+    """Return a value for each part as text, each value once: "0.3" or "0.3 (head); 0.1 (eyes)"."""
+    names: dict[str, list[str]] = {}
+    for number, (part, value) in enumerate(zip(mesh.parts, values, strict=True), 1):
+        text = _map(value) if isinstance(value, Texture) else str(value)
+        names.setdefault(text, []).append(part.name or f"part{number}")
+    if len(names) == 1:
+        return next(iter(names))
+    return "; ".join(f"{text} ({', '.join(own)})" for text, own in names.items())
+
+
+def _map(texture: Texture) -> str:
+    width, height = texture.decoded_size
+    return f"{PurePath(texture.name).name}, {width} x {height}"
+
+
+def _environment(environment: Environment) -> str:
+    name = PurePath(environment.panorama.name).name
+    return f"{name}, rotation {environment.rotation}, scale {environment.scale}"
