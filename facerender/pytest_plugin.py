@@ -22,11 +22,13 @@ import pytest
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from facerender.comparison.compare import Driver
     from facerender.comparison.goldens import Draw, GoldenResult, Updates
     from facerender.comparison.sources import Comparable
 
 LONGEST = 180  # characters of a file name; most systems allow 255 bytes
 UNUSED = ("ignore", "list", "fail")
+DRIVERS = ("auto", "same", "other")
 LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
 
 _WRITTEN = pytest.StashKey[set[Path]]()  # goldens written in this session
@@ -50,6 +52,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     unused = "action for goldens that no test used, in modules whose tests all passed"
     group.addoption("--facerender-unused", choices=UNUSED, help=unused)
     parser.addini("facerender_unused", unused, default="ignore")
+    driver = "same or other: whether one driver draws images and goldens; auto: see their metadata"
+    parser.addini("facerender_driver", driver, default="auto")
     for name in LIMITS:
         text = f"default of limit {name}; facerender compare --calibrate finds a value"
         parser.addini(f"facerender_{name}", text, default="")
@@ -58,6 +62,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if _setting(config, "unused") not in UNUSED:
         raise pytest.UsageError(f"facerender_unused: give one of {', '.join(UNUSED)}")
+    if config.getini("facerender_driver") not in DRIVERS:
+        raise pytest.UsageError(f"facerender_driver: give one of {', '.join(DRIVERS)}")
     for name in LIMITS:
         _limit(config, name)
     for name in ("force", "alternative"):
@@ -121,6 +127,7 @@ class Snapshot:
         mask: NDArray[Any] | None = None,
         metadata: Mapping[str, str] | None = None,
         draw: Draw | None = None,
+        driver: Driver | None = None,
         **limits: float | None,
     ) -> None:
         """Compare an image with its golden; fail if they differ or the golden is missing.
@@ -138,6 +145,7 @@ class Snapshot:
         draw : function draw(x, y), which returns the image shifted by x pixels to the right and y
             pixels down. A written golden then stores each pixel's range over shifts of at most 0.1
             pixels, so that images with such shifts pass
+        driver : see :func:`facerender.compare`; default: the ini file's
 
         Raises
         ------
@@ -165,6 +173,7 @@ class Snapshot:
             metadata=metadata,
             draw=draw,
             mask=mask,
+            driver=driver or config.getini("facerender_driver"),
             **{each: _limit(config, each) for each in LIMITS}
             | {each: limit for each, limit in limits.items() if limit is not None},
         )

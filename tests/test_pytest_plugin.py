@@ -508,6 +508,24 @@ def test_pytest_and_compare_read_the_same_limits(recorded, name, before):
     assert recorded.passes(f"-c{path}") == [True, True, False]
 
 
+def test_driver_of_images_that_name_none(recorded):
+    """Only images of another driver may have this noise."""
+    noisy = "image() * (1.0 + 2e-3 * np.random.default_rng(1).normal(size=(32, 32, 1)))"
+    for value, options in ((noisy, ""), (noisy, "driver='same'"), ("image()", "driver='same'")):
+        recorded.write(
+            "def test_head(snapshot):\n"
+            f"    snapshot({value}, metadata={{}}, point=1, texture=1, {options})\n"
+        )
+        for driver in ("auto", "same", "other"):
+            recorded.pytester.makeini(f"[pytest]\nfacerender_driver = {driver}\n")
+            strict = "same" in options or driver == "same"
+            passes = value == "image()" or not strict
+            recorded.run(passed=int(passes), failed=int(not passes))
+    recorded.pytester.makeini("[pytest]\nfacerender_driver = x\n")
+    result = recorded.run()
+    result.stderr.fnmatch_lines(["*facerender_driver: give one of auto, same, other"])
+
+
 def test_arguments_of_check_override_the_ini_file(recorded):
     recorded.pytester.makeini("[pytest]\nfacerender_block = 1e-4\nfacerender_trend = 1e6\n")
     for options, passes in (("", False), ("block=0.01", True)):
