@@ -15,8 +15,8 @@ from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.visibility import can_defer
 from facerender.drawing.resolve import resolve
-from facerender.errors import FacerenderWarning, InputError
-from facerender.explorer.mesh import drawable
+from facerender.errors import InputError
+from facerender.explorer.mesh import drawable, lost_features
 from facerender.job import Job
 from facerender.loading.mesh_cache import MeshFiles
 from facerender.loading.source import Orientation, source_of
@@ -599,10 +599,10 @@ def test_blended_parts_are_drawn_over_deferred_shading(
         assert np.quantile(np.abs(one - other)[near], 0.98) < 0.01
 
 
-def test_the_explorer_warns_of_blended_parts():
+def test_the_explorer_omits_blended_parts():
     mesh = parts_head("blend")
-    with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):
-        shown = drawable(mesh)
+    assert lost_features(mesh) == ["blended parts", "masks"]
+    shown = drawable(mesh)
     assert len(shown.parts) == 3
     assert {material.alpha for material in shown.materials} == {"opaque"}
 

@@ -6,8 +6,10 @@ from __future__ import annotations
 import base64
 import io
 import json
+import re
 import shlex
 import shutil
+import warnings
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +46,7 @@ from tests.test_parts import row
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
 VIEW = {"viewport": {"width": 1000, "height": 700}}
 # Points on the face in the first view, in fractions of the image's width and height.
+PLAIN = tuple(replace(light, shadow=False) for light in fr.Scene.lights)
 PLACES = [
     *((0.50, 0.30), (0.45, 0.35), (0.55, 0.35), (0.50, 0.42), (0.42, 0.42), (0.58, 0.42)),
     *((0.50, 0.55), (0.44, 0.55), (0.56, 0.55), (0.50, 0.66), (0.47, 0.72), (0.53, 0.72)),
@@ -78,7 +81,7 @@ def write(folder: Path) -> tuple[str, MeshFile]:
     """Write a page; return its address and its mesh file."""
     mesh = MeshFile(str(MINI), **maps(folder))
     path = folder / "explorer.html"
-    path.write_text(explorer_page(Job(mesh), mesh.load()), encoding="utf-8")
+    path.write_text(explorer_page(Job(mesh, lights=PLAIN), mesh.load()), encoding="utf-8")
     return path.as_uri(), mesh
 
 
@@ -236,9 +239,7 @@ def test_command_opens_the_page_with_its_scene(browser, tmp_path, capsys):
     of_skin = np.array([each["a"]["part"] >= 0 for each in probed])
     assert of_skin.sum() >= 6
     view = view_of(job.scene(), size[0] / size[1])
-    # The page's space has the bounds of the parts that the page draws.
-    with pytest.warns(FacerenderWarning):
-        drawn = drawable(mesh)
+    drawn = drawable(mesh)  # The page's space has the bounds of the parts that the page draws.
     pixels, _ = view.project(mesh, drawn.center + drawn.radius * found[of_skin], tuple(size))
     np.testing.assert_allclose(pixels, (at + 0.5)[of_skin], atol=1.0)
     assert "--frame face" in code
@@ -261,33 +262,69 @@ def test_scenes_that_the_page_cannot_show_are_refused(tmp_path, capsys, words, m
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("--no-shadows", ""),
+        ("--light key", "soft shadows"),
+        ("--light 20,30", "shadows"),
+        ("--light key --scene no-shadows.toml", ""),
+        (
+            "--no-shadows --environment studio",
+            "the environment map (the default lights and ambient light replace the map)",
+        ),
+        ("--no-shadows --second-slope 0.333 --lobe-weight 0.85", "second lobes"),
+        (
+            "--no-shadows --scattering skin --diffuse coupled",
+            "subsurface scattering, the coupled diffuse term",
+        ),
+        ("--no-shadows --scattering skin --scatter-samples 0", ""),
+        (
+            "--no-shadows --no-slope-filter --curvature",
+            "slope_filter, curvature of the shading",
+        ),
+        ("--no-shadows --anisotropy 4 --full-maps", "anisotropy, full_maps of the image"),
+        ("--no-shadows --normal-strength 0.5 --normal-map normal_map.png", "map strengths"),
+        ("--no-shadows --part *,alpha=mask,opacity=0.3", "masks"),
+        ("--no-shadows --part *,emissive=0.2", "emission"),
+        ("--no-shadows --vertices frames.npy", "all frames but one"),
+        ("--no-shadows --vertices frames.npy,1", ""),
+    ],
+)
+def test_command_and_note_name_the_features_that_the_page_omits(
+    tmp_path, capsys, monkeypatch, mesh, words, names
+):
+    monkeypatch.chdir(tmp_path)
+    maps(tmp_path)
+    np.save("frames.npy", np.stack([mesh.parts[0].positions] * 2))
+    Path("no-shadows.toml").write_text("[shading]\nshadow_lights = []\n")
+    assert main(["explore", str(MINI), *words.split(), "-o", "page.html"]) == 0
+    printed = capsys.readouterr().err.splitlines()
+    name = f"facerender: warning: the explorer shows {MINI.name} without {names}"
+    assert printed == [name] * bool(names)
+    facts = re.search(r'id="facts">(.*?)</script>', Path("page.html").read_text())
+    omitted = json.loads(facts[1])["omitted"]
+    assert ", ".join([*omitted["mesh"], *omitted["scene"]]) == names
+
+
 def test_note_lists_the_features_that_the_page_omits(browser, tmp_path, mesh):
     def note(job, mesh):
         path = tmp_path / "page.html"
-        path.write_text(explorer_page(job, mesh), encoding="utf-8")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FacerenderWarning)
+            path.write_text(explorer_page(job, mesh), encoding="utf-8")
         with opened(browser, path.as_uri()) as page:
             page.evaluate("explorer.errors()")
             assert page.locator("#omitted").is_visible() == (page.inner_text("#omitted") != "")
             lit = np.ptp(images(page)[0][..., :3]) > 0.1
             return page.inner_text("#omitted"), lit
 
-    plain = tuple(replace(light, shadow=False) for light in fr.Scene.lights)
-    assert note(Job(lights=plain), mesh) == ("", True)
+    assert note(Job(lights=PLAIN), mesh) == ("", True)
     soft = note(Job(lights=(fr.Light(radius=3.0),)), mesh)[0]
     assert soft == "This page omits soft shadows. Its code omits soft shadows."
-    hard = fr.Light(radius=0.0)
-    assert note(Job(lights=(hard,)), mesh)[0].startswith("This page omits shadows.")
-    file = fr.EnvironmentFile("studio")
-    words, lit = note(Job(lights=(), ambient=0.0, environment=file), mesh)
-    assert "the environment map (the default lights" in words
-    assert lit
-    job = Job(lights=plain, shading=fr.Shading(diffuse="coupled", normal_map=False))
-    two = mesh.with_skin(second_slope=2.0, lobe_weight=0.5, m=0.3)
-    words = note(job, two)[0]
-    for each in ("second lobes", "the coupled diffuse term", "normal_map of the shading"):
-        assert each in words
-    with pytest.warns(FacerenderWarning):
-        head = note(Job(lights=plain), fr.load_mesh())[0]
+    dark = Job(lights=(), ambient=0.0, environment=fr.EnvironmentFile("studio"))
+    assert note(dark, mesh)[1]  # lit by the default lights
+    head = note(Job(lights=PLAIN), fr.load_mesh())[0]
     assert head == "This page omits blended parts (lash-strands, tear-line, cornea)."
 
 
@@ -403,7 +440,7 @@ def test_page_frames_the_head_of_a_bust(browser, tmp_path):
     mesh = person("bust")
     assert region_of(mesh, "auto") is not None
     path = tmp_path / "bust.html"
-    path.write_text(explorer_page(Job(), mesh), encoding="utf-8")
+    path.write_text(explorer_page(Job(lights=PLAIN), mesh), encoding="utf-8")
     with opened(browser, path.as_uri()) as page:
         page.evaluate("explorer.errors()")
         size = np.array(page.evaluate("explorer.size"))
@@ -420,7 +457,7 @@ def test_m_of_a_term_applies_to_the_skin(browser, tmp_path):
     eye = replace(mesh.parts[1], skin=False)
     mesh = replace(mesh.with_material("eye", m=0.125), parts=(mesh.parts[0], eye))
     path = tmp_path / "explorer.html"
-    path.write_text(explorer_page(Job(), mesh), encoding="utf-8")
+    path.write_text(explorer_page(Job(lights=PLAIN), mesh), encoding="utf-8")
     with opened(browser, path.as_uri(), fragment="#a=m:0.5;ks:0.25") as page:
         page.evaluate("explorer.errors()")
         width, height = page.evaluate("explorer.size")
@@ -466,6 +503,25 @@ def test_images_agree_with_the_renderer(page, mesh, egl):
     result = compare(frames[0], frames[1], mask=frames[0].linear[..., 3] > 0)
     assert shown["linear"]["mean"] == pytest.approx(result.mean, rel=0.02)
     assert shown["linear"]["largest"] == pytest.approx(result.largest, rel=0.02)
+
+
+def test_maps_wrap_and_filter_as_in_the_renderer(browser, tmp_path, mesh, egl):
+    texels = np.random.default_rng(0).integers(0, 256, (16, 16, 3), dtype=np.uint8)
+    checks = Texture(lambda: Image.fromarray(texels), "checks").sampled(
+        ("clamp", "mirror"), nearest=True
+    )
+    part = mesh.parts[0]
+    tiled = replace(mesh, parts=(replace(part, uv=3.0 * part.uv - 1.0),))
+    tiled = tiled.with_material(albedo_map=checks, normal_map=None)
+    path = tmp_path / "page.html"
+    path.write_text(explorer_page(Job(lights=PLAIN), tiled), encoding="utf-8")
+    with opened(browser, path.as_uri()) as page:
+        page.evaluate("explorer.errors()")
+        size, scene = tuple(page.evaluate("explorer.size")), scene_of(page, tiled, {})
+        drawn = images(page)[0]
+    with fr.Renderer(size, backend=egl) as renderer:
+        frame = renderer.render(scene)
+    assert np.abs(drawn - frame.linear).mean() < 2e-3
 
 
 ROOT = 6.0  # levels, because the root of an error near 0 amplifies the rounding of float32

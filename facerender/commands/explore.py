@@ -16,7 +16,7 @@ from facerender.commands.common import (
     progress_bar,
 )
 from facerender.commands.help import Help
-from facerender.commands.scene import add_scene, files_read, job_of
+from facerender.commands.scene import add_scene, files_read, job_of, plays
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 from facerender.explorer.page import TERM_FACTORS, explorer_page
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         material = {n: own for n, own in job.material.items() if n not in TERM_FACTORS}
         mesh = replace(job, material=material).scene().mesh
         progress("page", 0.0)
-        page = explorer_page(job, mesh, a, b)
+        page = explorer_page(job, mesh, a, b, plays(options, job.pose))
     write_text(output, page)
     print_result(output)
     return 0

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import part_uniforms, surface_features
-from facerender.errors import warn
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, drawn_alpha, slope_range
 from facerender.scenes.mips import Kind
@@ -38,26 +37,17 @@ def drawable(mesh: Mesh) -> Mesh:
     """Return a mesh without the features that the page does not draw.
 
     All parts of the result are opaque. Blended and refracting parts are removed, unless all parts
-    are. Materials have no emission. Maps have strength 1, use the first texture coordinates,
-    repeat, and are filtered.
-
-    Warns
-    -----
-    FacerenderWarning : a feature is left out
+    are. Materials have no emission. Maps have strength 1 and use the first texture coordinates.
     """
     materials = []
     for material in mesh.materials:
-        second = _by_second(material)
-        maps = {name: getattr(material, name) for name in MAPS if name not in second}
-        if not material.packs:
-            maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
-        removed = dict.fromkeys((*second, "opacity_map", "emissive_map"))
+        removed: dict[str, Any] = dict.fromkeys(
+            (*_by_second(material), "opacity_map", "emissive_map")
+        )
         plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
         strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
         one = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None, "scattering": None}
-        materials.append(replace(material, **{**maps, **removed, **plain, **strengths, **one}))
-    if lost := lost_features(mesh):
-        warn(f"the explorer shows {mesh.name} without {', '.join(lost)}")
+        materials.append(replace(material, **{**removed, **plain, **strengths, **one}))
     alphas = _alphas(mesh)
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
@@ -109,7 +99,9 @@ def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]
         "steps": steps | {"vertex": VERTEX_STEPS},
         "parts": parts,
         "columns": [list(values.shape) for values in columns],
-        "maps": [kind for _, kind in textures],
+        "maps": [
+            {"kind": kind, "wrap": own.wrap, "nearest": own.nearest} for own, kind in textures
+        ],
     }
     return facts, zlib.compress(b"".join(map(_planes, columns)), 9), textures
 

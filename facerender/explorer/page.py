@@ -7,7 +7,7 @@ import shlex
 import zlib
 from base64 import b64encode
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from html import escape
 from itertools import product
 from pathlib import Path
@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from facerender import __version__
-from facerender.errors import InputError
+from facerender.errors import InputError, warn
 from facerender.explorer.mesh import drawable, encoded, lost_features, packed
 from facerender.glsl.code import call
 from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_source
 from facerender.job import Job, MeshFile
 from facerender.page.document import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
-from facerender.scenes.file import Pose, part_text, toml_text
+from facerender.scenes.file import ImageSettings, Pose, part_text, toml_text
 from facerender.scenes.framing import region_of
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
@@ -55,11 +55,13 @@ _UNDRAWN = (
 )
 
 
-def explorer_page(job: Job, mesh: Mesh, a: Term = Term(), b: Term = Term(lobe="d16")) -> str:
+def explorer_page(
+    job: Job, mesh: Mesh, a: Term = Term(), b: Term = Term(lobe="d16"), plays: bool = False
+) -> str:
     """Return the page as HTML.
 
-    Features that the page cannot draw are removed, and a note on the page lists them. Maps with
-    more than 2048 texels per side are reduced.
+    Features that the page cannot draw are left out; a note on the page lists them. Maps with more
+    than 2048 texels per side are reduced.
 
     Parameters
     ----------
@@ -67,12 +69,21 @@ def explorer_page(job: Job, mesh: Mesh, a: Term = Term(), b: Term = Term(lobe="d
         skin the page shows first
     mesh : mesh of the job, with all factors except m, f0 and ks
     a, b : the two shadings of the skin that the page shows first
+    plays : whether the job's pose stands for a sequence, of which the page shows one frame
 
     Raises
     ------
     InputError : a map is damaged, the job has more than 8 lights, or a camera that does not orbit
+
+    Warns
+    -----
+    FacerenderWarning : features are left out
     """
     _check(job)
+    omitted = {"mesh": lost_features(mesh), "scene": _omitted(job, mesh, plays)}
+    if any(omitted.values()):
+        names = ", ".join([*omitted["mesh"], *omitted["scene"]])
+        warn(f"the explorer shows {mesh.name} without {names}")
     whole, mesh = mesh, drawable(mesh)
     lights, ambient = job.lights, job.ambient
     if job.environment is not None and not lights:
@@ -98,7 +109,7 @@ def explorer_page(job: Job, mesh: Mesh, a: Term = Term(), b: Term = Term(lobe="d
         "most_lights": MOST_LIGHTS,
         "ambient": np.broadcast_to(ambient, 3).tolist(),
         "shadings": {"a": _term(a) | factors, "b": _term(b) | factors},
-        "omitted": {"mesh": lost_features(whole), "scene": _omitted(job, whole)},
+        "omitted": omitted,
         "background": job.background or (0.0, 0.0, 0.0),
         "registry": registry(),
         "ranges": _ranges(),
@@ -138,24 +149,36 @@ def _term(term: Term) -> dict[str, Any]:
     return {**own, "lobe": "g-power" if power else lobe, "constant": term.m, **power}
 
 
-def _omitted(job: Job, mesh: Mesh) -> list[str]:
+def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     """Return the names of the features of a job that neither the page nor its code draws."""
-    shading = job.shading
-    cast = [light for light in job.lights if light.shadow]
-    lit = job.environment is None or job.lights != ()
+    shading, materials = job.shading, mesh.materials
+    drawn = shading.shadow_lights
+    cast = [
+        light
+        for number, light in enumerate(job.lights)
+        if light.shadow and (drawn is None or number in drawn)
+    ]
     around = "the environment map" + (
-        "" if lit else " (the default lights and ambient light replace the map)"
+        "" if job.lights else " (the default lights and ambient light replace the map)"
     )
     others = [name for name in shading.as_dict() if name not in _DRAWN and name not in _OWN_NOTE]
+    image = [
+        each.name
+        for each in fields(ImageSettings)
+        if each.name != "size" and getattr(job.image, each.name) != each.default
+    ]
     found = {
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
         around: job.environment is not None,
-        "second lobes": any(each.two_lobes for each in mesh.materials),
-        "subsurface scattering": any(each.scattering for each in mesh.materials),
+        "second lobes": shading.two_lobes and any(each.two_lobes for each in materials),
+        "subsurface scattering": shading.scatter_samples > 0
+        and any(each.scattering for each in materials),
         "the coupled diffuse term": shading.diffuse != Shading.diffuse,
         f"{', '.join(others)} of the shading": bool(others),
-        "all frames of the clip but one": job.pose.clip is not None and job.pose.time is None,
+        f"{', '.join(image)} of the image": bool(image),
+        "the planned level of detail": job.planned is not None,
+        "all frames but one": plays,
     }
     return [name for name, omitted in found.items() if omitted]
 

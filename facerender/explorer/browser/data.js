@@ -69,9 +69,9 @@ async function meshParts() {
 }
 
 async function mapImages() {
-  return Promise.all(facts.maps.map(async (kind, i) => {
+  return Promise.all(facts.maps.map(async (map, i) => {
     const blob = await stored(`map-${i}`, "image/*");
     const asStored = {colorSpaceConversion: "none", premultiplyAlpha: "none"};
-    return {kind, image: await createImageBitmap(blob, asStored)};
+    return {...map, image: await createImageBitmap(blob, asStored)};
   }));
 }

@@ -62,7 +62,7 @@ function setUniforms(gl, {uniforms}, values) {
   }
 }
 
-function mapTexture(gl, {kind, image}, halve) {
+function mapTexture(gl, {kind, image, wrap, nearest}, halve) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
   gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
@@ -70,7 +70,12 @@ function mapTexture(gl, {kind, image}, halve) {
   const levels = 1 + Math.floor(Math.log2(Math.max(image.width, image.height)));
   gl.texStorage2D(gl.TEXTURE_2D, levels, format, image.width, image.height);
   gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, image);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  const modes = {repeat: gl.REPEAT, clamp: gl.CLAMP_TO_EDGE, mirror: gl.MIRRORED_REPEAT};
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, modes[wrap[0]]);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, modes[wrap[1]]);
+  const filter = nearest ? gl.NEAREST_MIPMAP_NEAREST : gl.LINEAR_MIPMAP_LINEAR;
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, filter);
+  if (nearest) gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   if (kind !== "normal") gl.generateMipmap(gl.TEXTURE_2D);
   else halve(texture, levels, image);
   return texture;

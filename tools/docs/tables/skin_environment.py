@@ -19,6 +19,7 @@ SAMPLES = (
     ("32: energy", "{n32[energy]:+.1f%}"),
     ("32: 99th percentile", "{n32[displayed]:g}/255"),
 )
+SPARKLE = (("setting", "{name}"), ("pixels", "{n}"))
 
 
 def blocks() -> dict[str, str]:
@@ -35,6 +36,7 @@ def blocks() -> dict[str, str]:
         "worst": f"{100.0 * max(each['n32']['of_all'] for each in rows):.2f} %",
         "of-specular": f"{100.0 * min(of_specular):.1f} % to {100.0 * max(of_specular):.1f} %",
         "float64": f"{data['float64']:.1e}",
+        "sparkle": table(SPARKLE, [{"name": name, "n": n} for name, n in data["sparkle"].items()]),
         "sample-cycles": str(data["cycles"]["sample"]),
         "base-cycles": str(data["cycles"]["base"]),
     }
