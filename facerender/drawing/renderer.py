@@ -558,7 +558,8 @@ class Renderer:
             if scene.environment is not None:
                 drawn[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
-                step = replace(step, target=self._sized(step.target))
+                if (own := self._sized(step.target)) is not step.target:
+                    step = replace(step, target=own)
                 target = self._resources.draw(step, scene.mesh, drawn)
                 kind = step.target
                 if kind.samples > 1 and kind.values == "color" and kind.resolved:
