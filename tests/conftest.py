@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 
 import facerender as fr
-from facerender.drawing.context import Backend, create_context
+from facerender.drawing.context import Backend, Context, create_context
 from facerender.pricing.interval import Interval
 from facerender.system import meshoptimizer
 from tests.verification import chromium
@@ -167,6 +167,13 @@ def no_meshoptimizer(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     meshoptimizer.library.cache_clear()
     yield
     meshoptimizer.library.cache_clear()
+
+
+@pytest.fixture
+def four_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Limit the driver's multisampling to four samples, the limit of Mesa's software driver.
+    NVIDIA's driver supersamples images of 16 and more samples."""
+    monkeypatch.setattr(Context, "most_samples", 4)
 
 
 @pytest.fixture(scope="session")

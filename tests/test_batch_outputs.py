@@ -85,7 +85,7 @@ def test_images_equal_those_that_frames_save(small, drawing, background, tmp_pat
     ],
     ids=str,
 )
-def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path):
+def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_samples):
     camera = fr.Camera(-35.0, -70.0)  # looks into the open neck
     planned = Planned((SIZE,), 4, **how)
     material = {"m": 0.25, "albedo": (0.5, 0.3, 0.2), "double_sided": True}
@@ -239,6 +239,9 @@ def eye_of(camera):
     return np.array(camera["transform_matrix"])[:3, 3]
 
 
+# Drivers round the positions of vertices to 1/256 pixel.
+PIXEL = 0.5 / 256 + 5e-5
+
 CAMERAS = {
     "front": fr.Camera(),
     "orbit": fr.Camera(azimuth=215.0, elevation=-30.0, fov=60.0),
@@ -272,7 +275,7 @@ def test_camera_projects_points_to_their_pixels(head, drawing, name, place):
     pixels = in_camera @ np.array(facts["K"]).T
     pixels = pixels[:, :2] / pixels[:, 2:]
     centres = np.argwhere(covered)[:, ::-1] + 0.5
-    assert np.abs(pixels - centres).max() < 1e-3
+    assert np.abs(pixels - centres).max() < PIXEL
     by_opencv, _ = cv2.projectPoints(
         points, cv2.Rodrigues(pose[:, :3])[0], pose[:, 3], np.array(facts["K"]), None
     )
@@ -331,7 +334,8 @@ def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch):
     np.testing.assert_allclose(page["normal"][covered], normals, atol=0.5 / 127.5 + 1e-6)
     exact = seen.position[covered]
     assert np.abs(page["points"] - exact).max() < drawn.facts["depth_scale"]
-    np.testing.assert_allclose(page["project"](exact), page["rays"] @ page["K"].T[:, :2], atol=1e-3)
+    pixels = page["rays"] @ page["K"].T[:, :2]
+    np.testing.assert_allclose(page["project"](exact), pixels, atol=PIXEL)
     turned = page["normal"][covered] @ page["Rt"][:, :3].T
     assert (turned[:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
     to_camera = head.to_mesh_space(seen.view.position) - exact

@@ -388,8 +388,9 @@ def test_slight_distortion_changes_no_pixel(drawing, whole, name, samples):
     assert images[0].transparent == images[1].transparent
     assert images[1].linear.dtype == np.float32
     off = np.abs(images[0].linear - images[1].linear).max(axis=-1)
-    # Rounding may move samples of edges, and the 2 x 2 pixels that share a mip level differ.
-    assert (off > 0.01).mean() < 5e-3
+    # Rounding may move samples of edges, and the 2 x 2 pixels that share a mip level differ: 0.4 %
+    # of the pixels on llvmpipe, 0.6 % on an NVIDIA GPU.
+    assert (off > 0.01).mean() < 7e-3
     assert off.mean() < 5e-4
     assert np.abs(images[0].linear[..., 3] - images[1].linear[..., 3]).mean() < 1e-4
 

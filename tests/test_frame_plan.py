@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender.drawing.context import Context
 from facerender.drawing.prepare import simplify
 from facerender.images.srgb import linear_to_srgb
 from facerender.measure.rendering import antialiasing
@@ -45,8 +46,10 @@ GAIN = Interval(0.5, 0.4, 0.625)
 
 @pytest.fixture(scope="module", autouse=True)
 def one_repeat():
-    """Measure frames only once, since no test depends on measured times."""
+    """Measure frames only once, since no test depends on measured times, and limit the driver's
+    multisampling to four samples, as ``four_samples`` does."""
     with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Context, "most_samples", 4)
         patched.setattr(frame_times, "_REPEATS", 1)
         patched.setattr(planning, "relative_time", lambda *_: GAIN)
         patched.setattr("facerender.commands.plan._SILENT", math.inf)

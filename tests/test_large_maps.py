@@ -101,7 +101,8 @@ def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels
     part = mesh.parts[0]
     level = levels_to_spare(mesh, part, part.uv, (texels, texels), view_of(scene, 1.0), SIZE)
     assert np.quantile(seen, 1e-3) >= level - 0.05  # no finer level is read
-    assert np.quantile(seen, 1e-2) < level + 1.0  # and this level is read
+    # And this level is read. Drivers approximate the level; NVIDIA reads up to 0.2 coarser ones.
+    assert np.quantile(seen, 1e-2) < level + 1.2
 
 
 def test_hidden_triangles_do_not_require_finer_levels():

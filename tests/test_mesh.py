@@ -575,7 +575,8 @@ def test_image_of_16_bits(mode, tmp_path, draw):
 def test_albedo_map_is_srgb(tmp_path, draw):
     Image.new("RGB", (4, 4), SRGB).save(tmp_path / "flat.png")
     albedo = draw(textured(tmp_path, "flat.png"), "albedo")
-    np.testing.assert_allclose(mean_albedo(albedo), LINEAR, atol=1e-3)
+    # Drivers may decode sRGB with an error of half an 8-bit level.
+    np.testing.assert_allclose(mean_albedo(albedo), LINEAR, atol=0.5 / 255)
 
 
 def test_truncated_image(tmp_path, draw):

@@ -32,7 +32,7 @@ SIZE = (64, 64)
 
 
 @pytest.fixture
-def renderer(egl, monkeypatch, tmp_path):
+def renderer(egl, four_samples, monkeypatch, tmp_path):
     folder = tmp_path / "shaders"
     shutil.copytree(fr.shader_dir(), folder)
     for name, text in SHADERS.items():

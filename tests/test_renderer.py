@@ -559,7 +559,7 @@ class Host:
         self.gl = self.context.gl
         self.gl.__enter__()
         self.target = self.gl.framebuffer([self.gl.renderbuffer((64, 64), 4)])
-        self.target.clear(0.25, 0.5, 0.75, 1.0)
+        self.target.clear(*(value / 255 for value in (64, 128, 191, 255)))
 
     def set_everything(self) -> None:
         self.target.use()
@@ -676,7 +676,7 @@ def test_own_context_keeps_that_of_the_host_current(host, head, guest):
     before = host.state()
     fr.render(head, size=(32, 32), samples=1, backend=require_backend(guest))
     assert host.state() == before
-    host.target.clear(0.5, 0.5, 0.5, 0.5)
+    host.target.clear(*[128 / 255] * 4)
     assert host.target.read(components=4)[:4] == bytes([128] * 4)
 
 

@@ -53,8 +53,8 @@ _FORKED = "this driver was in use before this process was forked"
 
 
 def _lose() -> None:
-    if "egl" not in _opened and egl_in_use():  # other code has opened EGL
-        _opened["egl"] = True
+    if "egl" not in _opened and (driver := egl_in_use()):  # other code has opened EGL
+        _opened["egl"] = driver == "software"
     _lost.update(_opened)
 
 

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 
 @dataclass(frozen=True)
@@ -92,24 +92,32 @@ def _egl() -> HostContext | None:
     return HostContext(context, library.eglGetProcAddress, rebind)
 
 
-def egl_in_use() -> bool:
-    """Return whether any code in this process has initialised an EGL device display."""
+def egl_in_use() -> Literal["software", "hardware"] | None:
+    """Return the kind of driver of the EGL device displays that any code in this process has
+    initialised, or None. If both kinds are in use, the result is "hardware"."""
     library = _loaded("libEGL.so.1")
     if library is None:
-        return False
+        return None
     library.eglGetProcAddress.restype = ctypes.c_void_p
-    names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT"
+    names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT", b"eglQueryDeviceStringEXT"
     found = [library.eglGetProcAddress(name) for name in names]
     if not all(found):
-        return False
+        return None
     query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
     get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
     devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
     query(found[0])(len(devices), devices, ctypes.byref(count))
-    displays = [get(found[1])(0x313F, device, None) for device in devices[: count.value]]
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
-    # 0x3054 is EGL_VERSION: only an initialised display has a version.
-    return any(_pointer(library.eglQueryString, each, 0x3054) for each in displays)
+    string = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)(found[2])
+    used = [
+        string(device, 0x3055) or b""  # EGL_EXTENSIONS
+        for device in devices[: count.value]
+        # 0x3054 is EGL_VERSION: only an initialised display has a version.
+        if _pointer(library.eglQueryString, get(found[1])(0x313F, device, None), 0x3054)
+    ]
+    if not used:
+        return None
+    return "software" if all(b"EGL_MESA_device_software" in each for each in used) else "hardware"
 
 
 def _glx() -> HostContext | None:

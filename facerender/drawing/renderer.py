@@ -104,8 +104,9 @@ class Renderer:
     ----------
     size : width and height in pixels, or one number for both, each in [1, 16384]; default 1024
     samples : samples per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software
-        driver), multisampling shades each visible surface once per pixel. Above this limit, the
-        renderer averages one image per sample, so that each sample is shaded
+        driver), multisampling shades each visible surface once per pixel; NVIDIA's driver shades
+        it 4 times with 16 samples, and 16 times with 64. Above this limit, the renderer averages
+        one image per sample, so that each sample is shaded
     backend : "auto" (default), "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the
         host's context
     anisotropy : maximum anisotropy of texture filtering, 1 (isotropic, default) to 16; 8 nearly
@@ -561,7 +562,8 @@ class Renderer:
             if scene.environment is not None:
                 drawn[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
-                step = replace(step, target=self._sized(step.target))
+                if (own := self._sized(step.target)) is not step.target:
+                    step = replace(step, target=own)
                 target = self._resources.draw(step, scene.mesh, drawn)
                 kind = step.target
                 if kind.samples > 1 and kind.values == "color" and kind.resolved:

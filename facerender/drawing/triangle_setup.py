@@ -42,7 +42,7 @@ class TriangleSetup:
         vertices = np.empty((len(part.positions), 6), dtype=np.float32)
         vertices[:, :3], vertices[:, 3:] = mesh.normalised(part.positions), part.normals
         faces = np.asarray(part.faces, dtype=np.uint32)
-        return cls((*mesh.center, mesh.radius), vertices, faces)
+        return cls((*mesh.center.tolist(), mesh.radius), vertices, faces)
 
     @property
     def positions(self) -> NDArray[np.float32]:
@@ -103,6 +103,6 @@ def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
     """Return the triangle setup of a part of a mesh, from a cache. Meshes with the same centre and
     radius share one setup."""
     known = _made.get(part)
-    if known is None or known.space != (*mesh.center, mesh.radius):
+    if known is None or known.space != (*mesh.center.tolist(), mesh.radius):
         _made[part] = known = TriangleSetup.of(part, mesh)
     return known

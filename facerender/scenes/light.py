@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -311,10 +312,18 @@ def light_axes(light: Light, mesh: Mesh) -> Float:
     """Return an orthonormal basis for a light as columns (3, 3). The third column points from the
     mesh's centre to the light."""
     towards = light.direction if light.position is None else mesh.normalised(light.position)
-    towards = towards / np.linalg.norm(towards)
+    return _axes(*towards.tolist())
+
+
+@lru_cache(maxsize=64)  # every frame needs the axes of the same lights
+def _axes(x: float, y: float, z: float) -> Float:
+    """Return the basis of :func:`light_axes` for a vector to the light; read-only."""
+    towards = np.array([x, y, z]) / np.linalg.norm([x, y, z])
     across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)
     across /= np.linalg.norm(across)
-    return np.stack([across, np.cross(towards, across), towards], axis=1)
+    axes = np.stack([across, np.cross(towards, across), towards], axis=1)
+    axes.flags.writeable = False
+    return axes
 
 
 def lights_of(lights: Any) -> tuple[Light, ...]:

@@ -10,7 +10,7 @@ from weakref import ref
 
 import numpy as np
 
-from facerender.drawing.passes import Area, Draw, Pass, Target
+from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.transparency import BlendedPart, mask_features, unblended
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
@@ -68,11 +68,6 @@ def with_shadows(
         )
     texels = _texels(view, size, len(spaces))
     target = Target(size=(len(spaces) * texels, texels), sampled=True, values="number")
-    draws = tuple(
-        draw
-        for number, space in enumerate(spaces)
-        for draw in _draws(scene, space, (number * texels, 0, texels, texels))
-    )
     mesh = scene.mesh
     key = (
         *(ref(part) for part in mesh.parts),
@@ -80,7 +75,9 @@ def with_shadows(
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
-    drawn = Pass(SHADOW_MAP, target, draws, (_EMPTY, 0.0, 0.0, 0.0), key=key)
+    drawn = Pass(
+        SHADOW_MAP, target, _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0), key=key
+    )
     tiles = {"shadow_tiles": (texels, _BLOCKS)}
     return [
         drawn,
@@ -162,21 +159,21 @@ def _tops(count: int, key: Hashable) -> Pass:
     return Pass(SHADOW_TOPS, target, tuple(draws), key=key)
 
 
-def _draws(scene: Scene, space: LightSpace, area: Area) -> list[Draw]:
-    uniforms = {"to_light": space.matrix, "top": space.top}
-    draws = []
+def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, ...]:
+    draws, shading = [], Shading()
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         alpha = drawn_alpha(part, material)
         if alpha == "blend" or material.transmission > 0.0:
             continue
-        features = mask_features(surface_features(part, material, Shading()))
+        features = mask_features(surface_features(part, material, shading))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
-        if alpha == "mask":
-            own = {**part_uniforms(part, material), **uniforms}
-            draws.append(Draw(program, own, part, material, area=area))
-        else:
-            draws.append(Draw(program, uniforms, part, area=area))
-    return draws
+        cut = alpha == "mask"
+        own = part_uniforms(part, material) if cut else {}
+        for number, space in enumerate(spaces):
+            uniforms = {**own, "to_light": space.matrix, "top": space.top}
+            area = number * texels, 0, texels, texels
+            draws.append(Draw(program, uniforms, part, material if cut else None, area=area))
+    return tuple(draws)
 
 
 def _cut(material: Material) -> Hashable:

@@ -26,21 +26,28 @@ _WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to
 
 
 def blocks() -> dict[str, str]:
-    measurement = measurement_of(load("llvmpipe"))
+    measurement, h200 = (measurement_of(load(name)) for name in ("llvmpipe", "h200"))
     compiled = [load("offline"), load("mobile")]
     instructions = compiled[0]["instructions"] | compiled[1]["instructions"]
-    facts = measurement.as_dict()["environment"]
     return {
         "readme": headline(measurement),
-        "machine": "{date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of"
-        " {processor}".format(**facts),
+        "machine": _machine(measurement),
+        "machine-h200": _machine(h200),
         "amd": load("amd")["driver"],
         **{f"program-{model}": in_program(measurement, model) for model in MODELS},
         "costs": _tables([*cost_tables(measurement), *amd_tables(measurement)]),
+        "costs-h200": _tables(cost_tables(h200)),
         "errors": _tables(error_tables(measurement)),
         "compilers": ", ".join(compiled[0]["compilers"] + compiled[1]["compilers"]),
         **{f"instructions-{model}": instruction_table(instructions, model) for model in MODELS},
     }
+
+
+def _machine(measurement: Measurement) -> str:
+    """Return date, driver and processor of a measurement."""
+    return ("{date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of {processor}").format(
+        **measurement.as_dict()["environment"]
+    )
 
 
 def amd(family: str, measured: MeasuredVariant) -> Statistics:
