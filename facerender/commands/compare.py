@@ -56,8 +56,9 @@ def add(compare: argparse.ArgumentParser) -> None:
     limits = compare.add_argument_group("limits, above which the images differ")
     for name in (each.name for each in fields(Limits)):
         text, unit, _ = CHECKS[name]
-        if unit.startswith("%"):
-            text, unit = f"{text}, as a fraction{unit[1:]}", ""
+        unit, _, remark = unit.partition(" ")
+        if unit == "%":
+            text, unit = f"{text}, as a fraction {remark}", ""
         values = Range(0.0, HIGHEST, unit)
         add_number(limits, name, text, values, default_of(name), metavar="LIMIT")
     file = Help("pytest's ini file, or pyproject.toml: limits that no option sets", "none")

@@ -13,21 +13,21 @@ class Check(NamedTuple):
     Attributes
     ----------
     quantity : noun phrase for the measured quantity
-    linear, srgb8 : unit in linear images and in 8-bit images. The first word is the unit, "%" for a
-        fraction; a remark may follow
+    unit : unit, "%" for a fraction, and a remark on the limit
+    levels : unit and remark in 8-bit images; "" if they are the same
     """
 
     quantity: str
-    linear: str = ""
-    srgb8: str = ""
+    unit: str = ""
+    levels: str = ""
 
     def amount(self, value: float, encoding: Encoding, remark: bool = False) -> str:
         """Return a value with its unit, such as "0.5 %"."""
-        unit = self.linear if encoding == "linear" else self.srgb8
-        text = number(100.0 * value if unit.startswith("%") else value)
-        word, _, more = unit.partition(" ")
-        word = word.removesuffix("s") if text == "1" else word
-        return f"{text} {word} {more if remark else ''}".rstrip()
+        unit, _, more = ((encoding == "srgb8" and self.levels) or self.unit).partition(" ")
+        value = 100.0 * value if unit == "%" else value
+        text = f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+        unit = unit.removesuffix("s") if text == "1" else unit
+        return f"{text} {unit} {more if remark else ''}".rstrip()
 
     def sentence(self, limit: float, encoding: Encoding) -> str:
         """Return the meaning of a limit."""
@@ -36,26 +36,20 @@ class Check(NamedTuple):
 
 CHECKS = {
     "point": Check(
-        "difference of a pixel that the pixels around it do not explain", "radiance", "levels"
+        "difference of a pixel that the pixels around it do not explain",
+        "radiance (more at a lone pixel in texture or at an edge)",
+        "levels (more at a lone pixel in texture or at an edge)",
     ),
     "slivers": Check(
-        "number of pixels over the limit of point, slivers at edges included",
-        *("pixels (50 and 1 in 10,000)", "pixels (50 and 1 in 10,000)"),
+        "number of pixels over the limit of point, slivers at edges included,",
+        "pixels (50 and 1 in 10,000)",
     ),
     "block": Check("change of the mean of a block of 16 x 16 pixels", "% of this mean", "levels"),
     "trend": Check("mean product of adjacent blocks' changes in units of the standard errors"),
     "grain": Check("noise added or lost between adjacent pixels", "% of a pixel's level", "levels"),
     "texture": Check(
-        "variance between adjacent pixels that was added or lost",
-        *("% of this variance", "% of this variance"),
+        "variance between adjacent pixels that was added or lost", "% of the variance"
     ),
-    "shift": Check("displacement of the whole image", "pixels", "pixels"),
-    "coverage": Check(
-        "number of pixels whose coverage changed", *("% of all pixels", "% of all pixels")
-    ),
+    "coverage": Check("number of pixels whose coverage changed", "% of all pixels"),
+    "shift": Check("displacement of the whole image", "pixels"),
 }
-
-
-def number(value: float) -> str:
-    """Return a number with three significant digits."""
-    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"

@@ -27,6 +27,7 @@ VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the 
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
 IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"
 THUMBNAIL = 160  # largest width and height in pixels
+OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
 MAP = 1 << 18  # largest number of pixels of a difference
 EXACT = 25_000_000  # characters of a page; in longer pages, the largest images are compressed
 # Width of the enlarged area around a place, keyed by the width of the place, in pixels.
@@ -83,8 +84,7 @@ def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None
 _NOTES = """
 <svg width="0" height="0" aria-hidden="true"><filter id="thicken">
 <feMorphology operator="dilate" radius="1"/></filter></svg>
-<section>
-<h2>How to read this</h2>
+<details><summary><h2>How to read this</h2></summary>
 <dl class="note">
 <dt>difference</dt>
 <dd>B − A in the channel that differs most: orange where B is brighter, blue where B is darker,
@@ -101,7 +101,7 @@ yellow. The page contains it if <code>pip install 'facerender[measure]'</code> i
 <dd>X swaps A and B. Click on an image or on an enlarged place to enlarge all images there, move
 with the arrow keys, and press Escape or click again to show the whole images.</dd>
 </dl>
-</section>"""
+</details>"""
 
 
 def _page(entries: Sequence[Entry]) -> str:
@@ -113,7 +113,9 @@ def _page(entries: Sequence[Entry]) -> str:
     rows = (entry.row.replace(INDEX, str(position)) for position, entry in enumerate(ranked))
     compressed = _to_compress(ranked)
     sections = (
-        _with_images(entry, position in compressed).replace(INDEX, str(position))
+        _with_images(entry, position in compressed, position < OPEN and entry.status > 0).replace(
+            INDEX, str(position)
+        )
         for position, entry in enumerate(ranked)
     )
     summary = table("names", ("pair", "verdict", "reason"), rows) if len(ranked) > 1 else ""
@@ -137,9 +139,9 @@ def _to_compress(entries: Sequence[Entry]) -> set[int]:
     return chosen
 
 
-def _with_images(entry: Entry, compressed: bool) -> str:
+def _with_images(entry: Entry, compressed: bool, opened: bool) -> str:
     """Return an entry's section, with the images A and B filled in."""
-    section = entry.section
+    section = entry.section.replace("<details", "<details open", 1) if opened else entry.section
     for letter, source in entry.images.items():
         section = section.replace(IMAGE + letter, _compressed(source) if compressed else source)
     return section.replace(IMAGE, "compressed" if compressed else "exact")
@@ -162,19 +164,17 @@ def _reasons(pair: Pair) -> Sequence[str]:
 
 
 def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
-    title = f"{escape(pair.name)} {_verdict(pair)}"
-    items = "".join(f"<li>{escape(reason)}</li>" for reason in _reasons(pair))
     checks = "" if pair.comparison is None else _check_table(pair.comparison)
-    tables = f'<div class="tables">{_facts(pair)}{checks}</div>'
     if pair.status == 0 and pair.reference:
         source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
-        return (
-            f'<details class="same"><summary>{title}</summary><div id="pair-{INDEX}">'
-            f'<img class="thumbnail" src="{source}" alt="the image">{tables}</div></details>'
-        )
+        images = f"<p>{_image(source, 'the image')}</p>"
+    else:
+        images = _viewer(pair, displayed, large)
+    items = "".join(f"<li>{escape(reason)}</li>" for reason in _reasons(pair))
     return (
-        f'<section id="pair-{INDEX}" class="{VERDICTS[pair.status]}"><h2>{title}</h2>'
-        f'<ul class="reasons">{items}</ul>{_viewer(pair, displayed, large)}{tables}</section>'
+        f'<details class="{VERDICTS[pair.status]}"><summary><h2>{escape(pair.name)} '
+        f'{_verdict(pair)}</h2></summary><div id="pair-{INDEX}"><ul class="reasons">{items}</ul>'
+        f'{images}<div class="tables">{_facts(pair)}{checks}</div></div></details>'
     )
 
 
@@ -185,40 +185,37 @@ def _verdict(pair: Pair) -> str:
 def _check_table(result: Comparison) -> str:
     """Return a table of all checks: value and limit in one unit, and the meaning of the limit."""
     limits, factor = result.limits, result.limit_factor
-    signs = {"point": result.point, "block": result.block}
-    remarks = {name: "brighter" if sign > 0.0 else "darker" for name, sign in signs.items() if sign}
-    over = {
-        "point": f"{result.points} pixels",
-        "block": f"{result.blocks} of {result.blocks_judged}",
-    }
-    at = {"point": result.point_at, "block": result.block_at}
-    for name in remarks:
-        remarks[name] += f" at {at[name]}; {over[name]} over"
     x, y = result.shift
-    if max(abs(x), abs(y)) >= 0.005:
-        remarks["shift"] = f"{x:+.2f} to the right, {y:+.2f} down"
-    trend = max(result.trend, 0.0) if result.z_score > SURE else 0.0
+    judged = f"{result.blocks} of {result.blocks_judged} blocks"
+    where = {
+        "point": _where(result.point, result.point_at, f"{result.points} pixels"),
+        "block": _where(result.block, result.block_at, judged),
+        "shift": f"{x:+.2f} to the right, {y:+.2f} down" if max(abs(x), abs(y)) > 0.005 else "",
+    }
     rows = []
-    for name, value, limit, failed in (
-        ("point", abs(result.point), limits.point, result.points > 0),
-        ("slivers", result.slight, int(result.sliver_limit), None),
-        ("block", abs(result.block), limits.block, result.blocks > 0),
-        ("trend", trend, factor * limits.trend, None),
-        ("grain", result.grain, factor * limits.grain, None),
-        ("texture", result.texture, factor * limits.texture, None),
-        ("shift", max(abs(x), abs(y)), limits.shift, None),
-        ("coverage", result.coverage, limits.coverage, None),
+    for name, value, limit in (
+        ("point", abs(result.point), limits.point),
+        ("slivers", result.slight, int(result.sliver_limit)),
+        ("block", abs(result.block), limits.block),
+        ("trend", max(result.trend, 0.0) * (result.z_score > SURE), factor * limits.trend),
+        ("grain", result.grain, factor * limits.grain),
+        ("texture", result.texture, factor * limits.texture),
+        ("shift", max(abs(x), abs(y)), limits.shift),
+        ("coverage", result.coverage, limits.coverage),
     ):
         if value < 0.0:
-            value, limit, remarks[name] = -value, BLUR * limit, "less in B"
-        over_limit = value > limit if failed is None else failed
+            value, limit, where[name] = -value, BLUR * limit, "less in B"
         figures = [CHECKS[name].amount(each, result.encoding) for each in (value, limit)]
-        relation = (" &gt; " if over_limit else " ≤ ").join(figures)
-        relation = f'<span class="over">{relation}</span>' if over_limit else relation
-        meaning = escape(CHECKS[name].sentence(limit, result.encoding))
-        cells = relation, remarks.get(name, ""), meaning
-        rows.append(row(name, cells, "changed" if over_limit else ""))
+        relation = (" &gt; " if value > limit else " ≤ ").join(figures)
+        failed = value > limit and not result.same
+        cells = [f'<span class="over">{relation}</span>' if failed else relation]
+        cells += [where.get(name, ""), escape(CHECKS[name].sentence(limit, result.encoding))]
+        rows.append(row(name, cells, "changed" if failed else ""))
     return table("checks", ("check", "value and limit", "B is", "meaning of the limit"), rows)
+
+
+def _where(change: float, at: tuple[int, int], over: str) -> str:
+    return f"{'brighter' if change > 0.0 else 'darker'} at {at}; {over} over" if change else ""
 
 
 def _facts(pair: Pair) -> str:
@@ -361,7 +358,7 @@ def _mark(place: tuple[int, int, int], shape: Sequence[int], kind: str) -> str:
 
 
 def _image(source: str, alt: str) -> str:
-    return f'<img src="{source}" alt="{alt}" draggable="false">'
+    return f'<img src="{source}" alt="{alt}" loading="lazy" draggable="false">'
 
 
 def _source(pixels: visualization.Bytes) -> str:

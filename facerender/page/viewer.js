@@ -23,7 +23,7 @@ for (const viewer of document.querySelectorAll(".viewer")) {
       figure.style.setProperty("--z", zoom);
     }
   }
-  addEventListener("resize", () => look(centre));
+  addEventListener("resize", () => centre && look(centre));
   wholes.push(() => look(null));
 
   for (const place of places) {
