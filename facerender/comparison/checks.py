@@ -41,7 +41,7 @@ CHECKS = {
         "levels (more at a lone pixel in texture or at an edge)",
     ),
     "slivers": Check(
-        "number of pixels over the limit of point, slivers at edges included,",
+        "number of pixels over the limit of point, including slivers at edges",
         "pixels (50 and 1 in 10,000)",
     ),
     "block": Check("change of the mean of a block of 16 x 16 pixels", "% of this mean", "levels"),

@@ -186,10 +186,11 @@ def _check_table(result: Comparison) -> str:
     """Return a table of all checks: value and limit in one unit, and the meaning of the limit."""
     limits, factor = result.limits, result.limit_factor
     x, y = result.shift
-    judged = f"{result.blocks} of {result.blocks_judged} blocks"
+    points = CHECKS["slivers"].amount(result.points, result.encoding)
+    blocks = f"{result.blocks} of {result.blocks_judged} blocks"
     where = {
-        "point": _where(result.point, result.point_at, f"{result.points} pixels"),
-        "block": _where(result.block, result.block_at, judged),
+        "point": _where(result.point, result.point_at, points),
+        "block": _where(result.block, result.block_at, blocks),
         "shift": f"{x:+.2f} to the right, {y:+.2f} down" if max(abs(x), abs(y)) > 0.005 else "",
     }
     rows = []
