@@ -222,7 +222,7 @@ def test_changed_metadata_comes_first(parsed: Page) -> None:
     """Rows that differ are marked and above the folded table of equal rows; the name is on top."""
     assert parsed.text[at(NAME)].count("extra") == 1
     text = parsed.text[at(NAME)]
-    assert "ABimagea.exrb.exrsamples41extranew2 equal propertiesABpixels" in text
+    assert "ABimagea.exrb.exrsamples41extra–new2 equal propertiesABpixels" in text
     assert "GL_RENDERER<llvm> & pipe<llvm> & pipe" in text.partition("equal properties")[2]
     marked = [a for tag, a, id in parsed.tags if (tag, id) == ("tr", at(NAME)) and a.get("class")]
     failed = text.count(" > ")

@@ -226,15 +226,15 @@ def _facts(pair: Pair) -> str:
     facts = {name: _fact(image) for name, image in images.items() if image}
     rows: dict[bool, list[str]] = {True: [], False: []}
     for key in dict.fromkeys(key for fact in facts.values() for key in fact):
-        values = [fact.get(key, "") for fact in facts.values()]
+        values = [fact.get(key, "–") for fact in facts.values()]
         changed = len(set(values)) > 1
         mark = "changed" if changed and key != "image" else ""
         rows[changed or key == "image"].append(row(escape(key), map(escape, values), mark))
     if not facts:
         return ""
     first, others = (table("facts", ("", *facts), rows[each]) for each in (True, False))
-    equal = f"<details><summary>{len(rows[False])} equal properties</summary>{others}</details>"
-    return f"<div>{first}{equal}</div>"
+    title = f"{len(rows[False])} {'equal ' * (len(facts) > 1)}properties"
+    return f"<div>{first}<details><summary>{title}</summary>{others}</details></div>"
 
 
 def _fact(image: ImageData) -> dict[str, str]:

@@ -127,6 +127,8 @@ def _step(pixels: Bytes, most: int) -> int:
 
 def _worst(key: NDArray[Any], step: int, *images: Bytes) -> list[Bytes]:
     """Return images (H, W, 3), reduced to the pixel with the largest key (H, W) of each cell."""
+    if step == 1:
+        return [*images]
     height, width = (-(-side // step) for side in key.shape)
     ends = [(0, height * step - key.shape[0]), (0, width * step - key.shape[1])]
 
