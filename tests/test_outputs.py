@@ -95,7 +95,7 @@ READ = [
     ("path.toml", (*PLAN, "--camera", "path.toml", "--emit"), ".glsl"),
     ("skin.png", ("compare", "skin.png", "mask.png", "--heatmap"), ".png"),
     ("mask.png", ("compare", "skin.png", "mask.png", "--report"), ".html"),
-    ("mask.png", ("compare", "skin.png", "skin.png", "--mask", "mask.png", "--report"), ".a"),
+    ("mask.png", ("compare", "skin.png", "skin.png", "--mask", "mask.png", "--report"), ".html"),
     ("skin.png", ("explore", "head.obj", "--albedo", "skin.png", "-o"), ".html"),
     ("skin.png", ("shaders", "prepare-normal-map", "skin.png"), ".ktx2"),
 ]

@@ -65,9 +65,10 @@ def test_every_colour_has_enough_contrast(browser, tmp_path, scheme) -> None:
         table("facts", ("", "verdict"), rows, "title <small>note</small>")
         + table("numbers costs", ("", "remark"), [row("name", ["0.5"], "dominated")])
         + '<p>text <a href="#">link</a></p><p class="note">note</p>'
-        + '<div class="controls"><fieldset><legend>view</legend><label>blink</label></fieldset>'
-        + "</div><details open><summary>pair</summary></details><dl><dt>a</dt><dd>b</dd></dl>"
-        + '<div class="stage"><figure><figcaption>a <b>b</b></figcaption></figure></div>'
+        + "<details open><summary><h2>pair</h2></summary></details><dl><dt>a</dt><dd>b</dd></dl>"
+        + '<div class="stage"><figure><figcaption>a <b>b</b><label>FLIP</label>'
+        + '<button class="swap">swap <kbd>X</kbd></button></figcaption></figure></div>'
+        + '<button class="place"><b>c</b> at<span><span class="crop">A</span></span></button>'
         + figure(PNG, "caption")
     )
     path = tmp_path / "page.html"

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
@@ -18,22 +21,22 @@ from facerender.commands.common import (
 )
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
-from facerender.comparison.result import LIMITS
+from facerender.comparison import flip
+from facerender.comparison.checks import CHECKS
+from facerender.comparison.result import LIMITS, Limits
 from facerender.comparison.sources import HIGHEST
-from facerender.errors import InputError, warn
+from facerender.errors import InputError, clipped, warn
 from facerender.images.read import read_image
+from facerender.images.write import WRITTEN
 from facerender.system.atomic import write_text
 from facerender.terms.ranges import Range
 
-# Help text and unit of each limit, keyed by the name of the limit.
-LIMITED = {
-    "point": ("difference of a pixel that the pixels around it do not explain", "radiance"),
-    "block": ("change of the mean of a block of pixels, divided by this mean", ""),
-    "trend": ("mean product of adjacent blocks' changes, in units of the standard errors", ""),
-    "grain": ("noise added between adjacent pixels, as a fraction of a pixel's level", ""),
-    "texture": ("fraction of the variance between adjacent pixels that was added or lost", ""),
-    "coverage": ("fraction of the pixels whose coverage changed", ""),
-    "shift": ("displacement of the whole image", "pixels"),
+# Suffixes of each output file, keyed by the option's name in Python.
+OUTPUTS = {
+    "heatmap": (".png",),
+    "sheet": (*WRITTEN,),
+    "report": (".html", ".htm"),
+    "output": (".ini", ".cfg", ".toml"),
 }
 
 
@@ -51,7 +54,11 @@ def add(compare: argparse.ArgumentParser) -> None:
     image = Help("image to compare, or a folder of images with the same names", needed)
     compare.add_argument("b", metavar="B", nargs="?", help=image)
     limits = compare.add_argument_group("limits, above which the images differ")
-    for name, (text, unit) in LIMITED.items():
+    for name in (each.name for each in fields(Limits)):
+        text, unit, _ = CHECKS[name]
+        unit, _, remark = unit.partition(" ")
+        if unit == "%":
+            text, unit = f"{text}, as a fraction {remark}", ""
         values = Range(0.0, HIGHEST, unit)
         add_number(limits, name, text, values, default_of(name), metavar="LIMIT")
     file = Help("pytest's ini file, or pyproject.toml: limits that no option sets", "none")
@@ -103,17 +110,9 @@ def run(options: argparse.Namespace) -> int:
         given = "no images" if options.a is None else "only one image"
         raise InputError(f"{given}: give A and B, or --calibrate with a folder")
     names = pairs_of(options.a, options.b)
-    limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
+    limits: dict[str, Any] = {each.name: getattr(options, each.name) for each in fields(Limits)}
     limits["limits"] = read_limits(options.limits) if options.limits else {}
-    for option in ("heatmap", "sheet"):
-        if getattr(options, option) and len(names) > 1:
-            raise InputError(
-                f"--{option} needs two images, not folders with {len(names)} pairs: leave it out"
-            )
-    read = [path for _, *paths in names for path in paths]
-    check_outputs(
-        [options.heatmap, options.sheet, options.report], [*read, options.mask, options.limits]
-    )
+    check_results(options, [path for _, *paths in names for path in paths], len(names))
     results, entries, status = [], [], 0
     all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
     with progress_bar(options) as progress:
@@ -144,16 +143,47 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
+def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pairs: int = 1) -> None:
+    """Check all output files before the images are compared.
+
+    Parameters
+    ----------
+    images : compared images, which no output may replace
+    pairs : number of pairs of images
+
+    Raises
+    ------
+    InputError : an output has another suffix than its format, shows one of several pairs, or cannot
+        be written, see :func:`check_outputs`; the package for --heatmap is missing
+    """
+    for name, suffixes in OUTPUTS.items():
+        path = getattr(options, name)
+        if path and name in ("heatmap", "sheet") and pairs > 1:
+            raise InputError(
+                f"--{name} needs two images, not folders with {pairs} pairs: leave it out"
+            )
+        if path and (suffix := os.path.splitext(path)[1].lower()) not in suffixes:
+            raise InputError(
+                f"--{name} {clipped(path)}: unknown format {suffix!r}; give {', '.join(suffixes)}"
+            )
+    if options.heatmap:
+        flip.check_installed()
+    check_outputs(
+        [getattr(options, name) for name in OUTPUTS], [*images, options.mask, options.limits]
+    )
+
+
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import calibration_of, runs_of, text_of
 
-    for name in ("a", *LIMITED, "limits", "heatmap", "sheet", "report"):
+    limits = (each.name for each in fields(Limits))
+    for name in ("a", *limits, "limits", "heatmap", "sheet", "report"):
         if getattr(options, name) is not None:
             option = name.upper() if name == "a" else f"--{name}"
             raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")
     pairs = runs_of(options.calibrate)
-    check_outputs([options.output], [options.mask])
+    check_results(options)
     if options.output and os.path.exists(options.output):
         raise InputError(
             f"{options.output} exists: write to a new file, then copy the sections of the new file "

@@ -5,6 +5,7 @@ Only this module imports flip_evaluator.
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -43,11 +44,16 @@ def heat_map(reference: Image, image: Image, step: int = 1) -> NDArray[np.uint8]
     return np.asarray(np.round(255.0 * colors.clip(0.0, 1.0)), dtype=np.uint8)
 
 
+def check_installed() -> None:
+    """Raise InputError if the package flip-evaluator is missing."""
+    if find_spec("flip_evaluator") is None:
+        raise InputError("FLIP needs pip install 'facerender[measure]'")
+
+
 def _evaluate(reference: Image, image: Image, magma: bool, **parameters: float) -> Any:
-    try:
-        from flip_evaluator import evaluate
-    except ImportError:
-        raise InputError("FLIP needs pip install 'facerender[measure]'") from None
+    check_installed()
+    from flip_evaluator import evaluate
+
     images = (each.astype(np.float32) for each in (reference, image))
     options = {"applyMagma": magma, "computeMeanError": False, "parameters": parameters}
     return evaluate(*images, "LDR", **options)[0]

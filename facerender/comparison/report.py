@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from base64 import b64decode
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from html import escape
-from typing import NamedTuple
 
 import numpy as np
 
 from facerender.comparison import visualization
 from facerender.comparison.blocks import BLOCK
+from facerender.comparison.checks import CHECKS
 from facerender.comparison.compare import Pair
 from facerender.comparison.result import BLUR, SURE, Comparison
 from facerender.errors import InputError
@@ -26,10 +27,11 @@ VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the 
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
 IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"
 THUMBNAIL = 160  # largest width and height in pixels
+OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
+MAP = 1 << 18  # largest number of pixels of a difference
 EXACT = 25_000_000  # characters of a page; in longer pages, the largest images are compressed
-EXACT_SIDE = 64  # pixels per side of the exact area around a place in a compressed image
-CHECKS = ("point", "slivers", "block", "trend", "grain", "texture", "shift", "coverage")
-MODES = ("side by side", "blink", "slider", "difference")
+# Width of the enlarged area around a place, keyed by the width of the place, in pixels.
+AROUND = {1: 17, BLOCK: 2 * BLOCK}
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,9 @@ class Entry:
     ----------
     name, status : name and status of the pair
     row : HTML of the pair's table row; the placeholder INDEX stands for the entry's index
-    section : HTML of the pair's section, also with INDEX. IMAGE and a letter stand for the image of
-        that letter; IMAGE alone stands for "exact" or "compressed"
-    images : images A and B as data URLs, keyed by "a" and "b"
-    places : x and y of the places around which compressed images stay exact
+    section : HTML of the pair's section, also with INDEX. IMAGE and a letter stand for the URL of
+        the image of that letter; IMAGE alone stands for "exact" or "compressed"
+    images : images A and B as data URLs, keyed by "A" and "B"
     """
 
     name: str
@@ -51,23 +52,21 @@ class Entry:
     row: str
     section: str
     images: Mapping[str, str] = field(default_factory=dict)
-    places: Sequence[Sequence[int]] = ()
 
 
 def entry(pair: Pair) -> Entry:
     """Return the entry of a pair."""
-    sources = {"a": pair.reference, "b": pair.image} if pair.status else {}
-    images = {key: image for key, image in sources.items() if image}
+    sources = {"A": pair.reference, "B": pair.image} if pair.status else {}
+    images = {letter: image for letter, image in sources.items() if image}
     most = max((image.pixels[..., 0].size for image in images.values()), default=0)
     large = most > visualization.MAX_PIXELS
-    displayed = {} if large else {k: visualization.displayed(x) for k, x in images.items()}
+    displayed = {} if large else {key: visualization.displayed(x) for key, x in images.items()}
     return Entry(
         name=pair.name,
         status=pair.status,
         row=_row(pair),
         section=_section(pair, displayed, large),
-        images={key: _source(pixels) for key, pixels in displayed.items()},
-        places=[_centre(place) for place in _places(pair).values()] if displayed else [],
+        images={letter: _source(pixels) for letter, pixels in displayed.items()},
     )
 
 
@@ -83,46 +82,26 @@ def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None
 
 
 _NOTES = """
-<section>
-<h2>How to read this</h2>
+<svg width="0" height="0" aria-hidden="true"><filter id="thicken">
+<feMorphology operator="dilate" radius="1"/></filter></svg>
+<details><summary><h2>How to read this</h2></summary>
 <dl class="note">
-<dt>point</dt>
-<dd>The largest difference of a pixel from the range of its neighbourhood in the other image. The
-check detects fireflies and missing pixels. It passes edges that moved by a fraction of a pixel.
-</dd>
-<dt>slivers</dt>
-<dd>The number of pixels over the point limit, including pixels at edges, where thin slivers of
-light and shade may appear or vanish.</dd>
-<dt>block</dt>
-<dd>The largest change of a block's mean (16 × 16 covered pixels), without the effect of a shift of
-the whole image. In linear images, the change is divided by the mean. The check detects a changed
-lobe or specular weight; noise averages out.</dd>
-<dt>trend</dt>
-<dd>How much neighbouring blocks changed in the same direction, even if each block is within the
-block limit; 0 if chance may explain the changes.</dd>
-<dt>grain</dt>
-<dd>How much more or less noise between adjacent pixels B has than A.</dd>
-<dt>texture</dt>
-<dd>How much more or less fine detail B has than A.</dd>
-<dt>shift</dt>
-<dd>The displacement of B from A, in pixels to the right and down.</dd>
-<dt>coverage</dt>
-<dd>The fraction of the pixels whose coverage (alpha channel) changed.</dd>
-<dt>heat map</dt>
-<dd>FLIP: the difference that an observer sees when the images alternate, from black (none) to
-pale yellow. For a large image, each pixel of the map shows the pixel that differs most in a cell of
-the image.</dd>
-<dt>images</dt>
-<dd>Linear radiance 1 is white; the background is black; pixels that are not finite are magenta.
-Click on an image to enlarge a place, move it with the arrow keys, and click again to show the whole
-image. In a page of very many pairs, A and B may be compressed, as their captions state. Compressed
-images are exact around the marks only. The image of the difference is always exact.</dd>
+<dt>difference</dt>
+<dd>B − A in the channel that differs most: orange where B is brighter, blue where B is darker,
+violet where only the coverage changed. The largest difference has the full colour. In an image of
+more than 512 × 512 pixels, each pixel of the difference shows the pixel that differs most in a cell
+of the image; the enlarged places are exact.</dd>
+<dt>A and B</dt>
+<dd>Linear radiance 1 is white; the background is black; pixels that are not finite are magenta. In
+a page of very many pairs, A and B may be compressed, as their caption states.</dd>
+<dt>FLIP</dt>
+<dd>The difference that an observer sees when the images alternate, from black (none) to pale
+yellow. The page contains it if <code>pip install 'facerender[measure]'</code> installed FLIP.</dd>
+<dt>controls</dt>
+<dd>X swaps A and B. Click on an image or on an enlarged place to enlarge all images there, move
+with the arrow keys, and press Escape or click again to show the whole images.</dd>
 </dl>
-</section>"""
-
-_MOTION = """<label class="cut">split <input type="range" min="0" max="100" value="50"></label>
-<label class="blinking"><input type="checkbox" class="run">run</label>
-<button class="blinking swap" type="button">swap</button>"""
+</details>"""
 
 
 def _page(entries: Sequence[Entry]) -> str:
@@ -131,13 +110,15 @@ def _page(entries: Sequence[Entry]) -> str:
     counts = Counter(entry.status for entry in entries)
     words = {1: "differs" if counts[1] == 1 else "differ", 2: "not comparable", 0: "the same"}
     title = ", ".join(f"{counts[key]} {word}" for key, word in words.items() if counts[key])
-    rows = (entry.row.replace(INDEX, str(number)) for number, entry in enumerate(ranked))
+    rows = (entry.row.replace(INDEX, str(position)) for position, entry in enumerate(ranked))
     compressed = _to_compress(ranked)
     sections = (
-        _with_images(entry, number in compressed).replace(INDEX, str(number))
-        for number, entry in enumerate(ranked)
+        _with_images(entry, position in compressed, position < OPEN and entry.status > 0).replace(
+            INDEX, str(position)
+        )
+        for position, entry in enumerate(ranked)
     )
-    summary = table("names", ("pair", "verdict", *CHECKS), rows)
+    summary = table("names", ("pair", "verdict", "reason"), rows) if len(ranked) > 1 else ""
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
 
@@ -150,60 +131,50 @@ def _to_compress(entries: Sequence[Entry]) -> set[int]:
     sizes = [sum(map(len, entry.images.values())) for entry in entries]
     left = sum(sizes) + sum(len(entry.section) for entry in entries)
     chosen = set()
-    for number in sorted(range(len(entries)), key=lambda number: -sizes[number]):
+    for position in sorted(range(len(entries)), key=lambda position: -sizes[position]):
         if left <= EXACT:
             break
-        chosen.add(number)
-        left -= sizes[number]
+        chosen.add(position)
+        left -= sizes[position]
     return chosen
 
 
-def _with_images(entry: Entry, compressed: bool) -> str:
+def _with_images(entry: Entry, compressed: bool, opened: bool) -> str:
     """Return an entry's section, with the images A and B filled in."""
-    section = entry.section
+    section = entry.section.replace("<details", "<details open", 1) if opened else entry.section
     for letter, source in entry.images.items():
-        images = _compressed(source, letter, entry.places) if compressed else _image(source, letter)
-        section = section.replace(IMAGE + letter, images)
+        section = section.replace(IMAGE + letter, _compressed(source) if compressed else source)
     return section.replace(IMAGE, "compressed" if compressed else "exact")
 
 
-def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
-    """Return HTML of a lossily compressed image, covered by exact crops around the places."""
+def _compressed(source: str) -> str:
     pixels = visualization.decoded(b64decode(source.partition(",")[2]))
-    height, width = pixels.shape[:2]
-    images = _image(image_source(visualization.lossy(pixels), "webp"), letter)
-    for x, y in places:
-        left, top = max(x - EXACT_SIDE // 2, 0), max(y - EXACT_SIDE // 2, 0)
-        crop = pixels[top : top + EXACT_SIDE, left : left + EXACT_SIDE]
-        down, across = crop.shape[:2]
-        style = _box(left / width, top / height, across / width, down / height)
-        images += f'<img class="near" style="{style}" src="{_source(crop)}" alt="">'
-    return images
+    return image_source(visualization.lossy(pixels), "webp")
 
 
 def _row(pair: Pair) -> str:
-    checks = () if pair.comparison is None else _checks(pair.comparison)
-    figures = [check.relation if check.failed else check.metric for check in checks]
-    figures = figures or ["–"] * len(CHECKS)
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
-    return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
+    cells = (_verdict(pair), escape(_reasons(pair)[0]))
+    return row(name, cells, VERDICTS[pair.status])
+
+
+def _reasons(pair: Pair) -> Sequence[str]:
+    result = pair.comparison
+    return (pair.error,) if result is None else result.reasons or (str(result),)
 
 
 def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
-    title = f"{escape(pair.name)} {_verdict(pair)}"
     checks = "" if pair.comparison is None else _check_table(pair.comparison)
-    tables = f'<div class="tables">{checks}{_facts(pair)}</div>'
     if pair.status == 0 and pair.reference:
         source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
-        return (
-            f'<details class="same"><summary>{title}</summary><div id="pair-{INDEX}">'
-            f'<img class="thumbnail" src="{source}" alt="the image">{tables}</div></details>'
-        )
-    reasons = (pair.error,) if pair.comparison is None else pair.comparison.reasons
-    items = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
+        images = f"<p>{_image(source, 'the image')}</p>"
+    else:
+        images = _viewer(pair, displayed, large)
+    items = "".join(f"<li>{escape(reason)}</li>" for reason in _reasons(pair))
     return (
-        f'<section id="pair-{INDEX}" class="{VERDICTS[pair.status]}"><h2>{title}</h2>'
-        f'<ul class="reasons">{items}</ul>{_viewer(pair, displayed, large)}{tables}</section>'
+        f'<details class="{VERDICTS[pair.status]}"><summary><h2>{escape(pair.name)} '
+        f'{_verdict(pair)}</h2></summary><div id="pair-{INDEX}"><ul class="reasons">{items}</ul>'
+        f'{images}<div class="tables">{_facts(pair)}{checks}</div></div></details>'
     )
 
 
@@ -211,70 +182,59 @@ def _verdict(pair: Pair) -> str:
     return f'<span class="verdict">{VERDICTS[pair.status]}</span>'
 
 
-class _Check(NamedTuple):
-    name: str
-    metric: str
-    limit: str
-    failed: bool
-    where: str = ""
-
-    @property
-    def relation(self) -> str:
-        if self.failed:
-            return f'<span class="over">{self.metric} &gt;&nbsp;{self.limit}</span>'
-        return f"{self.metric} ≤&nbsp;{self.limit}"
-
-
-def _checks(result: Comparison) -> list[_Check]:
-    limits, factor = result.limits, result.limit_factor
-    amount = _percent if result.encoding == "linear" else _number
-    point, block, slight = result.point, result.block, result.slight
-    over = f"{result.points} over", f"{result.blocks} of {result.blocks_judged} over"
-    at = "at ({}, {}); ".format(*result.point_at), "from ({}, {}); ".format(*result.block_at)
-    where = [
-        f"{'brighter' if each > 0.0 else 'darker'} {place}{count}" if each else ""
-        for each, place, count in zip((point, block), at, over, strict=True)
-    ]
-    most = result.sliver_limit
-    trend = max(result.trend, 0.0) if result.z_score > SURE else 0.0
-    x, y = result.shift
-    checks = [
-        _Check("point", _number(abs(point)), _number(limits.point), result.points > 0, where[0]),
-        _Check("slivers", str(slight), _number(most), slight > most),
-        _Check("block", amount(abs(block)), amount(limits.block), result.blocks > 0, where[1]),
-    ]
-    for name, value, limit, text in (
-        ("trend", trend, factor * limits.trend, _number),
-        ("grain", result.grain, factor * limits.grain, amount),
-        ("texture", result.texture, factor * limits.texture, _percent),
-        ("shift", max(abs(x), abs(y)), limits.shift, _number),
-        ("coverage", result.coverage, limits.coverage, _percent),
-    ):
-        less = f"at ({x:.2f}, {y:.2f})" if name == "shift" else ""
-        if value < 0.0:
-            limit, less = BLUR * limit, "less"
-        checks.append(_Check(name, text(abs(value)), text(limit), abs(value) > limit, less))
-    return checks
-
-
 def _check_table(result: Comparison) -> str:
-    rows = [row(check.name, [check.relation, check.where]) for check in _checks(result)]
-    rows.append(row("largest difference", [_number(result.largest), ""]))
-    rows.append(row("mean difference", [_number(result.mean), ""]))
-    unit = "radiance" if result.encoding == "linear" else "8-bit levels"
-    return table("checks", ("check", "metric and limit", "B is"), rows, f"Metrics, in {unit}")
+    """Return a table of all checks: value and limit in one unit, and the meaning of the limit."""
+    limits, factor = result.limits, result.limit_factor
+    x, y = result.shift
+    points = CHECKS["slivers"].amount(result.points, result.encoding)
+    blocks = f"{result.blocks} of {result.blocks_judged} blocks"
+    where = {
+        "point": _where(result.point, result.point_at, points),
+        "block": _where(result.block, result.block_at, blocks),
+        "shift": f"{x:+.2f} to the right, {y:+.2f} down" if max(abs(x), abs(y)) > 0.005 else "",
+    }
+    rows = []
+    for name, value, limit in (
+        ("point", abs(result.point), limits.point),
+        ("slivers", result.slight, int(result.sliver_limit)),
+        ("block", abs(result.block), limits.block),
+        ("trend", max(result.trend, 0.0) * (result.z_score > SURE), factor * limits.trend),
+        ("grain", result.grain, factor * limits.grain),
+        ("texture", result.texture, factor * limits.texture),
+        ("shift", max(abs(x), abs(y)), limits.shift),
+        ("coverage", result.coverage, limits.coverage),
+    ):
+        if value < 0.0:
+            value, limit, where[name] = -value, BLUR * limit, "less in B"
+        figures = [CHECKS[name].amount(each, result.encoding) for each in (value, limit)]
+        relation = (" &gt; " if value > limit else " ≤ ").join(figures)
+        failed = value > limit and not result.same
+        cells = [f'<span class="over">{relation}</span>' if failed else relation]
+        cells += [where.get(name, ""), escape(CHECKS[name].sentence(limit, result.encoding))]
+        rows.append(row(name, cells, "changed" if failed else ""))
+    return table("checks", ("check", "value and limit", "B is", "meaning of the limit"), rows)
+
+
+def _where(change: float, at: tuple[int, int], over: str) -> str:
+    return f"{'brighter' if change > 0.0 else 'darker'} at {at}; {over} over" if change else ""
 
 
 def _facts(pair: Pair) -> str:
-    """Return a table of the images' properties and metadata; rows that differ are marked."""
+    """Return a table of the images' names and of all properties and metadata that differ, and a
+    folded table of the others."""
     images = {"A": pair.reference, "B": pair.image}
     facts = {name: _fact(image) for name, image in images.items() if image}
-    rows = []
+    rows: dict[bool, list[str]] = {True: [], False: []}
     for key in dict.fromkeys(key for fact in facts.values() for key in fact):
-        values = [fact.get(key, "") for fact in facts.values()]
-        changed = "changed" if len(set(values)) > 1 and key != "image" else ""
-        rows.append(row(escape(key), map(escape, values), changed))
-    return table("facts", ("", *facts), rows, "Images and their metadata") if facts else ""
+        values = [fact.get(key, "–") for fact in facts.values()]
+        changed = len(set(values)) > 1
+        mark = "changed" if changed and key != "image" else ""
+        rows[changed or key == "image"].append(row(escape(key), map(escape, values), mark))
+    if not facts:
+        return ""
+    first, others = (table("facts", ("", *facts), rows[each]) for each in (True, False))
+    title = f"{len(rows[False])} {'equal ' * (len(facts) > 1)}properties"
+    return f"<div>{first}<details><summary>{title}</summary>{others}</details></div>"
 
 
 def _fact(image: ImageData) -> dict[str, str]:
@@ -291,53 +251,52 @@ def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: boo
     if large:
         most = visualization.MAX_PIXELS
         return f'<p class="note">Images of more than {most} pixels are not shown.</p>'
-    places = _places(pair)
-    captions = {"a": "<b>A</b> reference", "b": "<b>B</b> image"}
-    figures = [
-        _figure(kind, captions[kind], pixels.shape, IMAGE + kind, places)
-        for kind, pixels in displayed.items()
-    ]
-    if not figures:
+    if not displayed:
         return ""
-    controls = ""
+    places = _places(pair)
+    areas = ""
     if pair.reference and pair.image and pair.comparison is not None:
-        controls = _choices("view", {mode: mode for mode in MODES})
-        shape = displayed["a"].shape
-        try:
-            heat = _image(
-                _source(visualization.small_heat_map(displayed["a"], displayed["b"])), "heat"
-            )
-            figures.append(_figure("heat", "<b>heat map</b> of FLIP", shape, heat, places))
-        except InputError as error:
-            figures.append(f'<p class="heat note">{escape(str(error))}</p>')
         apart, largest = visualization.difference(pair.reference, pair.image)
-        encoding = pair.comparison.encoding
-        caption = _legend(max(largest, visualization.FLOORS[encoding]), encoding)
-        difference = _image(_source(apart), "difference")
-        figures.append(_figure("difference", caption, shape, difference, places))
-    centres = {name: "{},{}".format(*_centre(place)) for name, place in places.items()}
-    if places:
-        controls += _choices("zoom", {"whole": "", **centres})
-        controls += '<label><input type="checkbox" class="marks" checked>marks</label>'
-    if pair.comparison is not None:
-        controls += _MOTION
-    if controls:
-        controls = f'<div class="controls">{controls}</div>'
+        shape = apart.shape
+        maps = {"difference": _source(visualization.brightest(apart, MAP))}
+        flip = ""
+        with suppress(InputError):  # FLIP needs an optional package
+            maps["FLIP"] = _source(visualization.small_heat_map(*displayed.values()))
+            flip = '<label><input type="checkbox" class="flip">FLIP</label>'
+        caption = _legend(largest, pair.comparison.encoding, flip)
+        figures = _figure("difference", caption, shape, maps, places)
+        both = {letter: IMAGE + letter for letter in displayed}
+        figures += _figure("both", _SWAP, shape, both, {})
+        for name, place in places.items():
+            areas += _enlarged(name, place, {**displayed, "difference": apart})
+        areas = f'<div class="places">{areas}</div>'
+    else:
+        figures = "".join(
+            _figure("one", f"<b>{letter}</b>", pixels.shape, {letter: IMAGE + letter}, places)
+            for letter, pixels in displayed.items()
+        )
     return (
-        f'<div class="viewer {IMAGE}">{controls}'
-        '<div class="stage" tabindex="0" role="group" aria-label="images; arrow keys move the'
-        f' enlarged area">{"".join(figures)}</div></div>'
+        f'<div class="viewer {IMAGE}"><div class="stage" tabindex="0" role="group"'
+        f' aria-label="images; arrow keys move the enlarged area">{figures}</div>{areas}</div>'
     )
+
+
+_SWAP = (
+    "<span><b>A</b> reference, <b>B</b> image</span>"
+    '<button type="button" class="swap">swap: key <kbd>X</kbd></button>'
+    '<input type="range" min="0" max="100" value="50" class="cut"'
+    ' aria-label="border between A and B">'
+)
 
 
 def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
     """Return x, y and side in pixels of the marked places, keyed by the place's name."""
     places = {}
     if (result := pair.comparison) is not None:
-        if result.point:
-            places["worst pixel"] = (*result.point_at, 1)
         if result.block:
             places["worst block"] = (*result.block_at, BLOCK)
+        if result.point:
+            places["worst pixel"] = (*result.point_at, 1)
         return places
     for letter, image in (("A", pair.reference), ("B", pair.image)):
         if image is not None and not np.isfinite(image.pixels).all():
@@ -346,75 +305,75 @@ def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
     return places
 
 
-def _centre(place: tuple[int, int, int]) -> tuple[int, int]:
+def _enlarged(
+    name: str, place: tuple[int, int, int], images: Mapping[str, visualization.Bytes]
+) -> str:
+    """Return a button that shows a place, cut out of each image, and enlarges the images there."""
     x, y, side = place
-    return x + side // 2, y + side // 2
+    crops = ""
+    for label, pixels in images.items():
+        size = [min(AROUND[side], each) for each in pixels.shape[:2]]
+        centre = y + side // 2, x + side // 2
+        top, left = (
+            min(max(at - each // 2, 0), most - each)
+            for at, each, most in zip(centre, size, pixels.shape, strict=False)
+        )
+        crop = np.ascontiguousarray(pixels[top : top + size[0], left : left + size[1]])
+        mark = _mark((x - left, y - top, side), crop.shape, "square")
+        crops += f'<span class="crop">{label}<span>{_image(_source(crop), "")}{mark}</span></span>'
+    return (
+        f'<button type="button" class="place" value="{x + side // 2},{y + side // 2}">'
+        f"<b>{name}</b> at ({x},\N{NO-BREAK SPACE}{y})<span>{crops}</span></button>"
+    )
 
 
 def _figure(
     kind: str,
     caption: str,
     shape: Sequence[int],
-    images: str,
+    images: Mapping[str, str],
     places: Mapping[str, tuple[int, int, int]],
 ) -> str:
+    """Return a figure of images that lie on each other, keyed by their alternative text."""
+    marks = "".join(
+        _mark(place, shape, "ring" if place[2] == 1 else "square") for place in places.values()
+    )
+    layers = "".join(
+        f'<div class="sheet {name}"><div class="layer">{_image(source, name)}{marks}</div></div>'
+        for name, source in images.items()
+    )
     height, width = shape[:2]
-    marks = ""
-    for x, y, side in places.values():
-        if side == 1:
-            box = _box((x + 0.5) / width, (y + 0.5) / height)
-        else:
-            box = _box(x / width, y / height, side / width, side / height)
-        marks += f'<i class="mark {"ring" if side == 1 else "square"}" style="{box}"></i>'
     return (
         f'<figure class="{kind}" style="--w:{width};--h:{height}">'
-        f'<figcaption>{caption}</figcaption><div class="view"><div class="layer">'
-        f"{images}{marks}</div></div></figure>"
+        f'<figcaption>{caption}</figcaption><div class="view">{layers}</div></figure>'
     )
 
 
-def _box(*fractions: float) -> str:
-    """Return CSS for left, top and optionally width and height, given as image fractions."""
-    names = ("left", "top", "width", "height")
-    return ";".join(
-        f"{name}:{100 * each:.4f}%" for name, each in zip(names, fractions, strict=False)
-    )
+def _mark(place: tuple[int, int, int], shape: Sequence[int], kind: str) -> str:
+    """Return HTML that marks a place in an image of a shape."""
+    x, y, side = place
+    sides = {"left": x / shape[1], "top": y / shape[0]}
+    sides |= {"width": side / shape[1], "height": side / shape[0]}
+    style = ";".join(f"{name}:{100.0 * each:.4f}%" for name, each in sides.items())
+    return f'<i class="mark {kind}" style="{style}"></i>'
 
 
 def _image(source: str, alt: str) -> str:
-    return f'<img src="{source}" alt="{alt}" draggable="false">'
+    return f'<img src="{source}" alt="{alt}" loading="lazy" draggable="false">'
 
 
 def _source(pixels: visualization.Bytes) -> str:
     return image_source(*visualization.lossless(pixels))
 
 
-def _legend(largest: float, encoding: Encoding) -> str:
-    """Return the caption of the difference, with a legend of its colours."""
+def _legend(largest: float, encoding: Encoding, flip: str) -> str:
+    """Return the caption of the difference, with a legend of its colours and the HTML ``flip``."""
+    floor = visualization.FLOORS[encoding]
     dark, bright = (f"rgb{color}" for color in (visualization.DARKER, visualization.BRIGHTER))
-    end = f"{_number(largest)}{'' if encoding == 'linear' else ' of 255'}"
+    end = CHECKS["point"].amount(max(largest, floor), encoding)
     return (
-        "<b>difference</b> B − A in the worst channel; the scale is linear below"
-        f" {visualization.FLOORS[encoding]:g} and logarithmic above; violet where only the coverage"
-        " changed"
+        f"<span><b>B − A</b> to ±{end}, logarithmic above {floor:g}</span>{flip}"
         f'<span class="legend" style="background:linear-gradient(90deg,{dark},#000,{bright})">'
-        f'</span><span class="ends"><span>-{end}</span><span>0</span><span>+{end}</span></span>'
+        '</span><span class="ends"><span>darker</span><span>equal</span><span>brighter</span>'
+        "</span>"
     )
-
-
-def _choices(name: str, values: Mapping[str, str]) -> str:
-    """Return radio buttons for values, keyed by their labels; the first button is checked."""
-    choices = "".join(
-        f'<label><input type="radio" name="{name}-{INDEX}" value="{value}"'
-        f"{'' if position else ' checked'}>{label}</label>"
-        for position, (label, value) in enumerate(values.items())
-    )
-    return f"<fieldset><legend>{name}</legend>{choices}</fieldset>"
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
-
-
-def _percent(fraction: float) -> str:
-    return f"{_number(100.0 * fraction)}&nbsp;%"

@@ -11,7 +11,6 @@ import os
 from collections.abc import Iterator
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,11 +109,28 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
     ------
     InputError : flip-evaluator is missing
     """
-    step = math.ceil(math.sqrt(a[..., 0].size / HEAT))
+    step = _step(a, HEAT)
     apart = np.maximum(a, b) - np.minimum(a, b)
-    total = apart.sum(axis=-1, dtype=np.uint16)
-    height, width = (-(-side // step) for side in total.shape)
-    ends = [(0, height * step - total.shape[0]), (0, width * step - total.shape[1])]
+    worst_a, worst_b = _worst(apart.sum(axis=-1, dtype=np.uint16), step, a, b)
+    return flip.heat_map(worst_a / 255.0, worst_b / 255.0, step)
+
+
+def brightest(pixels: Bytes, most: int) -> Bytes:
+    """Reduce an image to at most ``most`` pixels: to the brightest pixel of each cell of pixels."""
+    return _worst(pixels.max(axis=-1), _step(pixels, most), pixels)[0]
+
+
+def _step(pixels: Bytes, most: int) -> int:
+    """Return the width of the cells, so that an image has at most ``most`` cells."""
+    return math.ceil(math.sqrt(pixels[..., 0].size / most))
+
+
+def _worst(key: NDArray[Any], step: int, *images: Bytes) -> list[Bytes]:
+    """Return images (H, W, 3), reduced to the pixel with the largest key (H, W) of each cell."""
+    if step == 1:
+        return [*images]
+    height, width = (-(-side // step) for side in key.shape)
+    ends = [(0, height * step - key.shape[0]), (0, width * step - key.shape[1])]
 
     def cells(pixels: NDArray[Any]) -> NDArray[Any]:
         around = [*ends, *((0, 0) for _ in pixels.shape[2:])]
@@ -122,9 +138,8 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
         split = padded.reshape(height, step, width, step, *pixels.shape[2:]).swapaxes(1, 2)
         return split.reshape(height, width, step * step, *pixels.shape[2:])
 
-    most = cells(total).argmax(axis=-1)[..., None, None]
-    worst_a, worst_b = (np.take_along_axis(cells(each), most, axis=2)[:, :, 0] for each in (a, b))
-    return flip.heat_map(worst_a / 255.0, worst_b / 255.0, step)
+    most = cells(key).argmax(axis=-1)[..., None, None]
+    return [np.take_along_axis(cells(each), most, axis=2)[:, :, 0] for each in images]
 
 
 def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
@@ -133,10 +148,8 @@ def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
     Raises
     ------
     InputError : flip-evaluator is missing, an image could not be read, the sizes differ or exceed
-        MAX_PIXELS, or the file is not a .png or cannot be written
+        MAX_PIXELS, or the file cannot be written
     """
-    if Path(path).suffix.lower() != ".png":
-        raise InputError(f"the heat map {path}: give a .png")
     a, b = pair.reference, pair.image
     if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(f"no heat map: {pair.error}")

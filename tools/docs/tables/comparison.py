@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pairs.verdicts import FACERENDER, Summary, read_summary
+from facerender.comparison.checks import CHECKS
 from facerender.comparison.result import FOREIGN, LIMITS
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
 
@@ -22,7 +23,15 @@ THRESHOLDS = (
     ("change", "{change}"),
     *((name, f"{{{name}}}") for name in ("point", "block", "trend", "EXR", "PNG")),
 )
-CHECKS = ("point", "block", "trend", "grain", "texture", "shift", "coverage")
+FINDS = {
+    "point": "fireflies, missing pixels, false highlights",
+    "block": "another lobe, weight, exposure or light",
+    "trend": "as block, for small changes in many blocks",
+    "grain": "noise, values with fewer bits",
+    "texture": "blur, other maps",
+    "coverage": "another mesh or camera",
+    "shift": "another camera",
+}
 JUDGES_HEAD = (
     *("tool", "PNG: threshold", "detected", "false alarms", "balanced accuracy"),
     *("EXR: threshold", "detected", "false alarms", "balanced accuracy"),
@@ -49,12 +58,21 @@ def blocks() -> dict[str, str]:
 
 
 def limits() -> dict[str, str]:
-    """Return a table of the limits of all checks, and the factor on them for another driver."""
+    """Return tables of the limits of all checks, and the factor on them for another driver."""
     rows = [
         [f"**{name}**", *(f"{getattr(LIMITS[kind], name):g}" for kind in ("linear", "srgb8"))]
-        for name in CHECKS
+        for name in FINDS
     ]
+    checks = []
+    for name, finds in FINDS.items():
+        check = CHECKS[name]
+        amounts = [check.amount(getattr(LIMITS[kind], name), kind) for kind in LIMITS]
+        checks.append([f"`{name}`", *amounts, check.quantity, finds])
+    quantity, unit, _ = CHECKS["slivers"]
+    checks.insert(1, ["`slivers`", unit, unit, quantity, "as point, at edges"])
+    head = ["check", "limit, linear", "limit, 8-bit", "limited quantity", "finds"]
     return {
+        "checks": markdown_table(head, checks),
         "limits": markdown_table(["check", "linear images", "8-bit images"], rows),
         "foreign": f"{FOREIGN:g}",
     }

@@ -1,0 +1,55 @@
+"""The checks of a comparison as text: the quantity that each limit bounds, and its unit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from facerender.images.image import Encoding
+
+
+class Check(NamedTuple):
+    """A check as text.
+
+    Attributes
+    ----------
+    quantity : noun phrase for the measured quantity
+    unit : unit, "%" for a fraction, and a remark on the limit
+    levels : unit and remark in 8-bit images; "" if they are the same
+    """
+
+    quantity: str
+    unit: str = ""
+    levels: str = ""
+
+    def amount(self, value: float, encoding: Encoding, remark: bool = False) -> str:
+        """Return a value with its unit, such as "0.5 %"."""
+        unit, _, more = ((encoding == "srgb8" and self.levels) or self.unit).partition(" ")
+        value = 100.0 * value if unit == "%" else value
+        text = f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+        unit = unit.removesuffix("s") if text == "1" else unit
+        return f"{text} {unit} {more if remark else ''}".rstrip()
+
+    def sentence(self, limit: float, encoding: Encoding) -> str:
+        """Return the meaning of a limit."""
+        return f"The {self.quantity} may be at most {self.amount(limit, encoding, remark=True)}."
+
+
+CHECKS = {
+    "point": Check(
+        "difference of a pixel that the pixels around it do not explain",
+        "radiance (more at a lone pixel in texture or at an edge)",
+        "levels (more at a lone pixel in texture or at an edge)",
+    ),
+    "slivers": Check(
+        "number of pixels over the limit of point, including slivers at edges",
+        "pixels (50 and 1 in 10,000)",
+    ),
+    "block": Check("change of the mean of a block of 16 x 16 pixels", "% of this mean", "levels"),
+    "trend": Check("mean product of adjacent blocks' changes in units of the standard errors"),
+    "grain": Check("noise added or lost between adjacent pixels", "% of a pixel's level", "levels"),
+    "texture": Check(
+        "variance between adjacent pixels that was added or lost", "% of the variance"
+    ),
+    "coverage": Check("number of pixels whose coverage changed", "% of all pixels"),
+    "shift": Check("displacement of the whole image", "pixels"),
+}
