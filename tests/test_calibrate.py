@@ -340,6 +340,7 @@ def test_every_limit_is_an_option(wide, capsys):
     ("arguments", "message"),
     [
         (("--calibrate", "runs", "a.exr", "b.exr"), "leave out A"),
+        (("--calibrate", "runs", "--same-driver"), "leave out --same-driver"),
         *(
             (("--calibrate", "runs", option, value), f"leave out {option}")
             for option, value in (("--block", "1"), ("--report", "x.html"), ("--limits", "x.ini"))

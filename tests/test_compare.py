@@ -520,6 +520,14 @@ def test_exit_status_and_output(cli, exr, tmp_path):
     assert cli.run("compare", exr, tmp_path / "other.exr", "--block", "0.06")[0] == 1
 
 
+def test_same_driver(cli, tmp_path):
+    for name, by in (("a", 0.0), ("b", 0.002)):
+        save_exr(tmp_path / f"{name}.exr", rough(by), {})
+    options = ("compare", tmp_path / "a.exr", tmp_path / "b.exr", "--texture", "1")
+    assert cli.run(*options)[:2] == (0, "b.exr: same, with wider limits for another driver\n")
+    assert cli.run(*options, "--same-driver")[0] == 1
+
+
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
     """A copy of the reference with one bright pixel."""

@@ -63,6 +63,12 @@ def add(compare: argparse.ArgumentParser) -> None:
         add_number(limits, name, text, values, default_of(name), metavar="LIMIT")
     file = Help("pytest's ini file, or pyproject.toml: limits that no option sets", "none")
     limits.add_argument("--limits", metavar="FILE", help=file)
+    add_flag(
+        limits,
+        "same-driver",
+        "compare as images of one OpenGL driver; by default, only images whose metadata name one "
+        "driver, or that differ without noise, are of one driver",
+    )
     mask = Help("image that is not 0 at the pixels to compare", "all pixels")
     limits.add_argument("--mask", metavar="FILE", help=mask)
     own = compare.add_argument_group("limits for another renderer")
@@ -112,6 +118,7 @@ def run(options: argparse.Namespace) -> int:
     names = pairs_of(options.a, options.b)
     limits: dict[str, Any] = {each.name: getattr(options, each.name) for each in fields(Limits)}
     limits["limits"] = read_limits(options.limits) if options.limits else {}
+    limits["driver"] = "same" if options.same_driver else "auto"
     check_results(options, [path for _, *paths in names for path in paths], len(names))
     results, entries, status = [], [], 0
     all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
@@ -178,9 +185,9 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     from facerender.comparison.calibration import calibration_of, runs_of, text_of
 
     limits = (each.name for each in fields(Limits))
-    for name in ("a", *limits, "limits", "heatmap", "sheet", "report"):
-        if getattr(options, name) is not None:
-            option = name.upper() if name == "a" else f"--{name}"
+    for name in ("a", *limits, "limits", "same_driver", "heatmap", "sheet", "report"):
+        if getattr(options, name) not in (None, False):
+            option = name.upper() if name == "a" else f"--{name.replace('_', '-')}"
             raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")
     pairs = runs_of(options.calibrate)
     check_results(options)
