@@ -73,6 +73,10 @@ def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, st
     return {name: _limited(text) for name, text in values.items()}
 
 
+def _text(value: Any) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
 def _limited(text: str) -> str:
     """Return a text of one line, which is cut and gets a checksum if it is long."""
     if len(text) <= _LONGEST and text.isprintable():
@@ -120,7 +124,7 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
     """Return a value for each part as text, each value once: "0.3" or "0.3 (head); 0.1 (eyes)"."""
     names: dict[str, list[str]] = {}
     for number, (part, value) in enumerate(zip(mesh.parts, values, strict=True), 1):
-        text = _map(value) if isinstance(value, Texture) else str(value)
+        text = _map(value) if isinstance(value, Texture) else _text(value)
         names.setdefault(text, []).append(part.name or f"part{number}")
     if len(names) == 1:
         return next(iter(names))
