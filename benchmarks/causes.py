@@ -12,27 +12,42 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from PIL import Image
 
 import facerender as fr
+from benchmarks.data import save
+from facerender.comparison.causes import (
+    CODEC,
+    DRIVER,
+    EXPOSURE,
+    GEOMETRY,
+    LIGHT,
+    LOBE,
+    TEXTURE,
+    cause_of,
+    strips,
+)
+from facerender.comparison.causes import (
+    Change as Changed,
+)
+from facerender.comparison.compare import compare
+from facerender.images.image import ImageData, image_from_array
 from facerender.scenes.lod import simplified
 from tests.verification.pairs.changes import (
     CHANGES,
     Against,
     Bytes,
     Change,
-    coloured,
     exposed,
     factor,
+    has,
     moved,
     slope,
-    surface,
     turned,
 )
-from tests.verification.pairs.draw import steps
 from tests.verification.pairs.room import Linear, Room
 from tests.verification.pairs.scenes import SETTINGS, Setting
 
@@ -92,6 +107,11 @@ def camera(**by: float) -> Make:
     return make
 
 
+def flatter(room: Room) -> Linear | None:
+    """Multiply the strength of the normal map by 0.8."""
+    return factor("normal_strength", 0.8)(room) if has(room, "normal_map") else None
+
+
 def coarser(room: Room) -> Linear:
     """Simplify the mesh to a tenth of its triangles."""
     mesh = room.scene.mesh
@@ -125,11 +145,11 @@ def jpeg(quality: int) -> Pixels:
     return Pixels(make)
 
 
-def dithered(steps: int) -> Pixels:
-    """Add noise of up to ``steps`` levels."""
+def dithered(by: int) -> Pixels:
+    """Add noise of up to ``by`` levels."""
 
     def make(pixels: Bytes) -> Bytes:
-        noise = np.random.default_rng(1).integers(-steps, steps + 1, (*pixels.shape[:2], 3))
+        noise = np.random.default_rng(1).integers(-by, by + 1, (*pixels.shape[:2], 3))
         out = pixels.copy()
         out[..., :3] = np.clip(pixels[..., :3] + noise, 0, 255)
         return out
@@ -229,6 +249,13 @@ CAUSES: Mapping[str, Mapping[str, Make | Pixels]] = {
 }
 
 
+NAMES = {  # words of a reason: cause
+    **{LOBE: "lobe", LIGHT: "light", EXPOSURE: "exposure", TEXTURE: "texture"},
+    **{GEOMETRY: "geometry", DRIVER: "driver", CODEC: "codec"},
+    **dict.fromkeys(("fireflies", "missing pixels", "false highlights"), "pixels"),
+}
+
+
 def settings(half: str) -> list[Setting]:
     """Return the scenes of a half, with smaller images."""
     return [
@@ -236,3 +263,61 @@ def settings(half: str) -> list[Setting]:
         for each in (*SETTINGS.values(), *OTHER_CAMERAS)
         if each.half == half
     ]
+
+
+def pair(room: Room, make: Make | Pixels, png: bool) -> tuple[ImageData, ImageData] | None:
+    """Return the images of a change, without metadata; None if the change does not apply.
+
+    png : whether the images have 8 bits, if the change does not require a format
+    """
+    if isinstance(make, Pixels):
+        golden = room.frame(room.golden).srgb8()
+        images = (golden, make.make(golden))
+    else:
+        made = make(room)
+        if made is None:
+            return None
+        if not isinstance(made, Against):
+            made = Against("golden", room.golden, made, room.setting.samples)
+        images = (made.golden, made.image)
+        if png:
+            images = tuple(room.frame(each).srgb8() for each in images)
+    if np.array_equal(*images):
+        return None
+    a, b = (image_from_array(each, name) for each, name in zip(images, "AB", strict=True))
+    return a, b
+
+
+def named(a: ImageData, b: ImageData) -> str:
+    """Return the cause that the first reason names; of a pair that passes, the likely cause."""
+    result = compare(a, b)
+    if result.same:
+        height, width = a.pixels.shape[:2]
+        return NAMES[cause_of(Changed.between(a, b, strips(height, width)))]
+    return NAMES[result.reasons[0].split("looks like ")[1].split(" (")[0]]
+
+
+def rows(half: str) -> Iterator[dict[str, str]]:
+    """Yield scene, change, cause and named cause of each pair of a half, half of them 8-bit."""
+    number = 0
+    for setting in settings(half):
+        room = Room(setting)
+        for cause, changes in CAUSES.items():
+            for change, make in changes.items():
+                number += 1
+                if images := pair(room, make, number % 2 == 0):
+                    about = {"half": half, "scene": setting.name, "change": change}
+                    yield {**about, "cause": cause, "named": named(*images)}
+        room.renderer.release()
+
+
+def main() -> None:
+    found = [row for half in ("tune", "report") for row in rows(half)]
+    save("causes", pairs=found)
+    for half in ("tune", "report"):
+        own = [row for row in found if row["half"] == half]
+        print(half, sum(row["named"] == row["cause"] for row in own), "of", len(own))
+
+
+if __name__ == "__main__":
+    main()

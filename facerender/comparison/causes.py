@@ -62,7 +62,7 @@ class Change:
     power: NDArray[np.float32]
     inside: Mask
     steep: Mask
-    detail: NDArray[np.float64]
+    detail: float
     blocks: NDArray[np.float64]
     cells: NDArray[np.float64]
     values: NDArray[np.float64]
@@ -74,7 +74,7 @@ class Change:
         parts = {each.name: [getattr(strip, each.name) for strip in strips] for each in fields(cls)}
         return cls(
             *(np.concatenate(parts[name]) for name in ("power", "inside", "steep")),
-            np.sum(parts["detail"], axis=0),
+            sum(parts["detail"]),
             np.concatenate(parts["blocks"]),
             np.concatenate(parts["cells"], axis=1),
             np.sum(parts["values"], axis=0),
@@ -103,7 +103,7 @@ class Change:
             np.square(change).sum(axis=2),
             inside,
             np.maximum(*(_range(each) for each in means)) > 0.0,
-            np.sum(whole * common_squares([detail_of(each) for each in planes]), dtype=np.float64),
+            float(np.vdot(whole, common_squares([detail_of(each) for each in planes]))),
             np.stack([block_sums(cell_sums(each)) for each in blocks], axis=-1),
             np.stack([cell_sums(each).astype(np.float64) / ones for each in means]),
             _sums_of(numbers[inside].ravel(), change[inside].ravel()),
@@ -132,8 +132,13 @@ class Change:
     @property
     def fineness(self) -> float:
         """Fraction of the change that lies in fine detail; noise of single channels is ignored."""
-        detail = max(float(self.detail), 0.0)
+        detail = max(self.detail, 0.0)
         return detail / max(detail + self.smooth, 1e-12)
+
+    @property
+    def roughness(self) -> float:
+        """RMS of the change's fine detail."""
+        return float(np.sqrt(max(self.detail, 0.0) / max(self.inside.sum(), 1)))
 
     @property
     def few(self) -> float:
@@ -240,7 +245,7 @@ def cause_of(change: Change) -> str:
         return _cause_of_detail(change, moved)
     if white > 0.5 and shared > 0.03:
         return CODEC
-    if (white < 0.4 * own and change.by_factor < 0.5) or (change.grey and change.alike > 0.3):
+    if (white < 0.8 * own and change.by_factor < 0.5) or (change.grey and change.alike > 0.3):
         return LOBE
     if moved:
         return GEOMETRY
@@ -251,14 +256,17 @@ def cause_of(change: Change) -> str:
 
 def _cause_of_detail(change: Change, moved: bool) -> str:
     """Return the likely cause of changed detail."""
-    few = change.few
+    few, at_edges = change.few, change.at_edges
     if moved and few < 0.6:
         return GEOMETRY
-    if few > 0.18:
+    if few < 0.2 and at_edges > 0.6 and change.alike > 0.6:
+        return LIGHT  # edges of shadows moved
+    faint = change.roughness < 0.005
+    if few > 0.18 or (faint and at_edges > 0.2):
         return DRIVER
     if change.hues[2] > 0.5:
         return CODEC
-    return DRIVER if change.at_edges > 0.25 else TEXTURE
+    return DRIVER if at_edges > 0.6 else TEXTURE
 
 
 def _sums_of(numbers: NDArray[np.integer], change: Float) -> NDArray[np.float64]:
