@@ -92,6 +92,7 @@ class Change:
         x, y = (each.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for each in (x, y))
         level = np.maximum(np.maximum(np.abs(x), np.abs(y)).max(axis=2), np.float32(_DARK))
         change = (y - x) / level[..., None]
+        of_value = (y - x) / np.maximum(np.abs(x), np.float32(_DARK))
         planes = [np.ascontiguousarray(each * inside) for each in np.moveaxis(change, 2, 0)]
         whole = filtered(inside, np.minimum)
         means = [each.mean(axis=2) for each in (x, y)]
@@ -106,7 +107,7 @@ class Change:
             float(np.vdot(whole, common_squares([detail_of(each) for each in planes]))),
             np.stack([block_sums(cell_sums(each)) for each in blocks], axis=-1),
             np.stack([cell_sums(each).astype(np.float64) / ones for each in means]),
-            _sums_of(numbers[inside].ravel(), change[inside].ravel()),
+            _sums_of(numbers[inside].ravel(), of_value[inside].ravel()),
         )
 
     @cached_property
@@ -236,7 +237,7 @@ def cause_of(change: Change) -> str:
     own, shared, white = change.hues
     if change.by_factor > 0.9 and own < 0.03:
         return EXPOSURE
-    if change.by_curve > 0.98:
+    if change.by_curve > 0.99:
         return CODEC
     if not change.smooth and not change.detail:
         return GEOMETRY
