@@ -50,7 +50,8 @@ class Change:
     Attributes
     ----------
     power : (H, W), squared relative change of each pixel, summed over the channels
-    inside : (H, W), mask of the pixels that are not near an edge of the coverage
+    inside : (H, W), mask of the pixels that are not near an edge of the coverage and not
+        clipped
     steep : (H, W), mask of the pixels at edges of either image
     detail : sum of the squared change between adjacent pixels that all channels share
     blocks : (H, W, 2 C + 1) over blocks: number of pixels inside, change and level of each channel
@@ -87,6 +88,7 @@ class Change:
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
         if a.encoding == "srgb8":
+            inside &= np.maximum(x, y).max(axis=2) < 255.0
             table = srgb_to_linear(np.arange(256) / 255.0)
             x, y = (np.interp(each, np.arange(256), table).astype(np.float32) for each in (x, y))
         x, y = (each.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for each in (x, y))
@@ -265,9 +267,7 @@ def _cause_of_detail(change: Change, moved: bool) -> str:
     faint = change.roughness < 0.005
     if few > 0.18 or (faint and at_edges > 0.2):
         return DRIVER
-    if change.hues[2] > 0.5:
-        return CODEC
-    return DRIVER if at_edges > 0.6 else TEXTURE
+    return CODEC if change.hues[2] > 0.5 else TEXTURE
 
 
 def _sums_of(numbers: NDArray[np.integer], change: Float) -> NDArray[np.float64]:

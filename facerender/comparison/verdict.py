@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, BlockStatistics, block_sums, cell_sums
-from facerender.comparison.causes import GEOMETRY, Change, cause_of, strips
+from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
 from facerender.comparison.neighbourhoods import Mask, filtered
 from facerender.comparison.result import BLUR, Comparison
 from facerender.images.image import ImageData
@@ -54,6 +54,8 @@ def reasons_of(
         seen = np.concatenate([wrong[each] for each in rows])
         most = change.share(seen) > 0.5
         fault = _fault(result, over, wrong) if most or _lonely(change, seen) else ""
+        if fault == "false highlights" and cause in (LIGHT, EXPOSURE):
+            fault = ""
         if fault and blocks and _explained(result, wrong, statistics):
             reasons = [f"{each}: looks like {fault}{_estimate(result)}" for each in blocks]
         text = f"{_pixels(result, over[wrong])}: looks like {fault or cause}"
