@@ -29,9 +29,9 @@ from facerender.images.srgb import encode_srgb8
 SIDE = 192
 DOWN, ACROSS = np.mgrid[:SIDE, :SIDE] / SIDE - 0.5
 RANDOM = np.random.default_rng(1)
-SKIN = np.float32([0.6, 0.4, 0.3]) * (1.0 + 0.2 * RANDOM.standard_normal((SIDE, SIDE, 3)))
-SKIN = gaussian_filter(SKIN, (1.0, 1.0, 0.0)).astype(np.float32)
-SHADE = (0.35 - 0.6 * ACROSS)[..., None]
+PORES = gaussian_filter(RANDOM.standard_normal((SIDE, SIDE)), 3.0)
+SKIN = np.float32([0.6, 0.4, 0.3]) * (1.0 + 1.5 * PORES[..., None])
+SHADE = (0.5 - 0.7 * ACROSS)[..., None]
 TURNED = SHADE + 0.1 * DOWN[..., None]
 SPOT = np.exp(-20.0 * ((ACROSS + 0.2) ** 2 + DOWN**2))[..., None]
 
@@ -62,7 +62,7 @@ CHANGED = {  # change: reference, image, cause
     "exposure": (PLAIN, np.float32(1.01) * PLAIN, EXPOSURE),
     "exposure, 8 bits": (BYTES, encode_srgb8(np.float32(0.95) * PLAIN), EXPOSURE),
     "redder texture": (PLAIN, drawn(SKIN * np.float32([1.02, 1.0, 1.0])), TEXTURE),
-    "blurred texture": (PLAIN, drawn(gaussian_filter(SKIN, (1.0, 1.0, 0.0))), TEXTURE),
+    "blurred texture": (PLAIN, drawn(gaussian_filter(SKIN, (2.0, 2.0, 0.0))), TEXTURE),
     "moved by 2 pixels": (PLAIN[:, 2:], PLAIN[:, :-2], GEOMETRY),
     "moved by 2 pixels, 8 bits": (BYTES[2:], BYTES[:-2], GEOMETRY),
     "gamma 2.2": (BYTES, np.uint8(np.round(255.0 * PLAIN.clip(0.0, 1.0) ** (1.0 / 2.2))), CODEC),

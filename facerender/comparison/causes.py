@@ -57,7 +57,9 @@ class Change:
     blocks : (H, W, 2 C + 1) over blocks: number of pixels inside, change and level of each channel
     cells : (2, H, W) over cells: mean radiance of both images
     values : (3, N), per value of the first image: count of the value, sum and squared sum of its
-        relative changes; values are 8-bit levels, or half floats without their last three bits
+        changes. Values are 8-bit levels, or half floats without their last three bits, whose
+        changes are relative
+    rounding : variance of a value's change that rounding to 8-bit levels causes
     """
 
     power: NDArray[np.float32]
@@ -67,6 +69,7 @@ class Change:
     blocks: NDArray[np.float64]
     cells: NDArray[np.float64]
     values: NDArray[np.float64]
+    rounding: float
 
     @classmethod
     def between(cls, a: ImageData, b: ImageData, rows: Sequence[slice]) -> Change:
@@ -79,6 +82,7 @@ class Change:
             np.concatenate(parts["blocks"]),
             np.concatenate(parts["cells"], axis=1),
             np.sum(parts["values"], axis=0),
+            1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
         )
 
     @classmethod
@@ -87,14 +91,16 @@ class Change:
         inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), _MARGIN)
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
-        if a.encoding == "srgb8":
+        of_value = y - x
+        if a.encoding == "linear":
+            of_value = of_value / np.maximum(np.abs(x), np.float32(_DARK))
+        else:
             inside &= np.maximum(x, y).max(axis=2) < 255.0
             table = srgb_to_linear(np.arange(256) / 255.0)
             x, y = (np.interp(each, np.arange(256), table).astype(np.float32) for each in (x, y))
         x, y = (each.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for each in (x, y))
         level = np.maximum(np.maximum(np.abs(x), np.abs(y)).max(axis=2), np.float32(_DARK))
         change = (y - x) / level[..., None]
-        of_value = (y - x) / np.maximum(np.abs(x), np.float32(_DARK))
         planes = [np.ascontiguousarray(each * inside) for each in np.moveaxis(change, 2, 0)]
         whole = filtered(inside, np.minimum)
         means = [each.mean(axis=2) for each in (x, y)]
@@ -110,6 +116,7 @@ class Change:
             np.stack([block_sums(cell_sums(each)) for each in blocks], axis=-1),
             np.stack([cell_sums(each).astype(np.float64) / ones for each in means]),
             _sums_of(numbers[inside].ravel(), of_value[inside].ravel()),
+            0.0,
         )
 
     @cached_property
@@ -170,7 +177,8 @@ class Change:
         """Fraction of the pixels' change that a function of the value explains."""
         count, change, power = self.values
         explained = np.square(change) / np.maximum(count, 1.0)
-        return float(explained.sum() / max(power.sum(), 1e-20))
+        noise = self.rounding * count.sum()
+        return float(explained.sum() / max(power.sum() - noise, 0.5 * power.sum(), 1e-20))
 
     @property
     def hues(self) -> tuple[float, float, float]:
@@ -239,7 +247,7 @@ def cause_of(change: Change) -> str:
     own, shared, white = change.hues
     if change.by_factor > 0.9 and own < 0.03:
         return EXPOSURE
-    if change.by_curve > 0.99:
+    if change.by_curve > 0.985:
         return CODEC
     if not change.smooth and not change.detail:
         return GEOMETRY
@@ -248,7 +256,7 @@ def cause_of(change: Change) -> str:
         return _cause_of_detail(change, moved)
     if white > 0.5 and shared > 0.03:
         return CODEC
-    if (white < 0.8 * own and change.by_factor < 0.5) or (change.grey and change.alike > 0.3):
+    if (white < 0.8 * own and change.by_factor < 0.75) or (change.grey and change.alike > 0.3):
         return LOBE
     if moved:
         return GEOMETRY
