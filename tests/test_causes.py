@@ -78,17 +78,15 @@ def test_first_reason_names_the_cause(name):
     assert result.reasons[0].split("looks like ")[1].split(" (")[0] == cause, str(result)
 
 
-@pytest.mark.parametrize(("value", "fault"), [(0.0, "missing pixels"), (4.0, "fireflies")])
-def test_few_wrong_pixels_are_a_reason_after_a_change_of_the_whole_image(value, fault):
-    image = drawn(spot=0.95 * SPOT)
-    image[(40, 90, 130), (60, 150, 30)] = value
+def test_few_wrong_pixels_are_a_reason_after_a_change_of_the_whole_image():
+    """Only black pixels that change most of the image's radiance are the first reason."""
+    places = ((60, 90, 130), (40, 60, 30))
+    image, alone = drawn(spot=0.95 * SPOT), PLAIN.copy()
+    image[places] = alone[places] = 0.0
     first, second = compare(PLAIN, image).reasons
     assert f"looks like {LOBE}" in first
-    assert second.startswith("3 pixels differ ")
-    assert second.endswith(f"looks like {fault}")
-    alone = PLAIN.copy()
-    alone[(40, 90, 130), (60, 150, 30)] = value
-    assert compare(PLAIN, alone).reasons[0].endswith(f"looks like {fault}")
+    assert second.endswith("looks like missing pixels")
+    assert compare(PLAIN, alone).reasons[0].endswith("looks like missing pixels")
 
 
 def test_changed_metadata_stand_in_the_first_reason():
