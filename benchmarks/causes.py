@@ -270,18 +270,19 @@ def pair(room: Room, make: Make | Pixels, png: bool) -> tuple[ImageData, ImageDa
 
     png : whether the images have 8 bits, if the change does not require a format
     """
+    images: tuple[Linear | Bytes, Linear | Bytes]
     if isinstance(make, Pixels):
         golden = room.frame(room.golden).srgb8()
-        images = (golden, make.make(golden))
+        images = golden, make.make(golden)
     else:
         made = make(room)
         if made is None:
             return None
         if not isinstance(made, Against):
             made = Against("golden", room.golden, made, room.setting.samples)
-        images = (made.golden, made.image)
+        images = made.golden, made.image
         if png:
-            images = tuple(room.frame(each).srgb8() for each in images)
+            images = room.frame(made.golden).srgb8(), room.frame(made.image).srgb8()
     if np.array_equal(*images):
         return None
     a, b = (image_from_array(each, name) for each, name in zip(images, "AB", strict=True))

@@ -77,7 +77,9 @@ class Change:
         strips = [cls._of(a, b, each) for each in rows]
         parts = {each.name: [getattr(strip, each.name) for strip in strips] for each in fields(cls)}
         return cls(
-            *(np.concatenate(parts[name]) for name in ("power", "inside", "steep")),
+            np.concatenate(parts["power"]),
+            np.concatenate(parts["inside"]),
+            np.concatenate(parts["steep"]),
             sum(parts["detail"]),
             np.concatenate(parts["blocks"]),
             np.concatenate(parts["cells"], axis=1),
