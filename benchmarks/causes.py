@@ -285,8 +285,7 @@ def pair(room: Room, make: Make | Pixels, png: bool) -> tuple[ImageData, ImageDa
             images = room.frame(made.golden).srgb8(), room.frame(made.image).srgb8()
     if np.array_equal(*images):
         return None
-    a, b = (image_from_array(each, name) for each, name in zip(images, "AB", strict=True))
-    return a, b
+    return image_from_array(images[0], "A"), image_from_array(images[1], "B")
 
 
 def named(a: ImageData, b: ImageData) -> str:
