@@ -155,10 +155,11 @@ class BlockSums:
         change, across, down, _ = np.mean(of_cells, axis=0)
         wild = np.float32(_WILD)
         fine = [
-            [(_fine(plane[rows]) / level).clip(-wild, wild) for plane in each] for each in planes
+            [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in each]
+            for each in planes
         ]
         apart = [y - x for x, y in zip(*fine, strict=True)]
-        squares = [_common(each) for each in (apart, *fine)]
+        squares = [common_squares(each) for each in (apart, *fine)]
         own = sum(np.square(each) for each in apart) / np.float32(count) - squares[0]
         return cls(
             cell_sums(weight * level),
@@ -394,7 +395,7 @@ def _beyond(value: Any, allowed: Any) -> Any:
     return np.sign(value) * np.maximum(np.abs(value) - allowed, 0.0)
 
 
-def _common(channels: list[Float]) -> Float:
+def common_squares(channels: list[Float]) -> Float:
     """Return the mean product over pairs of different channels: rounding errors average out."""
     count = len(channels)
     if count == 1:
@@ -422,7 +423,7 @@ def _slope(x: Float, axis: int) -> Float:
     return result
 
 
-def _fine(x: Float) -> Float:
+def detail_of(x: Float) -> Float:
     """Return each pixel minus the mean of its left and right neighbours; 0 at the border."""
     result = np.zeros_like(x)
     result[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])

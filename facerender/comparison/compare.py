@@ -121,7 +121,8 @@ def compare(
         source if isinstance(source, Frame) else image
         for source, image in ((reference, a), (image, b))
     )
-    return replace(result, reasons=reasons_of(result, strip.over, statistics), images=displayed)
+    reasons = reasons_of(result, strip.over, statistics, (a, b))
+    return replace(result, reasons=reasons, images=displayed)
 
 
 @dataclass(frozen=True, eq=False)

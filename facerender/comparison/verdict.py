@@ -1,19 +1,18 @@
-"""Reasons of a difference as text: the failed check, its metric and limit, and a likely cause."""
+"""Reasons of a difference as text: the failed check, its metric and limit, and a likely cause. The
+first reason has the cause that explains most of the change."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, BlockStatistics, block_sums, cell_sums
-from facerender.comparison.neighbourhoods import Mask
+from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
+from facerender.comparison.neighbourhoods import Mask, filtered
 from facerender.comparison.result import BLUR, Comparison
-
-SHAPE = "another shape, texture or light"
-LOBE = "a lobe or weight change"
-EXPOSURE = "exposure, light or colour space"
+from facerender.images.image import ImageData
 
 # Largest unexplained difference of a single pixel: in a smooth area, in texture, at an edge.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
@@ -21,45 +20,70 @@ _WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the who
 _BRIGHTER = 5e-5  # smallest gain that is reported
 _SHIFTED = 0.01  # smallest shift that is reported, in pixels
 _HOLES = 2  # largest number of holes that passes, since cracks and hairs cause some
+_LONELY = 0.02  # largest squared change of the pixels around a pixel fault, relative to the fault's
+_FACTS = 3  # largest number of reported changes of the metadata
+_LONG = 40  # longer values of the metadata are cut to this number of characters
 
 
 def reasons_of(
-    result: Comparison, over: NDArray[np.int8], statistics: BlockStatistics
+    result: Comparison,
+    over: NDArray[np.int8],
+    statistics: BlockStatistics,
+    images: tuple[ImageData, ImageData],
 ) -> tuple[str, ...]:
     """Return the reasons of a difference, with likely causes.
 
     over : (H, W), class of each pixel that exceeds the point limit: 1 a possible sliver, 2 in a
         smooth area, 3 in texture, 4 at an edge; negative if the pixel is too dark. Other pixels: 0
+    images : reference and image, whose pixels and metadata reveal the cause
     """
-    reasons = []
     wrong = _wrong(result, over)
-    like = _likeness(result, over, wrong, statistics) if wrong.any() else ""
-    if like:
-        reasons.append(f"{_pixels(result, over[wrong])}: looks like {like}")
-    elif result.holes > _HOLES:
+    blocks = [*_of_blocks(result)]
+    holes = not wrong.any() and result.holes > _HOLES
+    others = [] if wrong.any() or blocks or holes else [*_subtle(result)][:1]
+    uncovered = result.coverage > result.limits.coverage
+    if not (wrong.any() or blocks or holes or others or uncovered):
+        return ()
+    height, width = over.shape
+    rows = strips(height, width, result.point_at[1], result.block_at[1])
+    change = Change.between(*images, rows)
+    cause = GEOMETRY if uncovered else cause_of(change)
+    reasons = [f"{each}: looks like {cause}{_estimate(result)}" for each in blocks]
+    reasons += [f"{each}: looks like {cause}" for each in others]
+    if wrong.any():
+        seen = np.concatenate([wrong[each] for each in rows])
+        most = change.share(seen) > 0.5
+        fault = _fault(result, over, wrong) if most or _lonely(change, seen) else ""
+        if fault == "false highlights" and cause in (LIGHT, EXPOSURE):
+            fault = ""
+        if fault and blocks and _explained(result, wrong, statistics):
+            reasons = [f"{each}: looks like {fault}{_estimate(result)}" for each in blocks]
+        text = f"{_pixels(result, over[wrong])}: looks like {fault or cause}"
+        reasons.insert(0 if most else len(reasons), text)
+    elif holes:
         reasons.append(
             f"{result.holes} pixels have less than a quarter of their neighbours' light or no "
-            f"coverage, limit {_HOLES}: looks like missing pixels"
+            f"coverage, limit {_HOLES}: looks like "
+            f"{cause if cause == GEOMETRY else 'missing pixels'}"
         )
-    if result.blocks:
-        guess = _guess(statistics)
-        if like and guess != EXPOSURE and (like == SHAPE or _explained(result, wrong, statistics)):
-            guess = like
-        reasons.append(f"{_blocks(result)}: looks like {guess}{_estimate(result)}")
-    elif result.changed_alike:
-        reasons.append(
-            f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
-            f"{result.limit_factor * result.limits.trend:g}: looks like {_guess(statistics)}"
-            f"{_estimate(result)}"
-        )
-    if not reasons:
-        reasons += [*_subtle(result)][:1]
-    if result.coverage > result.limits.coverage:
+    if uncovered:
         reasons.append(
             f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
-            f"{100.0 * result.limits.coverage:g} %: looks like another mesh or camera"
+            f"{100.0 * result.limits.coverage:g} %: looks like {GEOMETRY}"
         )
-    return tuple(reasons)
+    facts = _facts(*(image.metadata for image in images))
+    return (f"{reasons[0]}{facts}", *reasons[1:])
+
+
+def _facts(one: Mapping[str, str], other: Mapping[str, str]) -> str:
+    """Return the changed entries of the metadata as text."""
+    changed = [
+        f"{key} {one[key][:_LONG]} -> {other[key][:_LONG]}"
+        for key in one
+        if other.get(key, one[key]) != one[key]
+    ]
+    more = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
+    return f" (metadata: {', '.join(changed[:_FACTS] + more)})" if changed else ""
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
@@ -89,14 +113,21 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     )
 
 
-def _blocks(result: Comparison) -> str:
-    """Describe the blocks over the block limit."""
+def _of_blocks(result: Comparison) -> Iterator[str]:
+    """Describe the blocks over the block limit, or else the trend over its limit."""
     factor, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
-    mean = f"{_signed(factor * result.block)}{unit or ' of 255'}"
-    return (
-        f"block at {result.block_at}: mean {mean}, limit {factor * result.limits.block:g}{unit}, "
-        f"exceeded by {result.blocks} of {result.blocks_judged} blocks"
-    )
+    if result.blocks:
+        mean = f"{_signed(factor * result.block)}{unit or ' of 255'}"
+        yield (
+            f"block at {result.block_at}: mean {mean}, limit "
+            f"{factor * result.limits.block:g}{unit}, "
+            f"exceeded by {result.blocks} of {result.blocks_judged} blocks"
+        )
+    elif result.changed_alike:
+        yield (
+            f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
+            f"{result.limit_factor * result.limits.trend:g}"
+        )
 
 
 def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> bool:
@@ -112,50 +143,38 @@ def _subtle(result: Comparison) -> Iterator[str]:
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
         by, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
-        yield (
-            f"grain {by * result.grain:+.2g}{unit or ' of 255'}, limit {by * grain:g}{unit}: looks "
-            f"like {_texture(result.grain)}"
-        )
+        yield f"grain {by * result.grain:+.2g}{unit or ' of 255'}, limit {by * grain:g}{unit}"
     if not BLUR * -texture <= result.texture <= texture:
-        yield (
-            f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %: looks like "
-            f"{_texture(result.texture)}"
-        )
+        yield f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %"
     x, y = result.shift
     if max(abs(x), abs(y)) > limits.shift:
-        yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
+        yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}"
 
 
-def _likeness(
-    result: Comparison, over: NDArray[np.int8], wrong: Mask, statistics: BlockStatistics
-) -> str:
-    """Return a likely cause of wrong pixels."""
+def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
+    """Return the name of the fault of a few wrong pixels; "" if they have none in common."""
     count, judged = wrong.sum(), result.blocks_judged * BLOCK**2
     if count > _WIDELY * judged > 0:
-        guess = _guess(statistics)
-        return SHAPE if guess == LOBE else guess
+        return ""
     bright = (over[wrong] > 0).mean()
     touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
     scattered = touching <= 0.5 * count
     if bright > 0.9:
         return "fireflies" if scattered and not _at_edge(over[wrong]) else "false highlights"
     if bright < 0.1 and count < 0.01 * judged:
-        return "missing pixels" if scattered else "missing highlights"
-    return SHAPE
+        return "missing pixels" if scattered else GEOMETRY
+    return ""
+
+
+def _lonely(change: Change, wrong: Mask) -> bool:
+    """Return whether the pixels around most wrong pixels hardly changed."""
+    around = filtered(np.where(wrong, np.float32(0.0), change.power), np.maximum)
+    return bool(np.median((around <= _LONELY * change.power)[wrong]) > 0.5)
 
 
 def _at_edge(over: NDArray[np.int8]) -> bool:
     """Return whether most pixels lie at edges; ``over`` has their classes."""
     return bool((np.abs(over) == 4).mean() > 0.5)
-
-
-def _guess(statistics: BlockStatistics) -> str:
-    """Return a likely cause of changed blocks."""
-    changes = statistics.change[statistics.changed]
-    if not changes.size:
-        return SHAPE
-    low, middle, high = np.percentile(changes, (10, 50, 90))
-    return EXPOSURE if high - low < 0.5 * abs(middle) else LOBE
 
 
 def _estimate(result: Comparison) -> str:
@@ -166,10 +185,6 @@ def _estimate(result: Comparison) -> str:
     moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SHIFTED else ""
     estimate = ", ".join(filter(None, (gain, moved)))
     return f" ({estimate})" if estimate else ""
-
-
-def _texture(change: float) -> str:
-    return "noise, other normals or values of fewer bits" if change > 0.0 else "a blur, other maps"
 
 
 def _signed(value: float) -> str:

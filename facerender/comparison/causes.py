@@ -1,0 +1,316 @@
+"""The likely cause of a difference, derived from the pixels of two images.
+
+Each cause leaves its own trace in the change of linear radiance, relative to the pixel's level:
+
+exposure    one factor for all blocks
+codec       a function of the value, fewer values, or noise in the colours
+lobe        light of the lamp's colour, which skin does not tint
+light       light with the colour of the image, changed alike over large areas
+texture     another hue, or fine detail that appears, vanishes or changes sign
+geometry    detail that moved, or a changed coverage
+driver      a few pixels at edges, or faint detail
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.comparison.blocks import BLOCK, block_sums, cell_sums, common_squares, detail_of
+from facerender.comparison.neighbourhoods import FULL, Float, Mask, filtered, shrunk
+from facerender.images.image import ImageData
+from facerender.images.srgb import srgb_to_linear
+
+LOBE = "another slope, lobe or weight"
+LIGHT = "another light"
+EXPOSURE = "another exposure"
+TEXTURE = "another texture, normal map or noise"
+GEOMETRY = "another mesh or camera"
+DRIVER = "another driver or other samples"
+CODEC = "another encoding, such as gamma, JPEG or fewer bits"
+
+_ROWS = 128  # height of a strip
+_PIXELS = 1 << 20  # of larger images, evenly spaced strips with this number of pixels are used
+_DARK = 0.1  # smallest radiance that changes are divided by
+_BRIGHT = 2.0  # larger radiance counts as this
+_MARGIN = 2  # width in pixels of the coverage's border, which is ignored
+_STEEP = 0.5  # smallest range of 3 x 3 pixels at an edge, as a fraction of their maximum
+_WINDOW = 8  # width and height in cells of the areas whose displacement is fitted
+_CHANGED = 0.01  # smallest relative change of a pixel that counts as changed
+
+
+@dataclass(frozen=True)
+class Change:
+    """The change from one image to another in some strips of rows.
+
+    Attributes
+    ----------
+    power : (H, W), squared relative change of each pixel, summed over the channels
+    inside : (H, W), mask of the pixels that are not near an edge of the coverage and not
+        clipped
+    steep : (H, W), mask of the pixels at edges of either image
+    detail : sum of the squared change between adjacent pixels that all channels share
+    blocks : (H, W, 2 C + 1) over blocks: number of pixels inside, change and level of each channel
+    cells : (2, H, W) over cells: mean radiance of both images
+    values : (3, N), per value of the first image: count of the value, sum and squared sum of its
+        changes. Values are 8-bit levels, or half floats without their last three bits, whose
+        changes are relative
+    rounding : variance of a value's change that rounding to 8-bit levels causes
+    """
+
+    power: NDArray[np.float32]
+    inside: Mask
+    steep: Mask
+    detail: float
+    blocks: NDArray[np.float64]
+    cells: NDArray[np.float64]
+    values: NDArray[np.float64]
+    rounding: float
+
+    @classmethod
+    def between(cls, a: ImageData, b: ImageData, rows: Sequence[slice]) -> Change:
+        """Return the change in strips of rows."""
+        strips = [cls._of(a, b, each) for each in rows]
+        parts = {each.name: [getattr(strip, each.name) for strip in strips] for each in fields(cls)}
+        return cls(
+            np.concatenate(parts["power"]),
+            np.concatenate(parts["inside"]),
+            np.concatenate(parts["steep"]),
+            sum(parts["detail"]),
+            np.concatenate(parts["blocks"]),
+            np.concatenate(parts["cells"], axis=1),
+            np.sum(parts["values"], axis=0),
+            1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
+        )
+
+    @classmethod
+    def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
+        (x, alpha_x), (y, alpha_y) = a.rows(rows), b.rows(rows)
+        inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), _MARGIN)
+        halves = x.astype(np.float16).view(np.uint16) >> 3
+        numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
+        of_value = y - x
+        if a.encoding == "linear":
+            of_value = of_value / np.maximum(np.abs(x), np.float32(_DARK))
+        else:
+            inside &= np.maximum(x, y).max(axis=2) < 255.0
+            table = srgb_to_linear(np.arange(256) / 255.0)
+            x, y = (np.interp(each, np.arange(256), table).astype(np.float32) for each in (x, y))
+        x, y = (each.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for each in (x, y))
+        level = np.maximum(np.maximum(np.abs(x), np.abs(y)).max(axis=2), np.float32(_DARK))
+        change = (y - x) / level[..., None]
+        planes = [np.ascontiguousarray(each * inside) for each in np.moveaxis(change, 2, 0)]
+        whole = filtered(inside, np.minimum)
+        means = [each.mean(axis=2) for each in (x, y)]
+        blocks = [inside.astype(np.float32)]
+        for image in (y - x, np.abs(x)):
+            blocks += [np.ascontiguousarray(each * inside) for each in np.moveaxis(image, 2, 0)]
+        ones = cell_sums(np.ones(level.shape, np.float32))
+        return cls(
+            np.square(change).sum(axis=2),
+            inside,
+            np.maximum(*(_range(each) for each in means)) > 0.0,
+            float(np.vdot(whole, common_squares([detail_of(each) for each in planes]))),
+            np.stack([block_sums(cell_sums(each)) for each in blocks], axis=-1),
+            np.stack([cell_sums(each).astype(np.float64) / ones for each in means]),
+            _sums_of(numbers[inside].ravel(), of_value[inside].ravel()),
+            0.0,
+        )
+
+    @cached_property
+    def _judged(self) -> tuple[Mask, NDArray[np.float64], NDArray[np.float64]]:
+        """Mask of the blocks that changed and are not dark, and their relative change and level,
+        (N, C)."""
+        count, sums = self.blocks[..., 0], self.blocks[..., 1:]
+        means = sums / np.maximum(count, 1.0)[..., None]
+        change, level = np.split(means, 2, axis=-1)
+        bright = np.maximum(level, level + change).max(axis=-1)
+        judged = (count >= 0.5 * BLOCK**2) & change.any(axis=-1)
+        if judged.any():
+            judged &= bright > 0.1 * np.percentile(bright[judged], 90)
+        scale = np.maximum(bright, _DARK)[judged, None]
+        return judged, change[judged] / scale, level[judged] / scale
+
+    @property
+    def smooth(self) -> float:
+        """Sum of the squared changes of the blocks' means, per channel."""
+        judged, change, _ = self._judged
+        return float((self.blocks[judged, :1] * change**2).sum() / max(change.shape[1], 1))
+
+    @property
+    def fineness(self) -> float:
+        """Fraction of the change that lies in fine detail; noise of single channels is ignored."""
+        detail = max(self.detail, 0.0)
+        return detail / max(detail + self.smooth, 1e-12)
+
+    @property
+    def roughness(self) -> float:
+        """RMS of the change's fine detail."""
+        return float(np.sqrt(max(self.detail, 0.0) / max(self.inside.sum(), 1)))
+
+    @property
+    def few(self) -> float:
+        """Fraction of the squared change in the 0.1 % of the pixels that changed most."""
+        power = (self.power * self.inside).ravel()
+        most = max(int(self.inside.sum()) // 1000, 1)
+        return float(np.partition(power, -most)[-most:].sum() / max(power.sum(), 1e-12))
+
+    @property
+    def at_edges(self) -> float:
+        """Fraction of the squared change at edges."""
+        return self.share(self.steep)
+
+    def share(self, mask: Mask) -> float:
+        """Return the fraction of the squared change in the pixels of a mask."""
+        return float(self.power[mask].sum() / max(self.power.sum(), 1e-12))
+
+    @property
+    def by_factor(self) -> float:
+        """Fraction of the blocks' change that one factor explains."""
+        _, change, level = self._judged
+        return _explained(level.reshape(-1, 1), change.ravel())
+
+    @property
+    def by_curve(self) -> float:
+        """Fraction of the pixels' change that a function of the value explains."""
+        count, change, power = self.values
+        explained = np.square(change) / np.maximum(count, 1.0)
+        noise = self.rounding * count.sum()
+        return float(explained.sum() / max(power.sum() - noise, 0.5 * power.sum(), 1e-20))
+
+    @property
+    def hues(self) -> tuple[float, float, float]:
+        """Fractions of the blocks' change that lie outside the block's colour, outside the most
+        common colour of the change, and outside white."""
+        _, change, level = self._judged
+        total = max(float((change**2).sum()), 1e-20)
+        own = (change * level).sum(axis=1) ** 2 / np.maximum((level**2).sum(axis=1), 1e-12)
+        of_channels = change.T @ change
+        white = of_channels.sum() / len(of_channels)
+        common = np.linalg.eigvalsh(of_channels)[-1]
+        one, two, three = (1.0 - float(each) / total for each in (own.sum(), common, white))
+        return one, two, three
+
+    @property
+    def grey(self) -> bool:
+        """Whether the blocks have no colour."""
+        _, _, level = self._judged
+        return bool((level.min(axis=1, initial=1.0) > 0.95 * level.max(axis=1, initial=0.0)).all())
+
+    @property
+    def alike(self) -> float:
+        """Correlation of the changes of neighbouring blocks."""
+        judged, change, _ = self._judged
+        grid = np.full(judged.shape, np.nan)
+        grid[judged] = change.sum(axis=1)
+        pairs = [(grid[:, 1:] * grid[:, :-1]).ravel(), (grid[1:] * grid[:-1]).ravel()]
+        products = np.concatenate(pairs)
+        products = products[np.isfinite(products)]
+        if not products.size:
+            return 0.0
+        return float(products.mean() / max(np.nanmean(grid**2), 1e-20))
+
+    @property
+    def moved(self) -> float:
+        """Fraction of the change that displacements of areas of 32 x 32 pixels explain: the smaller
+        one of the whole change's fraction and the median of the areas."""
+        one, other = self.cells
+        middle = 0.5 * (one + other)
+        if min(middle.shape) < _WINDOW:
+            return 0.0
+        scale = np.maximum(np.maximum(np.abs(one), np.abs(other)), _DARK)
+        parts = (*np.gradient(middle), middle, np.ones_like(middle))
+        model = np.stack([_windows(each / scale) for each in parts], axis=-1)
+        change = _windows((other - one) / scale)
+        brighter, displaced = (_residuals(model[..., i:], change) for i in (2, 0))
+        explained = brighter - displaced
+        total = float((change**2).sum())
+        if not total:
+            return 0.0
+        most = brighter > 0.1 * brighter.mean()
+        each = explained[most] / brighter[most]
+        return min(float(explained.sum()) / total, float(np.median(each)))
+
+
+def strips(height: int, width: int, *include: int) -> list[slice]:
+    """Return the rows to examine: all of a small image, evenly spaced strips of a larger one, and
+    the strips of the rows ``include``."""
+    tops = [*range(0, height, _ROWS)]
+    chosen = {*tops[:: -(-height * width // _PIXELS)], *(row // _ROWS * _ROWS for row in include)}
+    return [slice(top, min(top + _ROWS, height)) for top in sorted(chosen)]
+
+
+def cause_of(change: Change) -> str:
+    """Return the likely cause of a change of many pixels."""
+    own, shared, white = change.hues
+    if change.by_factor > 0.9 and own < 0.03:
+        return EXPOSURE
+    if change.by_curve > 0.985:
+        return CODEC
+    if not change.smooth and not change.detail:
+        return GEOMETRY
+    moved = change.moved > 0.12
+    if change.fineness > 0.6:
+        return _cause_of_detail(change, moved)
+    if white > 0.5 and shared > 0.03:
+        return CODEC
+    if (white < 0.8 * own and change.by_factor < 0.75) or (change.grey and change.alike > 0.3):
+        return LOBE
+    if moved:
+        return GEOMETRY
+    if own > 0.03:
+        return TEXTURE
+    return LIGHT if change.alike > 0.6 else TEXTURE
+
+
+def _cause_of_detail(change: Change, moved: bool) -> str:
+    """Return the likely cause of changed detail."""
+    few, at_edges = change.few, change.at_edges
+    if moved and few < 0.6:
+        return GEOMETRY
+    if few < 0.2 and at_edges > 0.6 and change.alike > 0.6:
+        return LIGHT  # edges of shadows moved
+    faint = change.roughness < 0.005
+    if few > 0.18 or (faint and at_edges > 0.2):
+        return DRIVER
+    return CODEC if change.hues[2] > 0.5 else TEXTURE
+
+
+def _sums_of(numbers: NDArray[np.integer], change: Float) -> NDArray[np.float64]:
+    """Return count, sum and squared sum of the changes of each number below 8192."""
+    weights = (None, change, np.square(change))
+    return np.stack([np.bincount(numbers, each, minlength=1 << 13) for each in weights])
+
+
+def _range(x: Float) -> NDArray[np.float32]:
+    """Return the range of 3 x 3 pixels minus the range of an edge."""
+    high, low = (filtered(x, choose) for choose in (np.maximum, np.minimum))
+    return np.asarray(high - low - _STEEP * np.maximum(high, 0.5 * _DARK))
+
+
+def _explained(model: NDArray[np.float64], change: NDArray[np.float64]) -> float:
+    """Return the fraction of a squared change (N) that a linear model (N, K) explains."""
+    if not change.size:
+        return 0.0
+    factors = np.linalg.lstsq(model, change, rcond=None)[0]
+    rest = change - model @ factors
+    return 1.0 - float(rest @ rest) / max(float(change @ change), 1e-20)
+
+
+def _windows(cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cells of each window, (N, K)."""
+    height, width = (side // _WINDOW for side in cells.shape)
+    cut = cells[: height * _WINDOW, : width * _WINDOW]
+    parts = cut.reshape(height, _WINDOW, width, _WINDOW).swapaxes(1, 2)
+    return parts.reshape(-1, _WINDOW**2)
+
+
+def _residuals(model: NDArray[np.float64], change: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the squared residual of each window's least-squares fit."""
+    normal = model.swapaxes(1, 2) @ model + 1e-4 * np.eye(model.shape[2])
+    factors = np.linalg.solve(normal, model.swapaxes(1, 2) @ change[..., None])
+    return np.asarray(np.square(change[..., None] - model @ factors).sum(axis=(1, 2)))

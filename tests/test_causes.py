@@ -1,0 +1,114 @@
+"""Tests the likely causes of differences on a coloured texture with a highlight, drawn by NumPy.
+docs/measurements/comparison.md has the causes named for renders."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from benchmarks.causes import CAUSES, NAMES
+from facerender.comparison.causes import (
+    CODEC,
+    DRIVER,
+    EXPOSURE,
+    GEOMETRY,
+    LIGHT,
+    LOBE,
+    TEXTURE,
+    strips,
+)
+from facerender.comparison.compare import compare
+from facerender.images.image import image_from_array
+from facerender.images.srgb import encode_srgb8
+
+SIDE = 192
+DOWN, ACROSS = np.mgrid[:SIDE, :SIDE] / SIDE - 0.5
+RANDOM = np.random.default_rng(1)
+PORES = gaussian_filter(RANDOM.standard_normal((SIDE, SIDE)), 3.0)
+SKIN = np.float32([0.6, 0.4, 0.3]) * (1.0 + 1.5 * PORES[..., None])
+SHADE = (0.5 - 0.7 * ACROSS)[..., None]
+TURNED = SHADE + 0.1 * DOWN[..., None]
+SPOT = np.exp(-20.0 * ((ACROSS + 0.2) ** 2 + DOWN**2))[..., None]
+
+
+def drawn(skin=SKIN, shade=SHADE, spot=SPOT, power=1.0) -> np.ndarray:
+    """Return a linear image: diffuse light on a texture, and a white highlight."""
+    return (skin * shade + 0.3 * spot**power).astype(np.float32)
+
+
+def jpeg(quality: int) -> np.ndarray:
+    Image.fromarray(encode_srgb8(drawn())).save(file := io.BytesIO(), "JPEG", quality=quality)
+    return np.asarray(Image.open(file))
+
+
+PLAIN = drawn()
+BYTES = encode_srgb8(PLAIN)
+LEVELS = BYTES / 255.0
+CHANGED = {  # change: reference, image, cause
+    "wider highlight": (PLAIN, drawn(power=0.9), LOBE),
+    "weaker highlight": (PLAIN, drawn(spot=0.97 * SPOT), LOBE),
+    "weaker highlight, 8 bits": (BYTES, encode_srgb8(drawn(spot=0.9 * SPOT)), LOBE),
+    "turned light": (PLAIN, drawn(shade=TURNED), LIGHT),
+    "turned light, 8 bits": (
+        BYTES,
+        encode_srgb8(drawn(shade=SHADE + 0.1 * DOWN[..., None])),
+        LIGHT,
+    ),
+    "exposure": (PLAIN, np.float32(1.01) * PLAIN, EXPOSURE),
+    "exposure, 8 bits": (BYTES, encode_srgb8(np.float32(0.95) * PLAIN), EXPOSURE),
+    "redder texture": (PLAIN, drawn(SKIN * np.float32([1.02, 1.0, 1.0])), TEXTURE),
+    "blurred texture": (PLAIN, drawn(gaussian_filter(SKIN, (2.0, 2.0, 0.0))), TEXTURE),
+    "moved by 2 pixels": (PLAIN[:, 2:], PLAIN[:, :-2], GEOMETRY),
+    "moved by 2 pixels, 8 bits": (BYTES[2:], BYTES[:-2], GEOMETRY),
+    "gamma 2.2": (BYTES, np.uint8(np.round(255.0 * PLAIN.clip(0.0, 1.0) ** (1.0 / 2.2))), CODEC),
+    "64 levels": (BYTES, np.uint8(np.round(LEVELS * 63.0) * (255.0 / 63.0)), CODEC),
+    "JPEG": (BYTES, jpeg(75), CODEC),
+}
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_first_reason_names_the_cause(name):
+    reference, image, cause = CHANGED[name]
+    result = compare(reference, image)
+    assert result.reasons[0].split("looks like ")[1].split(" (")[0] == cause, str(result)
+
+
+def test_few_wrong_pixels_are_a_reason_after_a_change_of_the_whole_image():
+    """Only black pixels that change most of the image's radiance are the first reason."""
+    places = ((60, 90, 130), (40, 60, 30))
+    image, alone = drawn(spot=0.95 * SPOT), PLAIN.copy()
+    image[places] = alone[places] = 0.0
+    first, second = compare(PLAIN, image).reasons
+    assert f"looks like {LOBE}" in first
+    assert second.endswith("looks like missing pixels")
+    assert compare(PLAIN, alone).reasons[0].endswith("looks like missing pixels")
+
+
+def test_changed_metadata_stand_in_the_first_reason():
+    """Long values are cut, and at most three entries are listed."""
+    a, b = image_from_array(PLAIN, "A"), image_from_array(np.float32(1.01) * PLAIN, "B")
+    one = {"m": "0.3", "ks": "1", "f0": "0.028", "lobe": "exact", "size": "8", "only": "here"}
+    other = {"m": "0.33", "ks": "2", "f0": "0.04", "lobe": "d" * 99, "size": "8"}
+    result = compare(replace(a, metadata=one), replace(b, metadata={**one, "m": "0.33"}))
+    assert result.reasons[0].endswith(") (metadata: m 0.3 -> 0.33)")
+    assert compare(replace(a, metadata=one), replace(a, metadata=other)).same
+    result = compare(replace(a, metadata=one), replace(b, metadata=other))
+    assert "(metadata: m 0.3 -> 0.33, ks 1 -> 2, f0 0.028 -> 0.04, 1 more)" in str(result)
+
+
+def test_strips_of_large_images_include_the_given_rows():
+    assert strips(300, 300) == [slice(0, 128), slice(128, 256), slice(256, 300)]
+    rows = strips(4096, 4096, 200, 4000)
+    assert slice(128, 256) in rows
+    assert slice(3968, 4096) in rows
+    assert len(rows) < 6
+
+
+def test_each_cause_has_changes_and_words():
+    assert {*NAMES.values()} == {*CAUSES}
+    assert DRIVER in NAMES
