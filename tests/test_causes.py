@@ -74,7 +74,7 @@ CHANGED = {  # change: reference, image, cause
 @pytest.mark.parametrize("name", CHANGED)
 def test_first_reason_names_the_cause(name):
     reference, image, cause = CHANGED[name]
-    result = compare(reference, image)
+    result = compare(reference, image, driver="same")
     assert result.reasons[0].split("looks like ")[1].split(" (")[0] == cause, str(result)
 
 

@@ -165,9 +165,9 @@ def test_values_and_limits_have_units_and_a_meaning(parsed: Page) -> None:
         "coverage16.7 % > 0.5 %The number of pixels whose coverage changed may be at most" in text
     )
     assert "point0 radiance ≤ 0.005 radianceThe difference of a pixel that" in text
-    assert "trend0 ≤ 0.15The mean product of adjacent blocks' changes" in text
+    assert "trend0 ≤ 0.9The mean product of adjacent blocks' changes" in text
     assert (
-        "grain0 % ≤ 0.09 %The noise added or lost between adjacent pixels may be at most 0.09 %"
+        "grain0 % ≤ 0.54 %The noise added or lost between adjacent pixels may be at most 0.54 %"
         in text
     )
     assert "shift0 pixels ≤ 0.25 pixels" in text
