@@ -331,7 +331,7 @@ def test_every_limit_is_an_option(wide, capsys):
     assert "changed alike" in run(capsys, one, little)[1]
     assert run(capsys, one, little, "--trend", "1e6")[0] == 0
     moved = wide.add("three", np.roll(picture(), 1, axis=1))
-    assert "another camera" in run(capsys, one, moved, *given, "--shift", "0.1")[1]
+    assert "another mesh or camera" in run(capsys, one, moved, *given, "--shift", "0.1")[1]
     noisy = wide.add("four", picture(noise=0.01))
     assert "noise" in run(capsys, one, noisy, *given, "--grain", "0.001")[1]
 

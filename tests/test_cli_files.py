@@ -186,7 +186,7 @@ def test_render_without_a_name(folder, capsys):
 def test_explore_without_a_name(folder, capsys):
     (folder / "in").mkdir()
     shutil.copy(MINI_HEAD, "in/my.scan.glb")
-    assert main(["explore", "in/my.scan.glb", "--quiet"]) == 0
+    assert main(["explore", "in/my.scan.glb", "--light", "key,no-shadow", "--quiet"]) == 0
     assert capsys.readouterr() == ("my.scan.html\n", "")
     assert main(["explore", "in/my.scan.glb"]) == 2
     message = "my.scan.html exists: give -o my.scan.html to replace it, or another name"

@@ -27,11 +27,14 @@ HIDDEN = {
 }
 
 class Refusing:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in HIDDEN:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+    def __init__(self, finder):
+        self.finder = finder
 
-sys.meta_path.insert(0, Refusing())
+    def find_spec(self, name, path=None, target=None):
+        hidden = name.partition(".")[0] in HIDDEN
+        return None if hidden else self.finder.find_spec(name, path, target)
+
+sys.meta_path[:] = [Refusing(finder) for finder in sys.meta_path]
 assert {"moderngl", "glcontext", "trimesh", "scipy", "tqdm", "OpenGL"} <= HIDDEN
 """
 COMMAND = """

@@ -74,7 +74,7 @@ def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, st
 
 
 def _text(value: Any) -> str:
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    return str(float(f"{value:.9g}") if isinstance(value, float) else value)
 
 
 def _limited(text: str) -> str:
