@@ -83,7 +83,7 @@ def compare(
     mask : (H, W), nonzero for pixels that count; default: all pixels count
     driver : "same" or "other": whether one OpenGL driver drew both images; "auto": "same" if the
         images' metadata name one driver or say that all textures were float, or if linear images
-        differ without noise between adjacent pixels; otherwise "other"
+        differ without noise between adjacent pixels and at no pixel of an edge; otherwise "other"
 
     Raises
     ------
@@ -112,7 +112,7 @@ def compare(
         allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
         looser=_LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0),
     )
-    if driver == "auto" and statistics.quiet:
+    if driver == "auto" and statistics.quiet and not (strip.over.any() or strip.faded):
         statistics = replace(statistics, foreign=False)
     size = a.pixels.shape[1], a.pixels.shape[0]
     counted = size[0] * size[1] if counts is None else int(counts.sum())
