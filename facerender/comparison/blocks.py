@@ -29,9 +29,11 @@ _SPREAD = 4.0  # blocks are judged if their weight is spread over more cells tha
 _FEW = 4  # grain and texture need at least this number of changed blocks
 _STEP = 0.01  # squared slope added to all pixels of 8-bit images, so that few pixels give no shift
 _DITHER = 0.6  # variance between adjacent pixels of an image dithered with noise of half a step
-_QUIET = 2e-5  # largest noise of a channel, and 1/4 of the largest noise that all channels share,
-# between two linear images of one driver. Measured: at most 7e-7 and 4e-5 if a parameter changed,
-# at least 5e-5 and 1.2e-4 for another driver
+# Noise between two linear images of one driver. Measured on skin: single channels have at most 0.08
+# of the noise that all channels share if a parameter changed, at least 0.22 with another driver.
+_OWN = 0.2  # largest ratio of these two kinds of noise, if the image is coloured
+_TINT = 0.1  # smallest relative difference between the channels of a coloured image
+_STILL = 8e-5  # largest noise of a grey image
 _SMOOTH = 0.25  # variance between adjacent pixels below which an 8-bit image has no detail
 _CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
 
@@ -100,8 +102,7 @@ class BlockSums:
     grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas.
         Values 0, 1, 2: part common to all channels, in difference image, reference and image. Value
         3: remaining part, in the difference image
-    texture : (2, H, W) over blocks: squared differences between adjacent pixels in all areas:
-        part common to all channels, in the reference and in the image
+    texture : (4, H, W) over blocks: the same four values in all areas
     normal : (2, 3), normal equations of the least-squares displacement
     """
 
@@ -172,7 +173,7 @@ class BlockSums:
             np.stack(of_blocks),
             np.stack([block_sums(cell_sums(each)) for each in (counted, flat)]),
             np.stack([block_sums(cell_sums(flat * each)) for each in (*squares, own)]),
-            np.stack([block_sums(cell_sums(counted * each)) for each in squares[1:]]),
+            np.stack([block_sums(cell_sums(counted * each)) for each in (*squares, own)]),
             normal,
         )
 
@@ -270,14 +271,20 @@ class BlockStatistics:
         """Whether one image may be dithered, or rounded in another way than the other image."""
         return self.foreign and self.scale is STEPS
 
-    @cached_property
+    @property
     def quiet(self) -> bool:
-        """Whether adjacent pixels of linear images differ alike, as in images of one driver: other
-        drivers filter 8-bit textures with other rounding errors."""
-        noise, *_, own = self._grains
-        return (
-            self.scale is LINEAR and self._flat.sum() >= _FEW and max(noise / 16.0, own) < _QUIET**2
-        )
+        """Whether linear images differ between adjacent pixels as images of one driver do.
+
+        Other drivers filter 8-bit textures with other rounding errors, which differ from channel to
+        channel of a coloured texture.
+        """
+        if self.scale is STEPS or self.changed.sum() < _FEW:
+            return False
+        pixels = self.sums.pixels[0][self.changed]
+        noise, own = np.median(self.sums.texture[::3, self.changed] / pixels, axis=1)
+        level = self.sums.channels[:, 3, self.changed]
+        tint = np.median(1.0 - level.min(axis=0) / np.maximum(level.max(axis=0), 1e-12))
+        return bool(own < _OWN**2 * noise if tint > _TINT else noise < _STILL**2)
 
     @cached_property
     def rounding(self) -> NDArray[np.float64]:
@@ -316,14 +323,10 @@ class BlockStatistics:
         return np.asarray(result)
 
     @cached_property
-    def _flat(self) -> Mask:
-        """Mask of the changed blocks that have enough flat pixels."""
-        return np.asarray((self.sums.pixels[1] >= LEAST) & self.changed)
-
-    @cached_property
     def _grains(self) -> NDArray[np.float64]:
         """Values of :attr:`BlockSums.grain` per flat pixel, (4,): medians over the blocks."""
-        flat, counts = self.sums.pixels[1], self._flat
+        flat = self.sums.pixels[1]
+        counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
             return np.zeros(4)
         medians = np.median(self.sums.grain[:, counts] / flat[counts], axis=1)
@@ -347,7 +350,7 @@ class BlockStatistics:
         of both; the median over blocks."""
         if self.changed.sum() < _FEW:
             return 0.0
-        one, other = self.sums.texture[:, self.changed]
+        one, other = self.sums.texture[1:3, self.changed]
         pixels = self.sums.pixels[0][self.changed]
         least = (2.0 * self.scale.noise) ** 2 * pixels
         more = _beyond(other - one, self._dither(np.minimum(one, other) / pixels) * pixels)
