@@ -94,7 +94,7 @@ def test_index_lists_all_files_and_only_missing_files_are_drawn(suite, scene):
 
 def test_the_halves_share_no_head_camera_or_light():
     tune, report = (
-        [each for each in SETTINGS.values() if each.half == half] for half in ("tune", "report")
+        [each for each in SETTINGS.values() if each.group == half] for half in ("tune", "report")
     )
     assert report
     for a, b in product(tune, report):

@@ -32,10 +32,10 @@ from facerender.errors import InputError
 from facerender.system.atomic import write_text
 from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.draw import Pair
-from tests.verification.pairs.scenes import Half
+from tests.verification.pairs.scenes import Group
 
 FACERENDER = "facerender compare"
-HALVES: tuple[Half, ...] = ("tune", "report")
+GROUPS: tuple[Group, ...] = ("tune", "report")
 FORMATS: tuple[Format, ...] = ("png", "exr")
 
 Differences = Mapping[str, float]
@@ -57,7 +57,7 @@ class Score:
     """
 
     judge: str
-    half: Half
+    group: Group
     format: Format
     threshold: float
     caught: int
@@ -77,7 +77,7 @@ class Tally:
 
     change: str
     must: Must
-    half: Half
+    group: Group
     format: Format
     different: int
     pairs: int
@@ -104,7 +104,7 @@ def score(threshold: float, judged: Sequence[Judged], judge: str) -> Score:
     fails = np.array([each.pair.must == "fail" for each in judged])
     above = np.array([each.differences[judge] > threshold for each in judged])
     return Score(
-        *(judge, judged[0].pair.half, judged[0].pair.format, threshold),
+        *(judge, judged[0].pair.group, judged[0].pair.format, threshold),
         caught=int((above & fails).sum()),
         must_fail=int(fails.sum()),
         alarms=int((above & ~fails).sum()),
@@ -144,21 +144,21 @@ def judge(pairs: Sequence[Pair], ask: Callable[[Pair], Differences]) -> list[Jud
         return [Judged(*each) for each in zip(pairs, pool.map(ask, pairs), strict=True)]
 
 
-def summed(judged: Sequence[Judged], change: str, half: Half, kind: Format) -> Tally | None:
+def summed(judged: Sequence[Judged], change: str, group: Group, kind: Format) -> Tally | None:
     """Count the pairs of a change that facerender found different; None without any pair."""
     found = [
         each.differences[FACERENDER] > 0.0
         for each in judged
-        if (each.pair.change, each.pair.half, each.pair.format) == (change, half, kind)
+        if (each.pair.change, each.pair.group, each.pair.format) == (change, group, kind)
     ]
-    return Tally(change, SUITE[change].must, half, kind, sum(found), len(found)) if found else None
+    return Tally(change, SUITE[change].must, group, kind, sum(found), len(found)) if found else None
 
 
 def scores(judged: Sequence[Judged]) -> Iterator[Score]:
     """Score every judge on each half and format: facerender by its verdict, others at their best
     threshold."""
-    for half, kind in product(HALVES, FORMATS):
-        own = [each for each in judged if (each.pair.half, each.pair.format) == (half, kind)]
+    for group, kind in product(GROUPS, FORMATS):
+        own = [each for each in judged if (each.pair.group, each.pair.format) == (group, kind)]
         for judge in dict.fromkeys(name for each in own for name in each.differences):
             how = partial(score, 0.5) if judge == FACERENDER else best
             yield how(own, judge)
@@ -189,7 +189,7 @@ def main() -> None:
     pairs = counted(read_pairs(given.suite / INDEX))
     if given.peers:
         versions = {peer.name: found for peer, found in present()}
-        pairs = [pair for pair in pairs if pair.half == "report"]
+        pairs = [pair for pair in pairs if pair.group == "report"]
         judged = judge(pairs, partial(of_peers, [*versions], given.suite))
         tallies: tuple[Tally, ...] = ()
     else:
@@ -198,7 +198,7 @@ def main() -> None:
         for each in judged:
             if (each.differences[FACERENDER] > 0.0) != (each.pair.must == "fail"):
                 print("missed" if each.pair.must == "fail" else "alarm", each.pair.image)
-        counts = (summed(judged, *each) for each in product(SUITE, HALVES, FORMATS))
+        counts = (summed(judged, *each) for each in product(SUITE, GROUPS, FORMATS))
         tallies = tuple(each for each in counts if each)
     write_summary(given.output, Summary(versions, tuple(scores(judged)), tallies))
 

@@ -18,7 +18,7 @@ from facerender.images.write import save_png
 from facerender.system.atomic import write_bytes
 from tests.verification.pairs.changes import Against, Change, Encode, Encoded, Format, Must
 from tests.verification.pairs.room import Linear, Room
-from tests.verification.pairs.scenes import Half
+from tests.verification.pairs.scenes import Group
 
 FLOORS: dict[Format, float] = {"exr": 0.5, "png": 1.0}
 DARK = 0.01  # smallest radiance that a relative change is divided by
@@ -38,7 +38,7 @@ class Pair:
     """
 
     scene: str
-    half: Half
+    group: Group
     change: str
     must: Must
     format: Format
@@ -94,7 +94,7 @@ def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
     def pair(golden: Path, image: Path, samples: int, effect: float, same: bool) -> Pair:
         kind: Format = "exr" if image.suffix == ".exr" else "png"
         a, b = (str(each.relative_to(out)) for each in (golden, image))
-        about = setting.name, setting.half, name, change.must, kind
+        about = setting.name, setting.group, name, change.must, kind
         above = effect > FLOORS[kind]
         return Pair(*about, a, b, samples, setting.size, effect, above, bool(same))
 

@@ -22,7 +22,7 @@ from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.program import Program
 from facerender.drawing.renderer import _Image
 from facerender.scenes.scene import Scene
-from facerender.scenes.view import View, view_of
+from facerender.scenes.view import View, sample_grid, view_of
 from tests.verification.pairs.scenes import Setting
 
 Linear = NDArray[np.float32]
@@ -99,8 +99,15 @@ class Room:
         samples = samples or self.renderer.samples
         seen = view or view_of(own, 1.0)
         self.renderer.patch = patch
+        at_once = min(samples, self.renderer.context.most_samples)
         resolved = self.renderer._resolved(own, how, seen, samples)
-        return self.renderer._shaded(resolved, seen, _Image(samples))
+        if at_once == samples:
+            return self.renderer._shaded(resolved, seen, _Image(samples))
+        images = [
+            self.renderer._shaded(resolved, seen.shifted(at, self.size), _Image(1))
+            for at in sample_grid(samples)
+        ]
+        return cast(Linear, np.mean(images, axis=0, dtype=np.float32))
 
     @cached_property
     def golden(self) -> Linear:

@@ -88,7 +88,7 @@ def judges_table(own: Summary, peers: Summary) -> str:
     scores = {
         (each.judge, each.format): each
         for each in (*own.scores, *peers.scores)
-        if each.half == "report"
+        if each.group == "report"
     }
     rows = []
     for judge in dict.fromkeys(name for name, _ in scores):
@@ -115,7 +115,7 @@ def changes_table(own: Summary, must: str) -> str:
     counts = {
         (each.change, each.format): f"{each.different} of {each.pairs}"
         for each in own.tallies
-        if (each.half, each.must) == ("report", must)
+        if (each.group, each.must) == ("report", must)
     }
     rows = [
         [change, *(counts.get((change, kind), "") for kind in ("png", "exr"))]
