@@ -105,15 +105,23 @@ def remade(change: Callable[[Any], Any]) -> Callable[[Room], Linear]:
     return make
 
 
-def slope(by: float) -> Callable[[Room], Linear]:
+def slope(by: float) -> Callable[[Room], Linear | None]:
     """Multiply the slope m of every material."""
-    return remade(
+    root = math.sqrt(by)
+    materials = remade(
         lambda each: (
             replace(each, m=by * each.m)
             if each.roughness_map is None
-            else replace(each, roughness_factor=math.sqrt(by) * each.roughness_factor)
+            else replace(each, roughness_factor=root * each.roughness_factor)
         )
     )
+
+    def make(room: Room) -> Linear | None:
+        own = room.scene.mesh.materials
+        too_large = any(each.roughness_map and root * each.roughness_factor > 1.0 for each in own)
+        return surface(f"s.m *= {by};")(room) if too_large else materials(room)
+
+    return make
 
 
 def factor(name: str, by: float) -> Callable[[Room], Linear]:
