@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -265,19 +265,103 @@ SUBTLE = [  # changes that no pixel or block shows: image, reference, beginning 
 
 @pytest.mark.parametrize(("image", "reference", "reason"), SUBTLE)
 def test_detail_that_was_added_or_lost(image, reference, reason):
-    assert re.match(reason, str(compare(reference, image, point=0.1, trend=1e6)))
+    result = compare(reference, image, point=0.1, trend=1e6, driver="same")
+    assert re.match(reason, str(result))
 
 
 def test_another_driver_is_named_and_has_wider_limits():
     one = from_driver("llvmpipe", plain())
     assert str(compare(one, one)) == "same"
-    other = from_driver("softpipe", plain())
-    assert str(compare(one, other)) == "same, with wider limits for another driver"
+    assert str(compare(one, from_driver("softpipe", plain()))) == "same"
+    other = from_driver("softpipe", rough(1e-3))
+    passes = compare(from_driver("llvmpipe", rough(0.0)), other, texture=1.0)
+    assert str(passes) == "same, with wider limits for another driver"
     for by, same in ((0.002, True), (0.01, False)):
         drawn = (from_driver("llvmpipe", rough(0.0)), from_driver("softpipe", rough(by)))
         result = compare(*drawn, point=0.1, texture=1.0)
         assert result.same is same
         assert same or re.match(r"grain .*, limit 0\.54 %", str(result))
+
+
+@pytest.mark.parametrize("kind", ["array", "Pillow", "png", "npy"])
+def test_images_without_a_driver_are_of_other_drivers(kind, tmp_path):
+    images = [from_driver("llvmpipe", rough(by)) for by in (0.0, 0.002)]
+    assert not compare(*images, point=0.1, texture=1.0).same
+    given: list[object] = [image.pixels for image in images]
+    if kind in ("Pillow", "png"):
+        given = [Image.fromarray(encode_srgb8(image)) for image in given]
+    if kind in ("png", "npy"):
+        paths = [tmp_path / f"{name}.{kind}" for name in "ab"]
+        for image, path in zip(given, paths, strict=True):
+            image.save(path) if kind == "png" else np.save(path, image)
+        given = [*paths]
+    found = compare(*given, point=9.0, texture=1.0)
+    assert (found.same, found.foreign) == (True, True)
+    assert compare(*given, point=9.0, texture=1.0, driver="same").foreign is False
+
+
+def test_driver_option_and_float_textures_decide():
+    one, other = (from_driver(name, rough(by)) for name, by in (("a", 0.0), ("b", 0.002)))
+    assert compare(one, other).foreign
+    assert not compare(one, other, driver="same").foreign
+    assert compare(one, one, driver="other").foreign
+    exact = [replace(each, metadata=each.metadata | {"textures": "float"}) for each in (one, other)]
+    assert not compare(*exact).foreign
+    assert compare(exact[0], other).foreign
+    with pytest.raises(fr.InputError, match="unknown driver 'x'; known: auto, same, other"):
+        compare(one, other, driver="x")
+
+
+def test_linear_images_that_differ_without_noise_are_of_one_driver(room):
+    """So a highlight that is 3 % weaker fails in files without metadata too."""
+    weaker = room.with_material(ks=0.97 * room.scene.mesh.materials[0].ks)
+    result = compare(room.golden, weaker)
+    assert (result.same, result.foreign) == (False, False)
+    noisy = weaker.copy()
+    noisy[RGB] *= 1.0 + 2e-4 * np.random.default_rng(1).standard_normal(noisy[RGB].shape)
+    assert compare(room.golden, noisy).foreign
+
+
+def even(steps: float, tint: tuple[float, ...] = (1.0, 1.0, 1.0)) -> np.ndarray:
+    """Return 8-bit levels, not rounded, that increase by ``steps`` in 16 pixels."""
+    down, right = np.mgrid[:160, :160] / 16.0
+    return (60.37 + steps * (0.9 * right + 0.4 * down))[..., None] * np.array(tint)
+
+
+def ball(background: float) -> np.ndarray:
+    """Return 8-bit levels, not rounded, of a smooth ball in front of a flat background."""
+    y, x = np.mgrid[-1:1:192j, -1:1:192j] / 0.7
+    z = np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))
+    light = 40.0 + 150.0 * np.maximum(0.4 * x - 0.5 * y + 0.77 * z, 0.0)
+    return np.where(z > 0.0, light, background)[..., None] * np.array([1.0, 0.8, 0.7])
+
+
+SMOOTH = {
+    **{f"{steps} steps": even(steps) for steps in (0.0, 0.2, 0.5, 1.0, 2.0, 3.0)},
+    **{f"{steps} steps, skin": even(steps, (1.0, 0.7, 0.6)) for steps in (0.0, 0.5, 1.0, 3.0)},
+    **{f"ball on {level}": ball(level) for level in (5.0, 5.1, 5.5)},
+}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.25, 0.5])
+@pytest.mark.parametrize("name", SMOOTH)
+def test_rounding_and_dithering_of_smooth_areas_pass(name, noise):
+    """Without noise, the second image has another rounding: up from 0.46 levels."""
+    levels, random = SMOOTH[name], np.random.default_rng(5)
+    rounded = np.round(levels).astype(np.uint8)
+    if noise:
+        dithered = np.round(levels + random.normal(0.0, noise, levels.shape)).astype(np.uint8)
+        grey = np.round(levels + random.normal(0.0, noise, levels.shape[:2])[..., None])
+        assert compare(rounded, dithered).same
+        assert compare(dithered, rounded).same
+        assert compare(rounded, grey.astype(np.uint8)).same
+    else:
+        assert compare(rounded, np.floor(levels + 0.54).astype(np.uint8)).same
+
+
+def test_exposure_of_textured_skin_in_8_bits_fails(room):
+    brighter = room.golden * np.float32([1.01, 1.01, 1.01, 1.0])
+    assert not compare(*(encode_srgb8(each[RGB]) for each in (room.golden, brighter))).same
 
 
 def test_black_pixels_within_the_point_limit_are_counted():

@@ -422,6 +422,13 @@ def test_line_numbers_after_an_include_in_a_branch(evaluate):
         gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
 
 
+@pytest.mark.parametrize("end", ["", "\n", "\n\n", "\n#endif", "\n#endif\n"])
+def test_no_line_directive_at_the_end(end):
+    start = "#if 1\n" if "endif" in end else ""
+    text = fr.resolve_includes(f'{start}#include "facerender/ward.glsl"{end}')
+    assert not text.rstrip().split("\n")[-1].startswith("#line"), "NVIDIA rejects it"
+
+
 def test_default_macro_is_not_an_include_guard():
     default = "#ifndef FR_LOBE\n#define FR_LOBE FR_LOBE_D16\n#endif\n"
     preprocessor = Preprocessor(fr.shader_dir())

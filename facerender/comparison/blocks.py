@@ -27,6 +27,12 @@ MOVED = 0.25  # default limit of the whole image's displacement, in pixels
 _WILD = 1e3  # relative steps are clipped to this value, since squares of larger steps may overflow
 _SPREAD = 4.0  # blocks are judged if their weight is spread over more cells than this
 _FEW = 4  # grain and texture need at least this number of changed blocks
+_STEP = 0.01  # squared slope added to all pixels of 8-bit images, so that few pixels give no shift
+_DITHER = 0.6  # variance between adjacent pixels of an image dithered with noise of half a step
+_QUIET = 2e-5  # largest noise of a channel, and 1/4 of the largest noise that all channels share,
+# between two linear images of one driver. Measured: at most 7e-7 and 4e-5 if a parameter changed,
+# at least 5e-5 and 1.2e-4 for another driver
+_SMOOTH = 0.25  # variance between adjacent pixels below which an 8-bit image has no detail
 _CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
 
 
@@ -88,6 +94,7 @@ class BlockSums:
     weight : weights of the pixels, over cells
     change : weighted changes, over cells
     across, down : weighted changes that a displacement by one pixel causes, over cells
+    levels : (2, H, W) over cells: levels of reference and image; only for 8-bit images
     channels : (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
     pixels : (2, H, W) over blocks: number of pixels that count, and number of flat pixels
     grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas.
@@ -102,6 +109,7 @@ class BlockSums:
     change: NDArray[np.float32]
     across: NDArray[np.float32]
     down: NDArray[np.float32]
+    levels: NDArray[np.float32]
     channels: NDArray[np.float64]
     pixels: NDArray[np.float64]
     grain: NDArray[np.float64]
@@ -131,6 +139,8 @@ class BlockSums:
         weight = (counts / noise / level).astype(np.float32)[rows]
         level = level if scale is STEPS else level[rows]
         inverse = weight / level
+        if scale is STEPS:  # rounding moves the contours of smooth areas
+            inverse *= steepest[rows] > 1.0
         normal = np.zeros((2, 3))
         of_cells, of_blocks = [], []
         for x, y in zip(*planes, strict=True):
@@ -155,6 +165,9 @@ class BlockSums:
             change,
             across,
             down,
+            np.stack([cell_sums(each[rows]) for each in means])
+            if scale is STEPS
+            else np.zeros((2, *change.shape), np.float32),
             np.stack(of_blocks),
             np.stack([block_sums(cell_sums(each)) for each in (counted, flat)]),
             np.stack([block_sums(cell_sums(flat * each)) for each in (*squares, own)]),
@@ -196,6 +209,8 @@ class BlockStatistics:
         across, down, change = self.sums.normal.T
         normal = np.stack([across, down])
         ridge = 1e-6 * np.trace(normal) + 1e-12
+        if self.scale is STEPS:
+            ridge += _STEP * float(self.sums.weight.sum())
         x, y = np.linalg.solve(normal + ridge * np.eye(2), -change)
         return float(x), float(y)
 
@@ -249,6 +264,38 @@ class BlockStatistics:
             least += self.scale.drift**2
         return np.asarray(np.sqrt(scatter + least))
 
+    @property
+    def _dithered(self) -> bool:
+        """Whether one image may be dithered, or rounded in another way than the other image."""
+        return self.foreign and self.scale is STEPS
+
+    @cached_property
+    def quiet(self) -> bool:
+        """Whether adjacent pixels of linear images differ alike, as in images of one driver: other
+        drivers filter 8-bit textures with other rounding errors."""
+        noise, *_, own = self._grains
+        return self.scale is LINEAR and self._flat.sum() >= _FEW and max(noise / 16.0, own) < _QUIET**2
+
+    @cached_property
+    def rounding(self) -> NDArray[np.float64]:
+        """Largest change of each block's mean that rounding to 8 bits may cause, in levels.
+
+        If the values in a block increase evenly by R steps, rounding changes their mean by at most
+        (1 - R) / 2 or, from R = 1/2, by 1 / (8 R). R is estimated for each cell of both images.
+        """
+        weight = self.sums.weight
+        if not self._dithered:
+            return np.zeros_like(self._weight)
+        slopes = [np.gradient(np.pad(each, 1, "edge")) for each in self.sums.levels / _CELL**2]
+        range_of_block = [
+            np.hypot(*slope)[1:-1, 1:-1] * np.float64(BLOCK // _CELL) for slope in slopes
+        ]
+        error = sum(
+            np.where(each < 0.5, 0.5 * (1.0 - each), 0.125 / np.maximum(each, 0.5))
+            for each in range_of_block
+        )
+        return block_sums(weight * error) / self._weight
+
     @cached_property
     def channels(self) -> NDArray[np.float64]:
         """Change of each block's mean in the block's worst channel. Linear images: fraction of that
@@ -266,10 +313,14 @@ class BlockStatistics:
         return np.asarray(result)
 
     @cached_property
+    def _flat(self) -> Mask:
+        """Mask of the changed blocks that have enough flat pixels."""
+        return np.asarray((self.sums.pixels[1] >= LEAST) & self.changed)
+
+    @cached_property
     def _grains(self) -> NDArray[np.float64]:
         """Values of :attr:`BlockSums.grain` per flat pixel, (4,): medians over the blocks."""
-        flat = self.sums.pixels[1]
-        counts = (flat >= LEAST) & self.changed
+        flat, counts = self.sums.pixels[1], self._flat
         if counts.sum() < _FEW:
             return np.zeros(4)
         medians = np.median(self.sums.grain[:, counts] / flat[counts], axis=1)
@@ -283,7 +334,7 @@ class BlockStatistics:
         the noise that is independent in each channel, if this RMS is larger.
         """
         difference, reference, image, own = self._grains
-        more = image - reference
+        more = _beyond(image - reference, self._dither(np.minimum(reference, image)))
         common = np.copysign(np.sqrt(min(abs(more), difference)), more)
         return float(max(common, np.sqrt(own) if self.scale is LINEAR else 0.0, key=abs))
 
@@ -294,8 +345,18 @@ class BlockStatistics:
         if self.changed.sum() < _FEW:
             return 0.0
         one, other = self.sums.texture[:, self.changed]
-        least = (2.0 * self.scale.noise) ** 2 * self.sums.pixels[0][self.changed]
-        return float(np.median((other - one) / (one + other + least)))
+        pixels = self.sums.pixels[0][self.changed]
+        least = (2.0 * self.scale.noise) ** 2 * pixels
+        more = _beyond(other - one, self._dither(np.minimum(one, other) / pixels) * pixels)
+        return float(np.median(more / (one + other + least)))
+
+    def _dither(self, variance: Any) -> Any:
+        """Return the variance between adjacent pixels that dithering may add to an 8-bit image.
+
+        variance : the smaller one of the two images' variances. An image without detail is smooth
+            or rounded without dither
+        """
+        return np.where(variance < _SMOOTH, _DITHER, 0.0) if self._dithered else 0.0
 
     @property
     def gain(self) -> float:
@@ -317,12 +378,18 @@ class BlockStatistics:
 
     @cached_property
     def _products(self) -> NDArray[np.float64]:
-        ratio = np.clip(self.change / np.hypot(self.error, self.looser), -_CLIPPED, _CLIPPED)
+        change = _beyond(self.change, self.rounding)
+        ratio = np.clip(change / np.hypot(self.error, self.looser), -_CLIPPED, _CLIPPED)
         products: list[NDArray[np.float64]] = []
         for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
             both = self.changed[one] & self.changed[other]
             products.append((ratio[one] * ratio[other])[both])
         return np.concatenate(products)
+
+
+def _beyond(value: Any, allowed: Any) -> Any:
+    """Return the part of a value beyond [-allowed, allowed]."""
+    return np.sign(value) * np.maximum(np.abs(value) - allowed, 0.0)
 
 
 def _common(channels: list[Float]) -> Float:

@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,13 @@ from facerender.comparison.result import LIMITS, Comparison, Limits
 from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite, size_of
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError, warn
+from facerender.errors import InputError, shown, warn
 from facerender.images.decode import MAX_BYTES
 from facerender.images.image import Encoding, ImageData, PixelRange
 from facerender.images.read import SUFFIXES
 from facerender.system.files import check_file
+
+Driver = Literal["auto", "same", "other"]
 
 MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
@@ -66,6 +68,7 @@ def compare(
     coverage: float | None = None,
     shift: float | None = None,
     mask: NDArray[Any] | None = None,
+    driver: Driver = "auto",
 ) -> Comparison:
     """Compare an image with its reference.
 
@@ -78,12 +81,17 @@ def compare(
         :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Two images that one
         driver drew with float textures pass a block limit of 1e-3
     mask : (H, W), nonzero for pixels that count; default: all pixels count
+    driver : "same" or "other": whether one OpenGL driver drew both images; "auto": "same" if the
+        images' metadata name one driver or say that all textures were float, or if linear images
+        differ without noise between adjacent pixels; otherwise "other"
 
     Raises
     ------
     InputError : a file cannot be read; sizes, channels, encodings or colour spaces differ; a pixel
-        is not finite; the mask has another size or is 0 everywhere; a limit is invalid
+        is not finite; the mask has another size or is 0 everywhere; a limit or driver is invalid
     """
+    if not (isinstance(driver, str) and driver in get_args(Driver)):
+        raise InputError(f"unknown driver {shown(driver)}; known: {', '.join(get_args(Driver))}")
     a, b = as_image(reference, "A"), as_image(image, "B")
     check_alike(a, b)
     check_finite(a)
@@ -99,19 +107,21 @@ def compare(
     statistics = BlockStatistics(
         sums=strip.sums,
         scale=LINEAR if a.encoding == "linear" else STEPS,
-        foreign=_foreign((reference, image), (a, b)),
+        foreign=_foreign(driver, (a, b)),
         moved=limits.shift,
         allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
         looser=_LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0),
     )
+    if driver == "auto" and statistics.quiet:
+        statistics = replace(statistics, foreign=False)
     size = a.pixels.shape[1], a.pixels.shape[0]
     counted = size[0] * size[1] if counts is None else int(counts.sum())
     result = _result(a.encoding, size, counted, limits, strip, statistics)
-    shown = tuple(
+    displayed = tuple(
         source if isinstance(source, Frame) else image
         for source, image in ((reference, a), (image, b))
     )
-    return replace(result, reasons=reasons_of(result, strip.over, statistics), images=shown)
+    return replace(result, reasons=reasons_of(result, strip.over, statistics), images=displayed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,11 +361,15 @@ def _counting(mask: NDArray[Any], image: ImageData) -> Mask:
     return counts
 
 
-def _foreign(sources: tuple[Comparable, Comparable], images: tuple[ImageData, ImageData]) -> bool:
-    """Return whether different drivers drew the images; for an array, assume the same driver."""
-    if any(isinstance(each, np.ndarray) for each in sources):
-        return False
+def _foreign(driver: Driver, images: tuple[ImageData, ImageData]) -> bool:
+    """Return whether the images may differ as images of different drivers do.
+
+    Drivers filter 8-bit textures differently. Images without such textures differ less.
+    """
+    if driver != "auto":
+        return driver == "other"
     one, other = (
         [image.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")] for image in images
     )
-    return one != other
+    named = one == other and one[0] is not None
+    return not named and any(image.metadata.get("textures") != "float" for image in images)

@@ -72,8 +72,8 @@ class Comparison:
     reasons : reasons of a difference, as text; empty if the images are the same
     encoding : "linear" or "srgb8"; it determines the units, see :class:`Limits`
     limits : the limits of the checks
-    foreign : whether the files' metadata name another driver for the image. Drivers may
-        filter 8-bit textures differently, so the limits of trend, grain and texture are then wider
+    foreign : whether another driver drew the image, or may have drawn it. Drivers filter 8-bit
+        textures differently, so the limits of trend, grain and texture are then wider
     point : unexplained difference of the worst pixel, negative if the image is darker; reduced by
         the effect of a sliver if no pixel exceeds the limit
     point_at : position of the worst pixel
@@ -165,6 +165,6 @@ class Comparison:
         return f'{text}<img src="{image}" alt="A, B and their difference">'
 
     def __str__(self) -> str:
-        foreign = ", with wider limits for another driver" * self.foreign
+        foreign = ", with wider limits for another driver" * (self.foreign and self.largest > 0.0)
         unjudged = "" if self.blocks_judged else ", but no block has enough pixels to be checked"
         return "; ".join(self.reasons) or f"same{foreign}{unjudged}"

@@ -20,6 +20,7 @@ IF = ("if", "ifdef", "ifndef")
 _COMMENT_OR_STRING = re.compile(r'"[^"\n]*"|//(?:\\\n|[^\n])*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _DIRECTIVE = re.compile(r"^[ \t]*#[ \t]*(\w+)[ \t]*([^\n]*)", re.MULTILINE)
 _INCLUDE = re.compile(r'"([^"]+)"|<([^>]+)>')
+_LAST_LINE = re.compile(r"\n#line \d+ \d+\s*\Z")
 _NOTHING = re.compile(r"(?:\s|//[^\n]*)*")
 _Identity = tuple[int, int]  # Device and inode number of a file.
 
@@ -130,7 +131,8 @@ class Includes:
     @property
     def text(self) -> str:
         """The resolved text."""
-        return "".join(self._parts)
+        # NVIDIA's compiler rejects #line at the end of the text.
+        return _LAST_LINE.sub("\n", "".join(self._parts))
 
     def append_file(self, path: str | Path) -> None:
         """Append a file with its includes.
