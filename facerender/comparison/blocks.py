@@ -274,7 +274,9 @@ class BlockStatistics:
         """Whether adjacent pixels of linear images differ alike, as in images of one driver: other
         drivers filter 8-bit textures with other rounding errors."""
         noise, *_, own = self._grains
-        return self.scale is LINEAR and self._flat.sum() >= _FEW and max(noise / 16.0, own) < _QUIET**2
+        return (
+            self.scale is LINEAR and self._flat.sum() >= _FEW and max(noise / 16.0, own) < _QUIET**2
+        )
 
     @cached_property
     def rounding(self) -> NDArray[np.float64]:

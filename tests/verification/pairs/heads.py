@@ -243,6 +243,8 @@ def coarse() -> Mesh:
     random = np.random.default_rng(6)
     places = sums / counts[:, None] + random.normal(0.0, 7e-4, sums.shape)
     faces = cell.ravel()[head.faces]
+    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    faces = faces[np.sort(once)]
     a, b, c = faces.T
     corners = places[faces[(a != b) & (b != c) & (c != a)]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

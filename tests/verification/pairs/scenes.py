@@ -246,14 +246,6 @@ _SETTINGS = (
         environment=True,
     ),
     Setting(
-        *("makehuman-front", "judge", "makehuman", 512, 4, fr.Camera(-12.0, -2.0)),
-        lights=(
-            fr.Light(35.0, 30.0, (4.2, 4.0, 3.7), radius=8.0),
-            fr.Light(-110.0, 35.0, 2.2, shadow=False),
-        ),
-        background=(0.18, 0.17, 0.16),
-    ),
-    Setting(
         *("makehuman-above", "judge", "makehuman", 320, 1, fr.Camera(33.0, 30.0)),
         lights=(fr.Light(-10.0, 40.0, 4.0),),
         background=None,
