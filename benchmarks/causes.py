@@ -261,7 +261,7 @@ def settings(half: str) -> list[Setting]:
     return [
         replace(each, size=min(each.size, SIZE))
         for each in (*SETTINGS.values(), *OTHER_CAMERAS)
-        if each.half == half
+        if each.group == half
     ]
 
 

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import facerender as fr
+from benchmarks.pairs import unchanged, verdicts
 from benchmarks.pairs.suite import INDEX, SUITE, draw_missing, read_pairs, write_index
-from benchmarks.pairs.verdicts import Judged, best, counted, score
+from benchmarks.pairs.verdicts import GROUPS, Judged, best, counted, score
 from benchmarks.pairs.webgl import draw_webgl
 from facerender.comparison.compare import compare
+from facerender.images.read import read_image
 from facerender.images.srgb import encode_srgb8
-from tests.verification.pairs.draw import FLOORS, Pair, slug, steps
+from tests.verification.pairs.draw import FLOORS, Pair, above_codec, slug, steps
 from tests.verification.pairs.room import Room
 from tests.verification.pairs.scenes import SETTINGS
 
@@ -92,16 +94,66 @@ def test_index_lists_all_files_and_only_missing_files_are_drawn(suite, scene):
     assert changed == {"2-black-pixels.exr", "2-black-pixels.png"}
 
 
-def test_the_halves_share_no_head_camera_or_light():
-    tune, report = (
-        [each for each in SETTINGS.values() if each.half == half] for half in ("tune", "report")
+def test_the_groups_share_no_head_camera_or_light():
+    for a, b in combinations(SETTINGS.values(), 2):
+        if a.group != b.group:
+            assert a.head != b.head
+            assert a.camera != b.camera
+            assert not {*a.lights} & {*b.lights}
+            assert a.point is None or a.point != b.point
+    assert {each.group for each in SETTINGS.values()} == {*GROUPS}
+
+
+def test_the_judge_has_jpegs_and_images_of_another_machine(tmp_path, monkeypatch, egl):
+    scene = replace(SETTINGS["coarse-below"], size=96)
+    monkeypatch.setattr(unchanged, "SETTINGS", {scene.name: scene})
+    drawn = tmp_path / "drawn"
+    monkeypatch.setattr("sys.argv", ["unchanged", str(drawn)])
+    unchanged.main()
+    assert {each.name for each in drawn.iterdir()} == {f"coarse-below-{n}.exr" for n in (1, 4)}
+    assert read_image(drawn / "coarse-below-1.exr").pixels.dtype == np.float16
+    names = ["exposure +2 %", "2 black pixels", "normal map's strength 0.95"]
+    draw_missing(scene, tmp_path, names, drawn)
+    pairs = write_index(tmp_path)
+    machines = ["another machine", "another machine, 1 sample"]
+    wanted = product([*names[:2], *machines], ("exr", "png", "jpeg"))
+    assert {(pair.change, pair.format) for pair in pairs} == {*wanted}
+    for pair in pairs:
+        golden, image = (read_image(tmp_path / each) for each in (pair.golden, pair.image))
+        assert golden.jpeg == image.jpeg == (pair.format == "jpeg")
+        if pair.change in machines:
+            assert pair.effect < {"exr": 0.05, "png": 0.1, "jpeg": 0.1}[pair.format]
+            assert pair.samples == (1 if "1 sample" in pair.change else 4)
+    assert all(pair.above_floor for pair in pairs if pair.change == "2 black pixels")
+
+
+def test_the_effect_in_a_jpeg_is_relative_to_the_error_of_its_encoding():
+    golden = np.full((16, 19, 3), 100.0)
+    decoded = golden.astype(np.uint8)
+    decoded[:8, :8] = 108
+    image = golden.copy()
+    assert above_codec(golden, image, decoded) == 0.0
+    image[:8, :8, 1] += 12.0
+    assert above_codec(golden, image, decoded) == pytest.approx(1.5)
+    image[8:, 8:16, 2] -= 3.0
+    assert above_codec(golden, image, decoded) == pytest.approx(3.0)
+
+
+def test_facerender_judges_with_and_without_metadata(tmp_path, monkeypatch):
+    pixels = np.full((32, 32, 3), 0.2, np.float32)
+    for name in ("a", "b"):
+        fr.Frame(pixels, None, False, {"GL_RENDERER": name}).save(tmp_path / f"{name}.exr")
+    found = []
+    monkeypatch.setattr(verdicts, "compare", lambda *images: found.append(images) or True)
+    pair = Pair("s", "judge", "c", "pass", "exr", "a.exr", "b.exr", 1, 32, 9.0, True, False)
+    assert verdicts.own(tmp_path, pair) == dict.fromkeys(verdicts.OWN, 0.0)
+    metadata = [[each.metadata.get("GL_RENDERER") for each in images] for images in found]
+    assert metadata == [["a", "b"], [None, None]]
+    (named, unnamed) = verdicts.tallies(
+        [Judged(pair, {verdicts.FACERENDER: 1.0, verdicts.UNNAMED: 0.0})]
     )
-    assert report
-    for a, b in product(tune, report):
-        assert a.head != b.head
-        assert a.camera != b.camera
-        assert not {*a.lights} & {*b.lights}
-        assert a.point is None or a.point != b.point
+    assert (named.judge, named.different, named.pairs) == (verdicts.FACERENDER, 1, 1)
+    assert (unnamed.judge, unnamed.different, unnamed.pairs) == (verdicts.UNNAMED, 0, 1)
 
 
 def test_file_names_of_changes_are_unique():

@@ -165,14 +165,16 @@ def _printed(name: str, *command: str) -> Callable[[], str]:
     return ask
 
 
+EIGHT_BITS: tuple[Format, ...] = ("png", "jpeg")
+ALL: tuple[Format, ...] = (*EIGHT_BITS, "exr")
 PEERS = (
-    Peer("matplotlib", ("png",), _of("matplotlib"), _matplotlib),
-    Peer("pixelmatch", ("png",), _of("pybind11-pixelmatch"), _pixelmatch),
-    Peer("odiff", ("png",), _printed("odiff", "odiff", "--version"), _odiff),
-    Peer("idiff", ("png", "exr"), _printed("OpenImageIO", "idiff", "--version"), _idiff),
-    Peer("ImageMagick", ("png",), _printed("ImageMagick", "compare", "-version"), _imagemagick),
-    Peer("SSIM", ("png", "exr"), _of("scikit-image"), _ssim),
-    Peer("FLIP", ("png", "exr"), _of("flip-evaluator"), _flip),
+    Peer("matplotlib", EIGHT_BITS, _of("matplotlib"), _matplotlib),
+    Peer("pixelmatch", EIGHT_BITS, _of("pybind11-pixelmatch"), _pixelmatch),
+    Peer("odiff", EIGHT_BITS, _printed("odiff", "odiff", "--version"), _odiff),
+    Peer("idiff", ALL, _printed("OpenImageIO", "idiff", "--version"), _idiff),
+    Peer("ImageMagick", EIGHT_BITS, _printed("ImageMagick", "compare", "-version"), _imagemagick),
+    Peer("SSIM", ALL, _of("scikit-image"), _ssim),
+    Peer("FLIP", ALL, _of("flip-evaluator"), _flip),
 )
 
 

@@ -3,20 +3,23 @@
 python -m benchmarks.pairs.verdicts SUITE -o docs/measurements/pairs.json
 python -m benchmarks.pairs.verdicts SUITE --peers -o docs/measurements/pairs_peers.json
 
-The first command prints facerender's wrong verdicts. A pair that facerender cannot compare counts
-as different. Two kinds of pairs are excluded: identical pixels, and changes that must fail but
+The first command prints facerender's wrong verdicts. It judges each pair twice: as the files are,
+and without their metadata, which name the driver. A pair that facerender cannot compare counts as
+different. Two kinds of pairs are excluded: identical pixels, and changes that must fail but
 whose effect is below the noise of the encoding. The other tools give numbers that grow with the
-difference. Each tool gets the threshold that scores best on the reported half, on which it is also
-scored. ``benchmarks/pairs/peers.py`` lists the packages that the tools need.
+difference. Each tool gets the threshold that scores best on the pairs of a group and format, on
+which it is also scored. The group "tune" is left out. ``benchmarks/pairs/peers.py`` lists the
+packages that the tools need.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from multiprocessing import get_context
@@ -25,18 +28,22 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.pairs.peers import PEERS, present
-from benchmarks.pairs.suite import INDEX, SUITE, WORKERS, read_pairs
+from benchmarks.pairs.suite import INDEX, WORKERS, read_pairs
 from facerender import __version__
 from facerender.comparison.compare import compare
-from facerender.errors import InputError
+from facerender.errors import FacerenderWarning, InputError
+from facerender.images.image import ImageData
+from facerender.images.read import read_image
 from facerender.system.atomic import write_text
 from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.draw import Pair
-from tests.verification.pairs.scenes import Half
+from tests.verification.pairs.scenes import Group
 
 FACERENDER = "facerender compare"
-HALVES: tuple[Half, ...] = ("tune", "report")
-FORMATS: tuple[Format, ...] = ("png", "exr")
+UNNAMED = "facerender compare, files without metadata"
+OWN = (FACERENDER, UNNAMED)
+GROUPS: tuple[Group, ...] = ("tune", "report", "judge")
+FORMATS: tuple[Format, ...] = ("png", "exr", "jpeg")
 
 Differences = Mapping[str, float]
 
@@ -51,13 +58,13 @@ class Judged:
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a judge on the pairs of a half and a format.
+    """The score of a judge on the pairs of a group and a format.
 
     A pair counts as different if the judge's number is above the threshold.
     """
 
     judge: str
-    half: Half
+    group: Group
     format: Format
     threshold: float
     caught: int
@@ -73,11 +80,12 @@ class Score:
 
 @dataclass(frozen=True)
 class Tally:
-    """The number of a change's pairs, and the number that facerender found different."""
+    """The number of a change's pairs, and the number that one of OWN found different."""
 
+    judge: str
     change: str
     must: Must
-    half: Half
+    group: Group
     format: Format
     different: int
     pairs: int
@@ -100,11 +108,11 @@ def counted(pairs: Iterable[Pair]) -> list[Pair]:
 
 
 def score(threshold: float, judged: Sequence[Judged], judge: str) -> Score:
-    """Score a judge with a threshold on pairs of one half and format."""
+    """Score a judge with a threshold on pairs of one group and format."""
     fails = np.array([each.pair.must == "fail" for each in judged])
     above = np.array([each.differences[judge] > threshold for each in judged])
     return Score(
-        *(judge, judged[0].pair.half, judged[0].pair.format, threshold),
+        *(judge, judged[0].pair.group, judged[0].pair.format, threshold),
         caught=int((above & fails).sum()),
         must_fail=int(fails.sum()),
         alarms=int((above & ~fails).sum()),
@@ -121,12 +129,21 @@ def best(judged: Sequence[Judged], judge: str) -> Score:
 
 
 def own(out: Path, pair: Pair) -> Differences:
-    """Compare a pair as ``facerender compare`` does."""
-    try:
-        different = not compare(out / pair.golden, out / pair.image)
-    except InputError:
-        different = True
-    return {FACERENDER: float(different)}
+    """Compare a pair as ``facerender compare`` does, with and without the files' metadata."""
+    images = [read_image(out / each) for each in (pair.golden, pair.image)]
+    bare = [replace(each, metadata={}) for each in images]
+    return {
+        name: float(_different(*files)) for name, files in zip(OWN, (images, bare), strict=True)
+    }
+
+
+def _different(golden: ImageData, image: ImageData) -> bool:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FacerenderWarning)  # of JPEG
+        try:
+            return not compare(golden, image)
+        except InputError:
+            return True
 
 
 def of_peers(names: Sequence[str], out: Path, pair: Pair) -> Differences:
@@ -144,24 +161,24 @@ def judge(pairs: Sequence[Pair], ask: Callable[[Pair], Differences]) -> list[Jud
         return [Judged(*each) for each in zip(pairs, pool.map(ask, pairs), strict=True)]
 
 
-def summed(judged: Sequence[Judged], change: str, half: Half, kind: Format) -> Tally | None:
-    """Count the pairs of a change that facerender found different; None without any pair."""
-    found = [
-        each.differences[FACERENDER] > 0.0
-        for each in judged
-        if (each.pair.change, each.pair.half, each.pair.format) == (change, half, kind)
-    ]
-    return Tally(change, SUITE[change].must, half, kind, sum(found), len(found)) if found else None
+def tallies(judged: Sequence[Judged]) -> list[Tally]:
+    """Count the pairs of each change that facerender found different."""
+    found: dict[tuple[str, str, Must, Group, Format], list[bool]] = {}
+    for each in judged:
+        about = each.pair.change, each.pair.must, each.pair.group, each.pair.format
+        for name in OWN:
+            found.setdefault((name, *about), []).append(each.differences[name] > 0.5)
+    return [Tally(*about, sum(each), len(each)) for about, each in found.items()]
 
 
 def scores(judged: Sequence[Judged]) -> Iterator[Score]:
-    """Score every judge on each half and format: facerender by its verdict, others at their best
+    """Score every judge on each group and format: facerender by its verdict, others at their best
     threshold."""
-    for half, kind in product(HALVES, FORMATS):
-        own = [each for each in judged if (each.pair.half, each.pair.format) == (half, kind)]
-        for judge in dict.fromkeys(name for each in own for name in each.differences):
-            how = partial(score, 0.5) if judge == FACERENDER else best
-            yield how(own, judge)
+    for group, kind in product(GROUPS, FORMATS):
+        found = [each for each in judged if (each.pair.group, each.pair.format) == (group, kind)]
+        for judge in dict.fromkeys(name for each in found for name in each.differences):
+            how = partial(score, 0.5) if judge in OWN else best
+            yield how(found, judge)
 
 
 def read_summary(path: Path) -> Summary:
@@ -189,18 +206,19 @@ def main() -> None:
     pairs = counted(read_pairs(given.suite / INDEX))
     if given.peers:
         versions = {peer.name: found for peer, found in present()}
-        pairs = [pair for pair in pairs if pair.half == "report"]
+        pairs = [pair for pair in pairs if pair.group != "tune"]
         judged = judge(pairs, partial(of_peers, [*versions], given.suite))
-        tallies: tuple[Tally, ...] = ()
+        counts = []
     else:
         versions = {FACERENDER: f"facerender {__version__}"}
         judged = judge(pairs, partial(own, given.suite))
-        for each in judged:
-            if (each.differences[FACERENDER] > 0.0) != (each.pair.must == "fail"):
-                print("missed" if each.pair.must == "fail" else "alarm", each.pair.image)
-        counts = (summed(judged, *each) for each in product(SUITE, HALVES, FORMATS))
-        tallies = tuple(each for each in counts if each)
-    write_summary(given.output, Summary(versions, tuple(scores(judged)), tallies))
+        counts = tallies(judged)
+        for each, name in product(judged, OWN):
+            if (each.differences[name] > 0.5) != (each.pair.must == "fail"):
+                print(
+                    "missed" if each.pair.must == "fail" else "alarm", each.pair.image, f"({name})"
+                )
+    write_summary(given.output, Summary(versions, tuple(scores(judged)), tuple(counts)))
 
 
 if __name__ == "__main__":

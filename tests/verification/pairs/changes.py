@@ -20,7 +20,7 @@ from facerender.images.write import png_bytes
 from facerender.scenes.mesh import Part
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
 
-Format = Literal["exr", "png"]
+Format = Literal["exr", "png", "jpeg"]
 Must = Literal["fail", "pass"]
 Bytes = NDArray[np.uint8]
 Places = tuple[NDArray[np.int64], ...]  # rows and columns of pixels
@@ -51,7 +51,7 @@ class Change:
 
     Attributes
     ----------
-    formats : file formats of the pair
+    formats : file formats of the pair; scenes of the group "judge" with a PNG also have a JPEG
     encode : maps linear values to [0, 1] for the 8-bit image; None for sRGB
     """
 
@@ -105,15 +105,23 @@ def remade(change: Callable[[Any], Any]) -> Callable[[Room], Linear]:
     return make
 
 
-def slope(by: float) -> Callable[[Room], Linear]:
+def slope(by: float) -> Callable[[Room], Linear | None]:
     """Multiply the slope m of every material."""
-    return remade(
+    root = math.sqrt(by)
+    materials = remade(
         lambda each: (
             replace(each, m=by * each.m)
             if each.roughness_map is None
-            else replace(each, roughness_factor=math.sqrt(by) * each.roughness_factor)
+            else replace(each, roughness_factor=root * each.roughness_factor)
         )
     )
+
+    def make(room: Room) -> Linear | None:
+        own = room.scene.mesh.materials
+        too_large = any(each.roughness_map and root * each.roughness_factor > 1.0 for each in own)
+        return surface(f"s.m *= {by};")(room) if too_large else materials(room)
+
+    return make
 
 
 def factor(name: str, by: float) -> Callable[[Room], Linear]:

@@ -1,11 +1,11 @@
 """Writes the pairs of a change as files. Golden and image are both EXR, or both 8-bit images as
-facerender writes them."""
+facerender writes them, both PNG or both JPEG."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,15 @@ from PIL import Image
 
 import facerender as fr
 from facerender.images.srgb import linear_to_srgb
-from facerender.images.write import save_png
+from facerender.images.write import lossy_bytes, save_png
 from facerender.system.atomic import write_bytes
 from tests.verification.pairs.changes import Against, Change, Encode, Encoded, Format, Must
 from tests.verification.pairs.room import Linear, Room
-from tests.verification.pairs.scenes import Half
+from tests.verification.pairs.scenes import Group
 
-FLOORS: dict[Format, float] = {"exr": 0.5, "png": 1.0}
+FLOORS: dict[Format, float] = {"exr": 0.5, "png": 1.0, "jpeg": 1.0}
 DARK = 0.01  # smallest radiance that a relative change is divided by
+BLOCK = 8  # pixels; JPEG encodes blocks of this side
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,14 @@ class Pair:
     ----------
     golden, image : paths relative to the folder of all scenes
     effect : largest change of a colour channel of any pixel. EXR: in percent of the golden's
-        radiance or of 0.01. 8 bits: in levels, before rounding if the change is of linear values
+        radiance or of 0.01. PNG: in levels, before rounding if the change is of linear values.
+        JPEG: see :func:`above_codec`
     above_floor : whether the effect is above the noise of the encoding, FLOORS
     identical : whether the files hold the same pixels
     """
 
     scene: str
-    half: Half
+    group: Group
     change: str
     must: Must
     format: Format
@@ -77,6 +79,25 @@ def largest(a: NDArray[np.number], b: NDArray[np.number]) -> float:
     return float(np.abs(b.astype(np.float64) - a).max())
 
 
+def above_codec(
+    golden: NDArray[np.number], image: NDArray[np.number], decoded: NDArray[np.uint8]
+) -> float:
+    """Return the largest ratio, in a channel of any block, of the RMS change to the RMS error of
+    the golden's JPEG encoding or 1 level, whichever is more.
+
+    golden, image : levels before rounding, (H, W, 3)
+    decoded : the golden's pixels after decoding
+    """
+    height, width = (BLOCK * (side // BLOCK) for side in golden.shape[:2])
+
+    def blocks(difference: NDArray[np.number]) -> NDArray[np.float64]:
+        cut = np.asarray(difference[:height, :width], dtype=np.float64)
+        cut = cut.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, -1)
+        return np.asarray(np.sqrt((cut**2).mean(axis=(1, 3))))
+
+    return float((blocks(image - golden) / blocks(decoded - golden).clip(1.0)).max())
+
+
 def slug(name: str) -> str:
     """Return the file name of a change."""
     return re.sub(r"[^a-z0-9.+-]+", "-", name.lower().replace(" %", "")).strip("-")
@@ -91,10 +112,11 @@ def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
     folder = out / setting.name
     folder.mkdir(parents=True, exist_ok=True)
 
-    def pair(golden: Path, image: Path, samples: int, effect: float, same: bool) -> Pair:
-        kind: Format = "exr" if image.suffix == ".exr" else "png"
+    def pair(
+        kind: Format, golden: Path, image: Path, samples: int, effect: float, same: bool
+    ) -> Pair:
         a, b = (str(each.relative_to(out)) for each in (golden, image))
-        about = setting.name, setting.half, name, change.must, kind
+        about = setting.name, setting.group, name, change.must, kind
         above = effect > FLOORS[kind]
         return Pair(*about, a, b, samples, setting.size, effect, above, bool(same))
 
@@ -107,15 +129,18 @@ def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
             write_bytes(image, content)
             with Image.open(image) as file:
                 effect = largest(a.srgb8(), np.asarray(file))
-            yield pair(golden, image, setting.samples, effect, False)
+            yield pair("png", golden, image, setting.samples, effect, False)
         return
     if (made := change.make(room)) is None:
         return
     if not isinstance(made, Against):
         made = Against("golden", room.golden, made, setting.samples)
     a, b = room.frame(made.golden), room.frame(made.image, made.renderer)
-    for kind in change.formats:
+    jpeg: tuple[Format, ...] = ("jpeg",) if setting.group == "judge" else ()
+    for kind in (*change.formats, *(jpeg if "png" in change.formats else ())):
         golden, image = (folder / f"{each}.{kind}" for each in (made.name, slug(name)))
+        if kind == "jpeg":  # without alpha
+            a, b = (replace(each, transparent=False) for each in (a, b))
         if not golden.exists():
             a.save(golden)
         if kind == "exr":
@@ -125,6 +150,12 @@ def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
             after, pixels = steps(b, change.encode), b.srgb8()
             if change.encode:
                 pixels[..., :3] = np.round(after[..., :3])
-            save_png(image, pixels, b.metadata)
-            effect, same = largest(steps(a), after), np.array_equal(a.srgb8(), pixels)
-        yield pair(golden, image, made.samples, effect, same)
+            same = np.array_equal(a.srgb8(), pixels)
+            if kind == "png":
+                save_png(image, pixels, b.metadata)
+                effect = largest(steps(a), after)
+            else:
+                write_bytes(image, lossy_bytes("jpeg", pixels, b.metadata))
+                with Image.open(golden) as file:
+                    effect = above_codec(steps(a), after, np.asarray(file))
+        yield pair(kind, golden, image, made.samples, effect, same)

@@ -1,4 +1,4 @@
-"""The scenes of the pairs. The halves share no head, camera or light."""
+"""The scenes of the pairs. The groups share no head, camera or light."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import numpy as np
 import facerender as fr
 from facerender.scenes.environment import studio
 from facerender.scenes.vectors import Vector
+from tests.verification.pairs.heads import JUDGED, makehuman_folder
 from tests.verification.parts_head import parts_head
 from tests.verification.scan import load_scan, scan_folder
 
-Half = Literal["tune", "report"]
+Group = Literal["tune", "report", "judge"]
 
 MINI_HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 
@@ -34,7 +35,7 @@ class Setting:
     """
 
     name: str
-    half: Half
+    group: Group
     head: str
     size: int
     samples: int
@@ -65,7 +66,10 @@ class Setting:
 
 @cache
 def head_of(name: str) -> fr.Mesh:
-    """Return the mesh "head" (the skin of the built-in head), "parts", "mini" or "scan"."""
+    """Return the mesh "head" (the skin of the built-in head), "parts", "mini", "scan", or a name in
+    JUDGED."""
+    if name in JUDGED:
+        return JUDGED[name]()
     if name == "mini":
         return fr.load_mesh(MINI_HEAD).with_material(normal_map=wrinkles())
     if name == "scan":
@@ -171,7 +175,82 @@ _SETTINGS = (
         material={"m": 0.5},
         background=None,
     ),
+    Setting(
+        *("haired-front", "judge", "haired", 384, 4, fr.Camera(-15.0, 5.0)),
+        lights=(
+            fr.Light(-32.0, 36.0, (3.0, 2.9, 2.7), radius=6.0),
+            fr.Light(70.0, 15.0, 0.8, shadow=False),
+        ),
+    ),
+    Setting(
+        *("haired-side", "judge", "haired", 320, 1, fr.Camera(62.0, 10.0)),
+        lights=(fr.Light(-130.0, 40.0, 1.6, shadow=False),),
+        ambient=(0.0, 0.0, 0.0),
+        background=(0.09, 0.1, 0.12),
+        environment=True,
+    ),
+    Setting(
+        *("haired-close", "judge", "haired", 256, 16, fr.Camera(-70.0, 25.0, zoom=2.2)),
+        lights=(
+            fr.Light(-100.0, 50.0, 3.2, shadow=False),
+            fr.Light(10.0, 20.0, 0.9, shadow=False),
+        ),
+        target=(0.0, 0.35, 0.1),
+    ),
+    Setting(
+        *("distant-front", "judge", "distant", 512, 4, fr.Camera(20.0, -8.0)),
+        lights=(fr.Light(65.0, 30.0, (3.1, 3.0, 3.0), radius=3.0),),
+        material={"roughness_factor": 0.85},
+        background=None,
+        float_albedo=True,
+    ),
+    Setting(
+        *("distant-profile", "judge", "distant", 1024, 1, fr.Camera(-78.0, 2.0)),
+        lights=(
+            fr.Light(-20.0, 30.0, 2.6, shadow=False),
+            fr.Light(-150.0, 45.0, (2.0, 2.2, 2.6), shadow=False),
+        ),
+        shading=fr.Shading("ward"),
+        ambient=(0.1, 0.1, 0.1),
+    ),
+    Setting(
+        *("coarse-front", "judge", "coarse", 256, 1, fr.Camera(10.0, 12.0)),
+        lights=(fr.Light(-60.0, 28.0, 2.8), fr.Light(80.0, 30.0, 1.2)),
+        background=(0.5, 0.5, 0.55),
+    ),
+    Setting(
+        *("coarse-below", "judge", "coarse", 384, 4, fr.Camera(-40.0, -25.0)),
+        lights=(fr.Light(15.0, 60.0, 1.4, shadow=False),),
+        point=((-1.4, -0.8, 1.8), (2.4, 2.2, 2.0)),
+        material={"m": 0.16},
+        ambient=(0.08, 0.08, 0.1),
+        background=None,
+    ),
+    Setting(
+        *("relative-front", "judge", "relative", 384, 4, fr.Camera(4.0, 1.0)),
+        lights=(
+            fr.Light(-42.0, 38.0, (3.8, 3.6, 3.3), radius=5.0),
+            fr.Light(125.0, 28.0, (2.6, 2.7, 3.0), shadow=False),
+        ),
+    ),
+    Setting(
+        *("relative-eye", "judge", "relative", 256, 16, fr.Camera(-18.0, 3.0, zoom=5.0)),
+        lights=(fr.Light(30.0, 50.0, 3.0, shadow=False), fr.Light(-60.0, 10.0, 1.2)),
+        target=(-0.18, 0.14, 0.5),
+    ),
+    Setting(
+        *("relative-profile", "judge", "relative", 512, 1, fr.Camera(-84.0, -4.0)),
+        lights=(fr.Light(-25.0, 25.0, 2.2), fr.Light(-160.0, 20.0, 2.0, shadow=False)),
+        ambient=(0.0, 0.0, 0.0),
+        background=(0.0, 0.0, 0.0),
+        environment=True,
+    ),
+    Setting(
+        *("makehuman-above", "judge", "makehuman", 320, 1, fr.Camera(33.0, 30.0)),
+        lights=(fr.Light(-10.0, 40.0, 4.0),),
+        background=None,
+        float_albedo=True,
+    ),
 )
-SETTINGS = {
-    each.name: each for each in _SETTINGS if each.head != "scan" or scan_folder() is not None
-}
+_PRESENT = {"scan": scan_folder() is not None, "makehuman": makehuman_folder() is not None}
+SETTINGS = {each.name: each for each in _SETTINGS if _PRESENT.get(each.head, True)}

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain, product
 from typing import Any
 
-from benchmarks.pairs.verdicts import FACERENDER, Summary, read_summary
+from benchmarks.pairs.verdicts import FACERENDER, FORMATS, OWN, UNNAMED, Summary, read_summary
 from facerender.comparison.checks import CHECKS
 from facerender.comparison.result import FOREIGN, LIMITS
+from tests.verification.pairs.changes import Format, Must
+from tests.verification.pairs.scenes import Group
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
 
 _RESULT = (
@@ -32,15 +35,16 @@ FINDS = {
     "coverage": "another mesh or camera",
     "shift": "another camera",
 }
-JUDGES_HEAD = (
-    *("tool", "PNG: threshold", "detected", "false alarms", "balanced accuracy"),
-    *("EXR: threshold", "detected", "false alarms", "balanced accuracy"),
-)
+FORMAT_NAMES: Mapping[Format, str] = {"png": "PNG", "exr": "EXR", "jpeg": "JPEG"}
+REPORT: tuple[Format, ...] = ("png", "exr")  # formats of the group "report"
 
 
 def blocks() -> dict[str, str]:
     data = load("comparison")
-    own, peers = (read_summary(MEASUREMENTS / f"{name}.json") for name in ("pairs", "pairs_peers"))
+    own, peers, judge, judge_peers = (
+        read_summary(MEASUREMENTS / f"{name}.json")
+        for name in ("pairs", "pairs_peers", "pairs_judge", "pairs_judge_peers")
+    )
     return {
         **limits(),
         **{
@@ -50,9 +54,13 @@ def blocks() -> dict[str, str]:
         "drivers": _results("image", data["drivers"]),
         "thresholds": table(THRESHOLDS, map(_threshold, data["thresholds"])),
         "versions": ", ".join(peers.versions.values()),
-        "judges": judges_table(own, peers),
-        "broken": changes_table(own, "fail"),
-        "harmless": changes_table(own, "pass"),
+        "judges": judges_table("report", REPORT, own, peers),
+        "broken": changes_table("report", REPORT, own, "fail"),
+        "harmless": changes_table("report", REPORT, own, "pass"),
+        "judge": judges_table("judge", FORMATS, judge, judge_peers),
+        "judge-broken": changes_table("judge", FORMATS, judge, "fail", UNNAMED),
+        "judge-harmless": changes_table("judge", FORMATS, judge, "pass", UNNAMED),
+        "judge-versions": ", ".join(judge_peers.versions.values()),
         "machine": machine(data),
     }
 
@@ -101,42 +109,54 @@ def _threshold(row: Mapping[str, Any]) -> dict[str, str]:
     return {"image": row["image"], "change": row["change"], **seen}
 
 
-def judges_table(own: Summary, peers: Summary) -> str:
-    """Return a table: the scores of all tools on the reported half of the suite."""
+def judges_table(group: Group, formats: Sequence[Format], own: Summary, peers: Summary) -> str:
+    """Return a table: the scores of all tools on a group of scenes."""
     scores = {
         (each.judge, each.format): each
         for each in (*own.scores, *peers.scores)
-        if each.half == "report"
+        if each.group == group
     }
     rows = []
     for judge in dict.fromkeys(name for name, _ in scores):
         row = [judge]
-        for kind in ("png", "exr"):
+        for kind in formats:
             if (found := scores.get((judge, kind))) is None:
                 row += [""] * 4
                 continue
             row += [
-                "" if judge == FACERENDER else f"{found.threshold:.3g}",
+                "" if judge in OWN else f"{found.threshold:.3g}",
                 f"{found.caught} of {found.must_fail}",
                 f"{found.alarms} of {found.must_pass}",
                 f"{found.balanced:.3f}",
             ]
         rows.append(row)
-    return markdown_table(JUDGES_HEAD, rows)
+    head = (
+        [f"{FORMAT_NAMES[kind]}: threshold", "detected", "false alarms", "balanced accuracy"]
+        for kind in formats
+    )
+    return markdown_table(["tool", *chain.from_iterable(head)], rows)
 
 
-def changes_table(own: Summary, must: str) -> str:
-    """Return a table: the scenes of the reported half in which facerender found a change.
+def changes_table(
+    group: Group, formats: Sequence[Format], own: Summary, must: Must, *unnamed: str
+) -> str:
+    """Return a table: the scenes of a group in which facerender found a change.
 
     must : "fail" for changes that a comparison must detect, "pass" for harmless ones
+    unnamed : UNNAMED for more columns with the verdicts on files without metadata
     """
+    judges = (FACERENDER, *unnamed)
     counts = {
-        (each.change, each.format): f"{each.different} of {each.pairs}"
+        (each.change, each.judge, each.format): f"{each.different} of {each.pairs}"
         for each in own.tallies
-        if (each.half, each.must) == ("report", must)
+        if (each.group, each.must) == (group, must)
     }
+    columns = [*product(judges, formats)]
     rows = [
-        [change, *(counts.get((change, kind), "") for kind in ("png", "exr"))]
-        for change in dict.fromkeys(name for name, _ in counts)
+        [change, *(counts.get((change, *column), "") for column in columns)]
+        for change in dict.fromkeys(name for name, *_ in counts)
     ]
-    return markdown_table(["change", "PNG", "EXR"], rows)
+    without = {FACERENDER: "", UNNAMED: ", no metadata"}
+    return markdown_table(
+        ["change", *(FORMAT_NAMES[kind] + without[judge] for judge, kind in columns)], rows
+    )
