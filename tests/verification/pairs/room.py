@@ -122,6 +122,7 @@ class Room:
     @cached_property
     def surface(self) -> fr.GBuffer:
         """The G-buffer of the scene, without blended parts."""
+        self.renderer.patch = None
         return self.renderer.gbuffer(self.scene, self.setting.shading, blended=False)
 
     def with_material(self, **changes: Any) -> Linear:
