@@ -217,6 +217,12 @@ class Change:
         return float(products.mean() / max(np.nanmean(grid**2), 1e-20))
 
     @property
+    def one_sided(self) -> float:
+        """Sum of the blocks' changes, as a fraction of the sum of their absolute values."""
+        _, change, _ = self._judged
+        return float(np.abs(change.sum()) / max(np.abs(change).sum(), 1e-20))
+
+    @property
     def moved(self) -> float:
         """Fraction of the change that displacements of areas of 32 x 32 pixels explain: the smaller
         one of the whole change's fraction and the median of the areas."""
@@ -263,7 +269,7 @@ def cause_of(change: Change) -> str:
     if (white < 0.8 * own and change.by_factor < 0.75) or (change.grey and change.alike > 0.3):
         return LOBE
     if moved:
-        return GEOMETRY
+        return LIGHT if change.one_sided > 0.95 else GEOMETRY  # a shadow's edges look moved
     if own > 0.03:
         return TEXTURE
     return LIGHT if change.alike > 0.6 else TEXTURE

@@ -45,6 +45,7 @@ Float = NDArray[np.float64]
 # A small region has up to _SPREAD random pixels, and the worst pixels of an image. The number of
 # worst pixels is _WORST plus the number of pixels that may exceed the budget.
 _SPREAD, _WORST = 256, 64
+_REGIONS = 8  # largest number of small regions, each of which caches up to about 100 MB
 _KEPT = 2**18  # largest product of a region's number of pixels and number of cached terms
 # Largest number of cached environment layers per cached term: most terms share one such layer.
 _ENVIRONMENTS = 8
@@ -216,7 +217,8 @@ class Witnesses:
 
     Attributes
     ----------
-    regions : regions of pixels; the region that last rejected a shading is first. Empty with FLIP
+    regions : up to _REGIONS regions of pixels; the region that last rejected a shading is first.
+        Empty with FLIP
     tried : number of shadings that were evaluated at every pixel
     """
 
@@ -240,7 +242,7 @@ class Witnesses:
             errors = view.errors(shading)
             if not highest_but(errors, view.spared) <= self.limit:
                 if self.regions:
-                    self.regions.insert(0, view.around(errors))
+                    self.regions = [view.around(errors), *self.regions[: _REGIONS - 1]]
                 return False
         return self.drawn is None or self.drawn.accepts(shading)
 
