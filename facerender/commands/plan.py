@@ -132,7 +132,9 @@ def _announced(progress: Progress) -> Progress:
         progress(what, done)
         if time.monotonic() > end:
             end = math.inf
-            print_message("facerender: planning may take minutes: --verbose logs each step")
+            print_message(
+                "facerender: planning may take minutes, fewer with --light key and --parts head"
+            )
 
     return report
 

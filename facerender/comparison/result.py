@@ -149,7 +149,8 @@ class Comparison:
         """Return all metrics, for JSON."""
         names = [each.name for each in fields(self) if each.name not in ("limits", "images")]
         metrics = {name: getattr(self, name) for name in names}
-        return {"same": self.same, **metrics, "limits": asdict(self.limits)}
+        factor = {"limit_factor": self.limit_factor}
+        return {"same": self.same, **metrics, "limits": asdict(self.limits), **factor}
 
     def _repr_html_(self) -> str:
         """Return the verdict, and A, B and their difference, which notebooks display."""

@@ -48,7 +48,7 @@ def reasons_of(
     rows = strips(height, width, result.point_at[1], result.block_at[1])
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
-    reasons = [f"{each}: looks like {cause}{_estimate(result)}" for each in blocks]
+    reasons = [f"{each}: looks like {cause}{_estimate(result, cause)}" for each in blocks]
     reasons += [f"{each}: looks like {cause}" for each in others]
     if wrong.any():
         seen = np.concatenate([wrong[each] for each in rows])
@@ -57,7 +57,7 @@ def reasons_of(
         if fault == "false highlights" and cause in (LIGHT, EXPOSURE):
             fault = ""
         if fault and blocks and _explained(result, wrong, statistics):
-            reasons = [f"{each}: looks like {fault}{_estimate(result)}" for each in blocks]
+            reasons = [f"{each}: looks like {fault}{_estimate(result, fault)}" for each in blocks]
         text = f"{_pixels(result, over[wrong])}: looks like {fault or cause}"
         reasons.insert(0 if most else len(reasons), text)
     elif holes:
@@ -78,12 +78,18 @@ def reasons_of(
 def _facts(one: Mapping[str, str], other: Mapping[str, str]) -> str:
     """Return the changed entries of the metadata as text."""
     changed = [
-        f"{key} {one[key][:_LONG]} -> {other[key][:_LONG]}"
+        f"{key} {_apart(one[key], other[key])} -> {_apart(other[key], one[key])}"
         for key in one
         if other.get(key, one[key]) != one[key]
     ]
     more = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
     return f" (metadata: {', '.join(changed[:_FACTS] + more)})" if changed else ""
+
+
+def _apart(value: str, other: str) -> str:
+    """Return the beginning of a value, without the entries that another value has too."""
+    entries = other.split("; ")
+    return "; ".join(each for each in value.split("; ") if each not in entries)[:_LONG]
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
@@ -177,12 +183,13 @@ def _at_edge(over: NDArray[np.int8]) -> bool:
     return bool((np.abs(over) == 4).mean() > 0.5)
 
 
-def _estimate(result: Comparison) -> str:
-    """Return gain and shift of the image as text."""
+def _estimate(result: Comparison, cause: str) -> str:
+    """Return the image's gain as text, and its shift if the mesh or the camera may have changed."""
     brighter = result.encoding == "linear" and abs(result.gain) > _BRIGHTER
     gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
-    moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SHIFTED else ""
+    displaced = cause == GEOMETRY and max(abs(x), abs(y)) > _SHIFTED
+    moved = f"shift ({x:.2g}, {y:.2g})" if displaced else ""
     estimate = ", ".join(filter(None, (gain, moved)))
     return f" ({estimate})" if estimate else ""
 

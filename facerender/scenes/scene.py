@@ -99,6 +99,7 @@ def refuse_keyword(
         places = {each: place.format(each) for each in signature(kind).parameters} | places
     similar = near({"roughness": "m"}.get(name, name), places)
     remedy = f"give {places[similar]}" if similar else f"known: {', '.join(own)}"
+    remedy += ", the square of glTF's roughness" if name == "roughness" else ""
     raise InputError(f"fr.{function.__name__} has no argument {name}: {remedy}")
 
 
