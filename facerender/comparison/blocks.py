@@ -33,7 +33,7 @@ _DITHER = 0.6  # variance between adjacent pixels of an image dithered with nois
 # of the noise that all channels share if a parameter changed, at least 0.22 with another driver.
 _OWN = 0.2  # largest ratio of these two kinds of noise, if the image is coloured
 _TINT = 0.1  # smallest relative difference between the channels of a coloured image
-_STILL = 8e-5  # largest noise of a grey image
+_STILL = 2e-5  # smaller noise of single channels, and 1/4 of their common noise, is no driver's
 _SMOOTH = 0.25  # variance between adjacent pixels below which an 8-bit image has no detail
 _CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
 
@@ -284,7 +284,8 @@ class BlockStatistics:
         noise, own = np.median(self.sums.texture[::3, self.changed] / pixels, axis=1)
         level = self.sums.channels[:, 3, self.changed]
         tint = np.median(1.0 - level.min(axis=0) / np.maximum(level.max(axis=0), 1e-12))
-        return bool(own < _OWN**2 * noise if tint > _TINT else noise < _STILL**2)
+        still = max(noise / 16.0, own) < _STILL**2
+        return bool(still or (tint > _TINT and own < _OWN**2 * noise))
 
     @cached_property
     def rounding(self) -> NDArray[np.float64]:
