@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import OpenEXR
@@ -14,6 +15,7 @@ import facerender as fr
 from facerender import pytest_plugin
 from facerender.comparison import report  # noqa: F401  (imported once, not in every suite)
 from facerender.comparison.calibration import NAMES, read_limits, text_of
+from facerender.comparison.compare import Driver
 from facerender.comparison.goldens import renderer_name
 from facerender.images.exr import save_exr
 from facerender.images.read import read_image
@@ -483,6 +485,7 @@ def test_ini(suites):
 
 def test_plugin_has_every_limit():
     assert pytest_plugin.LIMITS == NAMES
+    assert get_args(Driver) == pytest_plugin.DRIVERS
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, block_sums, cell_sums, common_squares, detail_of
 from facerender.comparison.neighbourhoods import FULL, Float, Mask, filtered, shrunk
+from facerender.comparison.sources import HIGHEST_HALF
 from facerender.images.image import ImageData
 from facerender.images.srgb import srgb_to_linear
 
@@ -37,11 +38,9 @@ _ROWS = 128  # height of a strip
 _PIXELS = 1 << 20  # of larger images, evenly spaced strips with this number of pixels are used
 _DARK = 0.1  # smallest radiance that changes are divided by
 _BRIGHT = 2.0  # larger radiance counts as this
-_HALF = 65504.0  # largest half float
 _MARGIN = 2  # width in pixels of the coverage's border, which is ignored
 _STEEP = 0.5  # smallest range of 3 x 3 pixels at an edge, as a fraction of their maximum
 _WINDOW = 8  # width and height in cells of the areas whose displacement is fitted
-_CHANGED = 0.01  # smallest relative change of a pixel that counts as changed
 
 
 @dataclass(frozen=True)
@@ -85,13 +84,13 @@ class Change:
             np.concatenate(parts["blocks"]),
             np.concatenate(parts["cells"], axis=1),
             np.sum(parts["values"], axis=0),
-            1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
+            parts["rounding"][0],
         )
 
     @classmethod
     def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
         (x, alpha_x), (y, alpha_y) = a.rows(rows), b.rows(rows)
-        x, y = (each.clip(np.float32(-_HALF), np.float32(_HALF)) for each in (x, y))
+        x, y = (each.clip(np.float32(-HIGHEST_HALF), np.float32(HIGHEST_HALF)) for each in (x, y))
         inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), _MARGIN)
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
@@ -120,7 +119,7 @@ class Change:
             np.stack([block_sums(cell_sums(each)) for each in blocks], axis=-1),
             np.stack([cell_sums(each).astype(np.float64) / ones for each in means]),
             _sums_of(numbers[inside].ravel(), of_value[inside].ravel()),
-            0.0,
+            1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
         )
 
     @cached_property

@@ -112,8 +112,9 @@ def compare(
         allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
         looser=_LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0),
     )
-    if driver == "auto" and statistics.quiet and not (strip.over.any() or strip.faded):
-        statistics = replace(statistics, foreign=False)
+    if driver == "auto" and statistics.foreign:
+        same_edges = not (strip.over.any() or strip.faded)
+        statistics = replace(statistics, foreign=not (same_edges and statistics.quiet))
     size = a.pixels.shape[1], a.pixels.shape[0]
     counted = size[0] * size[1] if counts is None else int(counts.sum())
     result = _result(a.encoding, size, counted, limits, strip, statistics)

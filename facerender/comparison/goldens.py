@@ -23,7 +23,7 @@ import numpy as np
 from facerender import __version__
 from facerender.comparison.compare import Pair, compare
 from facerender.comparison.neighbourhoods import COVERED
-from facerender.comparison.sources import Comparable, as_image
+from facerender.comparison.sources import HIGHEST_HALF, Comparable, as_image
 from facerender.errors import InputError, reason
 from facerender.images.exr import half_above, save_exr
 from facerender.images.image import ImageData, PixelRange
@@ -36,7 +36,6 @@ SHIFTS = tuple(
     for by in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
     for i in range(8)
 )
-_HIGHEST = 65504.0  # largest half float
 _ROUNDED = 0.2  # largest rounding error of a golden, as a part of the point limit
 _FURTHER = 3.0  # largest ratio of a measured to a requested shift: fine detail exaggerates shifts
 Draw = Callable[[float, float], Comparable]
@@ -201,7 +200,9 @@ def range_of(images: Sequence[ImageData]) -> PixelRange:
         if image.pixels.shape[2] > color.shape[2]:
             values = np.concatenate([values, alpha[..., None]], axis=2)
         each.append(values)
-    low, high = (choose.reduce(each).clip(-_HIGHEST, _HIGHEST) for choose in (np.fmin, np.fmax))
+    low, high = (
+        choose.reduce(each).clip(-HIGHEST_HALF, HIGHEST_HALF) for choose in (np.fmin, np.fmax)
+    )
     return PixelRange(-half_above(-low), half_above(high))
 
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 GAINS = (1e-3, 1e9)
-_STRIP = 256  # rows that are converted at once
 _FITTED = 99.0  # percentile of the differences that is white, so that few outliers do not count
 _NEGLIGIBLE = 1e-3  # smallest difference that counts for the percentile, relative to the largest
 # Colours of the differences -1, -1/2, 0, 1/2 and 1, in units of the difference that is white.
@@ -62,8 +61,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     check_alike(a, b)
     for each in (a, b):
         check_finite(each)
-    strips = [slice(top, top + _STRIP) for top in range(0, len(a.pixels), _STRIP)]
-    signed = np.concatenate([_signed(a, b, rows) for rows in strips])
+    signed = visualization.signed_difference(a, b)
     full = 1.0 if a.encoding == "linear" else 255.0
     white = full / gain if gain is not None else _fitted(np.abs(signed)) or full
     steps = np.arange(-_STEPS, _STEPS + 1) / _STEPS
@@ -71,20 +69,13 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     ramp = [np.interp(steps, (-1.0, -0.5, 0.0, 0.5, 1.0), each) for each in ends]
     colors = encode_srgb8(np.stack(ramp, axis=-1).astype(np.float32))
     pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
-    for rows in strips:
+    for rows in visualization.strips(a):
         level = np.round(np.clip(signed[rows] / white, -1.0, 1.0) * _STEPS).astype(int)
         pixels[rows] = colors[level + _STEPS]
-        covered = [image.rows(rows)[1] >= 0.5 for image in (a, b)]
-        pixels[rows][(covered[0] != covered[1]) & (level == 0)] = visualization.UNCOVERED
+        apart = visualization.other_coverage(a, b, rows)
+        pixels[rows][apart & (level == 0)] = visualization.UNCOVERED
     unit = "" if a.encoding == "linear" else "/255"
     return _frame(pixels, {"difference": f"B - A: orange +, blue -, white = {white:.3g}{unit}"})
-
-
-def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
-    """Return b - a in the channel that differs most."""
-    signed = b.rows(rows)[0] - a.rows(rows)[0]
-    worst = np.abs(signed).argmax(axis=-1)[..., None]
-    return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
 
 
 def _fitted(apart: NDArray[np.float32]) -> float:

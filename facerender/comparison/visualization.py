@@ -42,7 +42,7 @@ Bytes = NDArray[np.uint8]
 def displayed(image: ImageData) -> Bytes:
     """Return an image as 8-bit sRGB."""
     pixels = np.empty((*image.pixels.shape[:2], 3), dtype=np.uint8)
-    for rows in _strips(image):
+    for rows in strips(image):
         color, _ = image.rows(rows)
         linear = image.encoding == "linear"
         pixels[rows] = encode_srgb8(color) if linear else np.round(color)
@@ -62,40 +62,46 @@ def thumbnail(image: ImageData, side: int) -> Bytes:
     return np.asarray(small)
 
 
-def difference(a: ImageData, b: ImageData, gain: float | None = None) -> tuple[Bytes, float]:
+def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
     """Return the signed difference in the worst channel as colours, and the largest difference.
 
     The colour scale is linear below a value of FLOORS and logarithmic above it. The largest
-    difference has the full colour. With ``gain`` the scale is linear: a difference of 1/gain, or
-    255/gain 8-bit levels, has the full colour.
+    difference has the full colour.
     """
     floor = FLOORS[a.encoding]
-    signed = np.concatenate([_signed(a, b, rows) for rows in _strips(a)])
+    signed = signed_difference(a, b)
     largest = float(np.abs(signed).max())
-    scale, full = max(largest, floor), 1.0 if a.encoding == "linear" else 255.0
+    scale = max(largest, floor)
     ramp = np.linspace(0.0, 1.0, LEVELS + 1)[:, None]
     colors = np.round([ramp * DARKER, ramp * BRIGHTER]).astype(np.uint8)
     pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
-    for rows in _strips(a):
-        if gain is None:
-            level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(scale / floor)
-        else:
-            level = np.minimum(np.abs(signed[rows]) * (gain / full), 1.0)
+    for rows in strips(a):
+        level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(scale / floor)
         level = np.round(level * LEVELS).astype(int)
         pixels[rows] = colors[(signed[rows] > 0.0).astype(int), level]
-        alpha_a, alpha_b = (image.rows(rows)[1] for image in (a, b))
-        pixels[rows][((alpha_a >= 0.5) != (alpha_b >= 0.5)) & (level == 0)] = UNCOVERED
+        pixels[rows][other_coverage(a, b, rows) & (level == 0)] = UNCOVERED
     return pixels, largest
 
 
-def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
-    """Return b - a in the worst channel."""
-    signed = b.rows(rows)[0] - a.rows(rows)[0]
-    worst = np.abs(signed).argmax(axis=-1)[..., None]
-    return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
+def signed_difference(a: ImageData, b: ImageData) -> NDArray[np.float32]:
+    """Return b - a in the channel that differs most, (H, W)."""
+
+    def of(rows: slice) -> NDArray[np.float32]:
+        signed = b.rows(rows)[0] - a.rows(rows)[0]
+        worst = np.abs(signed).argmax(axis=-1)[..., None]
+        return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
+
+    return np.concatenate([of(rows) for rows in strips(a)])
 
 
-def _strips(image: ImageData) -> Iterator[slice]:
+def other_coverage(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.bool_]:
+    """Return a mask of the pixels of some rows that only one of two images covers."""
+    one, other = (image.rows(rows)[1] >= 0.5 for image in (a, b))
+    return np.asarray(one != other)
+
+
+def strips(image: ImageData) -> Iterator[slice]:
+    """Yield the rows of an image in strips, to save memory."""
     for top in range(0, len(image.pixels), _STRIP):
         yield slice(top, top + _STRIP)
 
