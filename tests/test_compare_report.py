@@ -4,7 +4,6 @@ other file, and its controls in a browser."""
 from __future__ import annotations
 
 import sys
-import time
 from base64 import b64decode
 from html.parser import HTMLParser
 from io import BytesIO
@@ -373,22 +372,20 @@ def test_image_too_large_for_webp() -> None:
 
 
 @pytest.mark.slow
-def test_page_of_a_hundred_pairs(tmp_path: Path, egl) -> None:
-    """The comparison with its page needs at most 60 s of processor time and 30 MB."""
+def test_size_of_a_page_of_many_pairs(tmp_path: Path, egl) -> None:
+    """A pair of 512 x 512 pixels adds at most 0.3 MB to the page."""
     mesh = fr.load_mesh()
     folders = [tmp_path / name for name in "ab"]
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
-        for number in range(100):
-            camera = fr.Camera(-60.0 + 1.2 * number, frame="head")
+        for number in range(30):
+            camera = fr.Camera(-60.0 + 4.0 * number, frame="head")
             for folder, m in zip(folders, (0.3, 0.32), strict=True):
                 folder.mkdir(exist_ok=True)
                 scene = fr.Scene(mesh.with_material(m=m), camera)
                 renderer.render(scene).save(folder / f"{number}.exr")
-    began = time.process_time()
-    report = str(tmp_path / "report.html")
-    assert main(["compare", *map(str, folders), "--report", report, "--json"]) == 1
-    assert time.process_time() - began < 60.0
-    assert (tmp_path / "report.html").stat().st_size < 30_000_000
+    report = tmp_path / "report.html"
+    assert main(["compare", *map(str, folders), "--report", str(report), "--json"]) == 1
+    assert report.stat().st_size < 30 * 300_000
 
 
 def test_heat_map(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -121,10 +120,8 @@ NO_TOML: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("case", NO_TOML)
 def test_invalid_toml_is_refused(case):
     text, why = NO_TOML[case]
-    began = time.process_time()
     with pytest.raises(fr.InputError, match=f"^x.toml is not valid TOML: {why}.*; correct it$"):
         tables_of(text.encode(), "x.toml")
-    assert time.process_time() - began < 5.0
 
 
 def test_toml_with_a_byte_order_mark_and_dots():

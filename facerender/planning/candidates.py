@@ -11,6 +11,8 @@ from itertools import product
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
 from facerender.drawing.prepare import simplify
 from facerender.drawing.resolve import resolve
 from facerender.scenes.scene import Scene
@@ -84,8 +86,8 @@ def candidates(
     ----------
     full : the shading that counts as exact; it has the exact lobe
     fits : function that returns whether a shading with one change is within the budget. It is
-        called for a single lobe, fewer samples, omitted shadows and Lambert diffuse light. Only
-        changes that fit are combined with other changes, which limits the number of combinations
+        called for each change but those of lights' highlights, lobes, Fresnel and masking terms.
+        Only changes that fit are combined with other changes, which limits their number
     """
     lit = [light for light in constants.faintest if full.of(light)]
     kinds = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
@@ -113,11 +115,11 @@ def _surfaces(
         any(getattr(each, name) is not None for each in materials)
         for name in ("normal_map", "specular_map")
     )
-    slopes: list[tuple[bool, float | None]] = [(full.two_lobes, full.term.m)]
-    if full.term.m is None:
-        slopes.append((full.two_lobes, constants.m))
-    if full.two_lobes:
-        slopes += [(False, m) for m in constants.single if fits(full.replace(two_lobes=False, m=m))]
+    means = [constants.m] if full.term.m is None else []
+    single = constants.single if full.two_lobes else ()
+    others = [*((full.two_lobes, m) for m in means), *((False, m) for m in single)]
+    slopes = [(full.two_lobes, full.term.m)]
+    slopes += [(two, m) for two, m in others if fits(full.replace(two_lobes=two, m=m))]
     cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
     scatters = any(each.scattering and each.diffuse_weight > 0.0 for each in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
@@ -128,18 +130,17 @@ def _surfaces(
         whole = getattr(full, name)
         return [whole, *(each for each in others if fits(replace(full, **{name: each})))]
 
-    weights = [full.ks, constants.ks] if full.ks is None and specular_maps else [full.ks]
-    others: dict[str, Iterable[Any]] = {
-        "ks": weights,
+    choices: dict[str, list[Any]] = {
+        "ks": of("ks", [constants.ks] if full.ks is None and specular_maps else []),
         "shadow_lights": of("shadow_lights", cast),
         "scatter_samples": of("scatter_samples", fewer),
-        "normal_map": {full.normal_map, full.normal_map and not normal_maps},
-        "ambient": {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
+        "normal_map": of("normal_map", [False] if full.normal_map and normal_maps else []),
+        "ambient": of("ambient", [False] if full.ambient and np.any(scene.ambient) else []),
         "diffuse": of("diffuse", {"lambert"} - {full.diffuse}),
         "environment_samples": of("environment_samples", samples),
     }
-    for (two_lobes, m), *values in product(slopes, *others.values()):
-        own = dict(zip(others, values, strict=True))
+    for (two_lobes, m), *values in product(slopes, *choices.values()):
+        own = dict(zip(choices, values, strict=True))
         yield replace(full, term=replace(full.term, m=m), two_lobes=two_lobes, **own)
 
 
