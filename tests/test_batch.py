@@ -211,7 +211,8 @@ def test_only_changed_jobs_are_drawn_again(table, draw, small, tmp_path, layout)
     jobs += [{**jobs[0], "id": "new", "camera.elevation": 20.0}]
     if layout == "files":  # a file that another program overwrote is drawn again
         (tmp_path / "out/data/job000/image.png").write_bytes(b"another's")
-    assert draw(table(jobs), "out", *options)["drawn"] == (3 if layout == "files" else 2)
+    again = draw(table(jobs), "out", "--prune", *options)
+    assert again["drawn"] == (3 if layout == "files" else 2)
     draw(table(jobs), "fresh", *options)
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
@@ -253,8 +254,37 @@ def test_removed_jobs_are_removed_from_tables_and_data(table, draw, small, tmp_p
     options = ("--layout", layout, "--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
     draw(table(jobs), "out", *options)
-    assert draw(table(jobs[:2]), "out", *options)["drawn"] == 0
+    assert draw(table(jobs[:2]), "out", "--prune", *options)["drawn"] == 0
     draw(table(jobs[:2]), "fresh", *options)
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_jobs_of_another_table_are_kept(table, draw, small, tmp_path, layout):
+    """The second table changes two jobs and lacks four, of which one failed."""
+    options = ("--layout", layout, "--chunk", "2")
+    jobs = rows(6, mesh=str(small))
+    jobs[5]["mesh"] = str(tmp_path / "none.obj")
+    draw(table(jobs), "out", *options)
+    about = (tmp_path / "out/batch.json").read_bytes()
+    before = tree(tmp_path / "out")
+    path = table([{**job, "material.m": 0.5} for job in jobs[:2]])
+    found = draw(path, "out", *options)
+    assert (found["status"], found["lines"]) == (2, [])
+    assert found["err"] == (
+        f"facerender: error: {path} lacks 3 of the finished jobs in {tmp_path / 'out'}: give "
+        "another folder, or --prune to delete their files\n"
+    )
+    assert tree(tmp_path / "out") == before
+    assert (tmp_path / "out/batch.json").read_bytes() == about
+
+    # A run that was stopped after it set records aside does not permit the next run to delete.
+    (tmp_path / "out/stale").mkdir()
+    for record in (tmp_path / "out/records").iterdir():
+        record.rename(tmp_path / "out/stale" / record.name)
+    assert "lacks 3 of the finished jobs" in draw(path, "out", *options)["err"]
+    assert draw(path, "out", "--prune", *options)["drawn"] == 2
+    draw(path, "fresh", *options)
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
 
@@ -481,8 +511,8 @@ def test_coordinator_may_stop_at_any_write(table, draw, small, tmp_path, monkeyp
 
         with monkeypatch.context() as patched:
             patched.setattr(Storage, step, or_die)
-            ended = draw(table(jobs[1:]), "out", *options)["status"]
-        assert draw(table(jobs[1:]), "out", *options)["status"] == 0
+            ended = draw(table(jobs[1:]), "out", "--prune", *options)["status"]
+        assert draw(table(jobs[1:]), "out", "--prune", *options)["status"] == 0
         assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
         if ended == 0:
             return
@@ -598,7 +628,7 @@ def test_batch_that_cannot_start_prints_one_line(table, draw, options, message):
 
 def test_a_folder_has_one_coordinator(table, draw, small, tmp_path):
     path = table(rows(1, mesh=str(small)))
-    with locked(Settings(str(tmp_path / "out")), {}):
+    with locked(str(tmp_path / "out")):
         found = draw(path, "out")
     assert (found["status"], "another batch is being written" in found["err"]) == (2, True)
     assert draw(path, "out")["status"] == 0

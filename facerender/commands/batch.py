@@ -97,6 +97,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help=kind)
     add_flag(written, "transforms", "also write the cameras as transforms.json for nerfstudio")
     add_flag(written, "retry-failed", "also redraw jobs that failed in an earlier run")
+    add_flag(written, "prune", "delete the files of drawn jobs that the table lacks")
     add_flag(written, "json", "print a line of JSON per chunk, per failed job and at the end")
     add_quiet(written)
 
@@ -179,7 +180,7 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
     from facerender.batch.chunk import Settings, code_version
     from facerender.batch.parquet import check_parquet
     from facerender.batch.progress import Progress
-    from facerender.batch.work import spooled, work_of
+    from facerender.batch.work import check_removed, spooled, work_of
 
     if options.table == "parquet":
         check_parquet()
@@ -191,8 +192,10 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
     with ExitStack() as stack:
         spool = stack.enter_context(spooled(table, settings, options.chunk))
         _check_faults(table)
-        about = {"table": options.jobs, "jobs": table.rows}
-        storage = stack.enter_context(folder.locked(settings, about))
+        storage = stack.enter_context(folder.locked(output))
+        if not options.prune:
+            check_removed(spool, storage, options.jobs)
+        folder.start(storage, settings, {"table": options.jobs, "jobs": table.rows})
         stack.enter_context(_surviving_pipes())
         work = work_of(spool, storage, options.retry_failed)
         folder.set_aside(storage, work)
