@@ -594,6 +594,44 @@ def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, caps
     assert len(lines) == len(faults)
 
 
+def test_check_names_poses_and_landmarks_that_do_not_fit(table, small, tmp_path, capsys):
+    np.save(tmp_path / "three.npy", np.zeros((1, 3, 3)))
+    np.save(tmp_path / "four.npy", np.random.default_rng(1).random((2, 4, 3)))
+    (tmp_path / "far.json").write_text('{"nose": 7}')
+    (tmp_path / "near.json").write_text('{"nose": 3}')
+    still = {"mesh": str(small)}
+    no_rig = "small.obj has no shapes and no clips: give a glTF file with a rig, or leave out the"
+    faults: list[tuple[dict[str, Any], str]] = [
+        ({**still, "pose.weights": {"jawOpen": 1.0, "jawLeft": 0.5}}, no_rig),
+        ({"pose.weights": {"jawOpn": 1.0}}, "head.glb has no shape 'jawOpn': its shapes are"),
+        ({"pose.clip": "walk"}, "clip = 'walk', which head.glb lacks: its clips are talk"),
+        ({"pose.clip": "talk", "pose.time": 9.0}, "time of clip 'talk' = 9.0"),
+        ({"before.weights": {"a": 1.0}, "outputs": "motion"}, "head.glb has no shape 'a'"),
+        ({**still, "landmarks": "far.json"}, "landmark 'nose': vertex 7, but small.obj has 4"),
+        ({**still, "pose.vertices": "three.npy"}, "small.obj"),
+        ({**still, "pose.vertices": "four.npy", "pose.frame": 2}, "four.npy has 2 frames: frame"),
+        ({"mesh.parts": "hat"}, "no part of head.glb is called 'hat'"),
+    ]
+    good = [
+        {"pose.weights": {"jawOpen": 0.4}},
+        {"pose.time": 1.5},
+        {"pose.clip": "talk", "pose.time": 0.5},
+        {**still, "before.weights": {"jawOpen": 1.0}},  # no output needs the frame before
+        {**still, "landmarks": "near.json"},
+        {**still, "pose.vertices": "four.npy", "pose.frame": 1},
+    ]
+    jobs = []
+    for job in (*(job for job, _ in faults), *good):
+        paths = {n: str(tmp_path / job[n]) for n in ("pose.vertices", "landmarks") if n in job}
+        jobs.append({**job, **paths})
+    assert main(["batch", table(jobs), "--check"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    for number, (line, (_, message)) in enumerate(zip(lines, faults, strict=True), 1):
+        assert line.startswith(f"facerender: error: jobs.jsonl, row {number} (line {number}): ")
+        assert message in line
+    assert main(["batch", table(jobs[len(faults) :]), "--check"]) == 0
+
+
 def test_check_reads_each_file_once(table, small, capsys, monkeypatch):
     read = []
     monkeypatch.setattr(
@@ -966,3 +1004,12 @@ def test_chunks_hold_every_job_once_and_few_meshes():
     assert sum(count == 1 for count in meshes) >= len(made) - 6
     assert max(len(chunk.rows) for chunk in made) == 16
     assert [chunk.name for chunk in chunks(given, 16)] == [chunk.name for chunk in made]
+
+
+@pytest.mark.parametrize(("jobs", "files", "shards"), [(40, 1, 32), (1000, 8, 32), (4200, 64, 64)])
+def test_shards_have_at_least_32_jobs(jobs, files, shards):
+    given = [Row(i, f"{i}", {}) for i in range(jobs)]
+    for layout, size in (("files", files), ("shards", shards)):
+        sizes = [len(chunk.rows) for chunk in chunks(given, layout=layout)]
+        assert set(sizes[:-1]) == {size}
+        assert 0 < sizes[-1] <= size

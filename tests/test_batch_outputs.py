@@ -178,7 +178,7 @@ def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
     assert set(np.unique(parts)) == {0, 1, 2}
     np.testing.assert_array_equal(mask, 255 * (part >= 0))
     np.testing.assert_array_equal(depth > 0, mask > 0)
-    assert drawn.facts["parts"] == 2
+    assert drawn.facts["parts"] == [part.name for part in halves.parts]
 
 
 def test_layers_hold_every_pass(halves, drawing, tmp_path):
@@ -305,6 +305,17 @@ def test_a_frame_of_transforms_json(head, drawing):
     up, back = np.array(frame["transform_matrix"])[:3, 1:3].T
     assert up[1] > 0.9  # y is up
     assert back @ (eye_of(camera) - head.center) > 0  # z points away from the mesh
+
+
+def test_the_frame_before_changes_only_motion(head, drawing):
+    job = job_of(before=fr.Pose({"jawOpen": 0.4}))
+    files = draw(job, head, drawing, ("image", "motion", "mask", "normal"), 0.0).files
+    assert b"before" in files.pop("motion.png")[:2000]
+    for name, content in files.items():
+        assert content == draw(job, head, drawing, (Path(name).stem,), 0.0).files[name], name
+    layers = draw(job, head, drawing, ("layers", "image"), 0.0).files
+    assert b"before" in layers["layers.exr"][:4000]
+    assert layers["image.png"] == files["image.png"]
 
 
 def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch):

@@ -82,7 +82,7 @@ def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterat
         stack.callback(_close, file)
         spool = Spool(file)
         with reported("write", temporary_folder(), "or set TMPDIR to another folder"):
-            for chunk in chunks(_with_valid_ids(rows, settings), size):
+            for chunk in chunks(_with_valid_ids(rows, settings), size, settings.layout):
                 spool.add(chunk)
             file.flush()
         yield spool

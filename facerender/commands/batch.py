@@ -125,8 +125,7 @@ def run(options: argparse.Namespace) -> int:
     if options.check:
         from facerender.batch.inputs import file_faults
 
-        faults = [*file_faults(table.valid())]
-        _check_faults(table, faults)
+        _check_faults(table, file_faults(table.valid()))
         print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
