@@ -178,6 +178,7 @@ def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
     assert set(np.unique(parts)) == {0, 1, 2}
     np.testing.assert_array_equal(mask, 255 * (part >= 0))
     np.testing.assert_array_equal(depth > 0, mask > 0)
+    assert drawn.facts["mesh"] == "built-in"
     assert drawn.facts["parts"] == [part.name for part in halves.parts]
 
 

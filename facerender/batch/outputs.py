@@ -56,11 +56,12 @@ class Drawn:
     Attributes
     ----------
     files : contents of the files, keyed by the file name, such as "image.png"
-    facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" from
-        :func:`camera_facts`. With output depth, "depth_scale": mesh units per step of the 16-bit
-        depth. With output parts or layers, "parts": the names of the parts. For a planned scene,
-        "planned": whether the plan covers this size and number of samples, and was therefore used.
-        For a job with landmarks, "landmarks": a list from :func:`landmark_facts`
+    facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION"; "mesh", the path
+        or "built-in"; and "camera" from :func:`camera_facts`. With output depth, "depth_scale":
+        mesh units per step of the 16-bit depth. With output parts or layers, "parts": the names of
+        the parts. For a planned scene, "planned": whether the plan covers this size and number of
+        samples, and was therefore used. For a job with landmarks, "landmarks": a list from
+        :func:`landmark_facts`
     """
 
     files: dict[str, bytes]
@@ -102,6 +103,7 @@ def draw(
     facts: dict[str, Any] = {
         name: renderer.metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
     }
+    facts["mesh"] = job.mesh.path or "built-in"
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
     moves = "motion" in outputs or ("layers" in outputs and job.pose != job.before)
