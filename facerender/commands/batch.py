@@ -87,7 +87,8 @@ def add(batch: argparse.ArgumentParser) -> None:
     add_limited("timeout", silence, f"{_TIMEOUT:g}", default=_TIMEOUT, metavar="SECONDS")
     attempts = "maximum attempts per crashing or hanging job"
     add_limited("tries", attempts, f"{_TRIES}", default=_TRIES, metavar="N")
-    add_limited("chunk", "jobs per chunk", "1 to 128, depends on the number of jobs", metavar="N")
+    sizes = "1 to 128, in shards 32 to 128, depends on the number of jobs"
+    add_limited("chunk", "jobs per chunk", sizes, metavar="N")
 
     written = batch.add_argument_group("output")
     layout = Help("a folder per job, or a tar file per chunk", "files")
