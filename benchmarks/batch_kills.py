@@ -239,6 +239,7 @@ def main() -> int:
     if options.dask:
         command += ["--scheduler", cluster.address]
     command += ["-o", str(out), "--timeout", str(_TIMEOUT), "--json"]
+    command += ["--prune"] * bool(options.edits)
     try:
         who, ends, seconds = killed(
             command, out, cluster, options, lambda at: write_table(table, mesh, options.jobs, at)

@@ -211,7 +211,8 @@ def test_only_changed_jobs_are_drawn_again(table, draw, small, tmp_path, layout)
     jobs += [{**jobs[0], "id": "new", "camera.elevation": 20.0}]
     if layout == "files":  # a file that another program overwrote is drawn again
         (tmp_path / "out/data/job000/image.png").write_bytes(b"another's")
-    assert draw(table(jobs), "out", *options)["drawn"] == (3 if layout == "files" else 2)
+    again = draw(table(jobs), "out", "--prune", *options)
+    assert again["drawn"] == (3 if layout == "files" else 2)
     draw(table(jobs), "fresh", *options)
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
@@ -253,8 +254,37 @@ def test_removed_jobs_are_removed_from_tables_and_data(table, draw, small, tmp_p
     options = ("--layout", layout, "--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
     draw(table(jobs), "out", *options)
-    assert draw(table(jobs[:2]), "out", *options)["drawn"] == 0
+    assert draw(table(jobs[:2]), "out", "--prune", *options)["drawn"] == 0
     draw(table(jobs[:2]), "fresh", *options)
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_jobs_of_another_table_are_kept(table, draw, small, tmp_path, layout):
+    """The second table changes two jobs and lacks four, of which one failed."""
+    options = ("--layout", layout, "--chunk", "2")
+    jobs = rows(6, mesh=str(small))
+    jobs[5]["mesh"] = str(tmp_path / "none.obj")
+    draw(table(jobs), "out", *options)
+    about = (tmp_path / "out/batch.json").read_bytes()
+    before = tree(tmp_path / "out")
+    path = table([{**job, "material.m": 0.5} for job in jobs[:2]])
+    found = draw(path, "out", *options)
+    assert (found["status"], found["lines"]) == (2, [])
+    assert found["err"] == (
+        f"facerender: error: {path} lacks 3 of the finished jobs in {tmp_path / 'out'}: give "
+        "another folder, or --prune to delete their files\n"
+    )
+    assert tree(tmp_path / "out") == before
+    assert (tmp_path / "out/batch.json").read_bytes() == about
+
+    # A run that was stopped after it set records aside does not permit the next run to delete.
+    (tmp_path / "out/stale").mkdir()
+    for record in (tmp_path / "out/records").iterdir():
+        record.rename(tmp_path / "out/stale" / record.name)
+    assert "lacks 3 of the finished jobs" in draw(path, "out", *options)["err"]
+    assert draw(path, "out", "--prune", *options)["drawn"] == 2
+    draw(path, "fresh", *options)
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
 
@@ -481,8 +511,8 @@ def test_coordinator_may_stop_at_any_write(table, draw, small, tmp_path, monkeyp
 
         with monkeypatch.context() as patched:
             patched.setattr(Storage, step, or_die)
-            ended = draw(table(jobs[1:]), "out", *options)["status"]
-        assert draw(table(jobs[1:]), "out", *options)["status"] == 0
+            ended = draw(table(jobs[1:]), "out", "--prune", *options)["status"]
+        assert draw(table(jobs[1:]), "out", "--prune", *options)["status"] == 0
         assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
         if ended == 0:
             return
@@ -564,6 +594,44 @@ def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, caps
     assert len(lines) == len(faults)
 
 
+def test_check_names_poses_and_landmarks_that_do_not_fit(table, small, tmp_path, capsys):
+    np.save(tmp_path / "three.npy", np.zeros((1, 3, 3)))
+    np.save(tmp_path / "four.npy", np.random.default_rng(1).random((2, 4, 3)))
+    (tmp_path / "far.json").write_text('{"nose": 7}')
+    (tmp_path / "near.json").write_text('{"nose": 3}')
+    still = {"mesh": str(small)}
+    no_rig = "small.obj has no shapes and no clips: give a glTF file with a rig, or leave out the"
+    faults: list[tuple[dict[str, Any], str]] = [
+        ({**still, "pose.weights": {"jawOpen": 1.0, "jawLeft": 0.5}}, no_rig),
+        ({"pose.weights": {"jawOpn": 1.0}}, "head.glb has no shape 'jawOpn': its shapes are"),
+        ({"pose.clip": "walk"}, "clip = 'walk', which head.glb lacks: its clips are talk"),
+        ({"pose.clip": "talk", "pose.time": 9.0}, "time of clip 'talk' = 9.0"),
+        ({"before.weights": {"a": 1.0}, "outputs": "motion"}, "head.glb has no shape 'a'"),
+        ({**still, "landmarks": "far.json"}, "landmark 'nose': vertex 7, but small.obj has 4"),
+        ({**still, "pose.vertices": "three.npy"}, "small.obj"),
+        ({**still, "pose.vertices": "four.npy", "pose.frame": 2}, "four.npy has 2 frames: frame"),
+        ({"mesh.parts": "hat"}, "no part of head.glb is called 'hat'"),
+    ]
+    good = [
+        {"pose.weights": {"jawOpen": 0.4}},
+        {"pose.time": 1.5},
+        {"pose.clip": "talk", "pose.time": 0.5},
+        {**still, "before.weights": {"jawOpen": 1.0}},  # no output needs the frame before
+        {**still, "landmarks": "near.json"},
+        {**still, "pose.vertices": "four.npy", "pose.frame": 1},
+    ]
+    jobs = []
+    for job in (*(job for job, _ in faults), *good):
+        paths = {n: str(tmp_path / job[n]) for n in ("pose.vertices", "landmarks") if n in job}
+        jobs.append({**job, **paths})
+    assert main(["batch", table(jobs), "--check"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    for number, (line, (_, message)) in enumerate(zip(lines, faults, strict=True), 1):
+        assert line.startswith(f"facerender: error: jobs.jsonl, row {number} (line {number}): ")
+        assert message in line
+    assert main(["batch", table(jobs[len(faults) :]), "--check"]) == 0
+
+
 def test_check_reads_each_file_once(table, small, capsys, monkeypatch):
     read = []
     monkeypatch.setattr(
@@ -598,7 +666,7 @@ def test_batch_that_cannot_start_prints_one_line(table, draw, options, message):
 
 def test_a_folder_has_one_coordinator(table, draw, small, tmp_path):
     path = table(rows(1, mesh=str(small)))
-    with locked(Settings(str(tmp_path / "out")), {}):
+    with locked(str(tmp_path / "out")):
         found = draw(path, "out")
     assert (found["status"], "another batch is being written" in found["err"]) == (2, True)
     assert draw(path, "out")["status"] == 0
@@ -936,3 +1004,12 @@ def test_chunks_hold_every_job_once_and_few_meshes():
     assert sum(count == 1 for count in meshes) >= len(made) - 6
     assert max(len(chunk.rows) for chunk in made) == 16
     assert [chunk.name for chunk in chunks(given, 16)] == [chunk.name for chunk in made]
+
+
+@pytest.mark.parametrize(("jobs", "files", "shards"), [(40, 1, 32), (1000, 8, 32), (4200, 64, 64)])
+def test_shards_have_at_least_32_jobs(jobs, files, shards):
+    given = [Row(i, f"{i}", {}) for i in range(jobs)]
+    for layout, size in (("files", files), ("shards", shards)):
+        sizes = [len(chunk.rows) for chunk in chunks(given, layout=layout)]
+        assert set(sizes[:-1]) == {size}
+        assert 0 < sizes[-1] <= size

@@ -549,6 +549,21 @@ def test_check_counts_and_names_faults():
     assert check_jobs(name, most=6).more == 1
 
 
+def test_rows_with_one_error_share_a_message():
+    lines = [{"split": "train"}] * 40 + [{"image.samples": 0}, {}, {"image.samples": 0}, {"a": 1}]
+    name = write("rows.jsonl", "\n".join(map(json.dumps, lines)))
+    checked = check_jobs(name)
+    starts = [fault.partition(";")[0] for fault in checked.faults]
+    assert starts == [
+        "rows.jsonl, rows 1 to 40: unknown key 'split'",
+        "rows.jsonl, 2 rows from 41 to 43: image samples = 0: give 1 to 64",
+        "rows.jsonl, row 44 (line 44): unknown key 'a'",
+    ]
+    assert checked.more == 0
+    few = check_jobs(name, most=1)
+    assert (few.faults, few.more) == (checked.faults[:1], 3)
+
+
 def test_cached_checks_distinguish_values_and_types():
     """Equal tables are checked once. A number outside its range must not count as equal to a valid
     one, nor 1 as equal to True."""
@@ -558,7 +573,7 @@ def test_cached_checks_distinguish_values_and_types():
     rows += [{"material": {"m": m, "second_slope": 1.5, "lobe_weight": 0.5}} for m in (0.5, 1.5)]
     checked = check_jobs(write("rows.jsonl", "\n".join(map(json.dumps, rows * 2))), most=20)
     assert [fault.split(":")[0] for fault in checked.faults] == [
-        f"rows.jsonl, row {row} (line {row})" for row in (2, 4, 6, 8, 9, 11, 13, 15, 17, 19, 20, 22)
+        f"rows.jsonl, 2 rows from {row} to {row + 11}" for row in (2, 4, 6, 8, 9, 11)
     ]
 
 

@@ -7,6 +7,7 @@ import io
 import json
 import re
 import sys
+import tarfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,9 @@ from facerender.batch.outputs import OUTPUTS as ALL
 from facerender.batch.outputs import camera_facts, draw, transforms_frame
 from facerender.images.read import read_image
 from facerender.scenes.lod import Planned
+from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
+from tests.conftest import require_module
 
 SIZE = (96, 64)
 OUTPUTS = tuple(name for name in ALL if name != "motion")  # motion needs the frame before
@@ -178,7 +181,8 @@ def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
     assert set(np.unique(parts)) == {0, 1, 2}
     np.testing.assert_array_equal(mask, 255 * (part >= 0))
     np.testing.assert_array_equal(depth > 0, mask > 0)
-    assert drawn.facts["parts"] == 2
+    assert drawn.facts["mesh"] == "built-in"
+    assert drawn.facts["parts"] == [part.name for part in halves.parts]
 
 
 def test_layers_hold_every_pass(halves, drawing, tmp_path):
@@ -307,35 +311,71 @@ def test_a_frame_of_transforms_json(head, drawing):
     assert back @ (eye_of(camera) - head.center) > 0  # z points away from the mesh
 
 
-def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch):
+def test_the_frame_before_changes_only_motion(head, drawing):
+    job = job_of(before=fr.Pose({"jawOpen": 0.4}))
+    files = draw(job, head, drawing, ("image", "motion", "mask", "normal"), 0.0).files
+    assert b"before" in files.pop("motion.png")[:2000]
+    for name, content in files.items():
+        assert content == draw(job, head, drawing, (Path(name).stem,), 0.0).files[name], name
+    layers = draw(job, head, drawing, ("layers", "image"), 0.0).files
+    assert b"before" in layers["layers.exr"][:4000]
+    assert layers["image.png"] == files["image.png"]
+
+
+LENS = (-0.1, 0.05, 0.002, -0.001)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of webdataset
+@pytest.mark.parametrize("lens", [None, LENS], ids=["straight", "distorted"])
+def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch, lens):
     text = (Path(__file__).parents[1] / "docs" / "batch.md").read_text(encoding="utf-8")
     camera = fr.Camera(position=(0.0, 0.0, 1.0), target=(0.0, 0.0, 0.0))
-    job = fr.Job(camera=camera, image=fr.ImageSettings(size=(512, 384)))
+    if lens:
+        view = view_of(fr.Scene(head, camera), 512 / 384)
+        k, pose = view.intrinsics((512, 384)), view.extrinsics(head)
+        camera = fr.Camera(extrinsics=pose, intrinsics=k, size=(512, 384), distortion=lens)
+    image = fr.ImageSettings(size=(512, 384))
+    job = fr.Job(camera=camera, image=image, before=fr.Pose({"jawOpen": 0.4}))
     with fr.Renderer.of(job, egl) as renderer:
-        drawn = draw(job, head, renderer, OUTPUTS, 0.0)
+        drawn = draw(job, head, renderer, ALL, 0.0)
         seen = renderer.gbuffer(job.scene(head))
+        motion = renderer.render(job.scene(head, True), only="motion").linear
     folder = tmp_path / "views" / "data" / "front"
     folder.mkdir(parents=True)
     for name, content in drawn.files.items():
         (folder / name).write_bytes(content)
     record = json.dumps({"id": "front", **drawn.facts})
     (tmp_path / "views" / "jobs.jsonl").write_text(f"{record}\n")
+    shards = tmp_path / "heads" / "shards"
+    shards.mkdir(parents=True)
+    (folder / "json").write_text(record)
+    with tarfile.open(shards / "000000-0.tar", "w") as tar:
+        for member in ("depth.png", "json"):
+            tar.add(folder / member, f"front.{member}")
     monkeypatch.chdir(tmp_path)
+    require_module("webdataset")
     page: dict[str, Any] = {}
     blocks = re.findall(r"^(?<!-->\n)```python$(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     for block in blocks:
         exec(block, page)
-    assert (page["u"], page["v"]) == pytest.approx((342.61, 148.70), abs=0.005)
     covered = seen.part >= 0
     np.testing.assert_array_equal(page["surface"], covered)
+    np.testing.assert_array_equal(page["distance"], page["depth"])
+    moved, valid = page["motion"](folder / "motion.png")
+    np.testing.assert_array_equal(valid, covered)
+    np.testing.assert_allclose(moved[valid], motion[valid][:, :2], rtol=0, atol=0.5 / 64)
+    assert np.abs(moved[valid]).max() > 2.0
     parts = unchanged((folder / "parts.png").read_bytes())
     np.testing.assert_array_equal(parts.astype(int) - 1, seen.part)
     normals = np.stack([page["layers"][f"normal.{axis}"] for axis in "XYZ"], axis=-1)[covered]
     np.testing.assert_allclose(page["normal"][covered], normals, atol=0.5 / 127.5 + 1e-6)
     exact = seen.position[covered]
-    assert np.abs(page["points"] - exact).max() < drawn.facts["depth_scale"]
-    pixels = page["rays"] @ page["K"].T[:, :2]
-    np.testing.assert_allclose(page["project"](exact), pixels, atol=PIXEL)
+    # With a lens, labels are up to half a pixel of a finer image away.
+    near, apart = (0.51, 0.01) if lens else (PIXEL, drawn.facts["depth_scale"])
+    facing = normals @ page["Rt"][2, :3] < -0.5
+    assert np.abs(page["points"] - exact)[facing].max() < apart
+    np.testing.assert_allclose(page["project"](exact), page["pixels"], rtol=0, atol=near)
+    np.testing.assert_allclose(page["project"](page["points"]), page["pixels"], atol=1e-3)
     turned = page["normal"][covered] @ page["Rt"][:, :3].T
     assert (turned[:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
     to_camera = head.to_mesh_space(seen.view.position) - exact

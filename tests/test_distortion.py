@@ -434,6 +434,16 @@ def test_terms_of_a_distorted_scene(drawing, whole):
     assert ratio.max() < 2.0
 
 
+@pytest.mark.parametrize("lit", [{"lights": ()}, {"environment": "studio"}], ids=["dark", "studio"])
+def test_terms_of_a_distorted_scene_without_lights(drawing, mini, lit):
+    scene = fr.Scene(mini, camera_of(mini, STRONG), background=None, **lit)
+    scene = replace(scene, before=scene)
+    seen = drawing.gbuffer(scene)
+    assert seen.visibility.shape == (*SIZE[::-1], 0)
+    for only in DATA:
+        assert np.array_equal(drawing.render(scene, only=only).linear[..., 3], seen.part >= 0)
+
+
 def test_one_renderer_draws_all_lenses(egl, mini):
     cameras = [camera_of(mini, lens) for lens in (None, *LENSES)]
     with fr.Renderer(SIZE, samples=4, backend=egl) as renderer:

@@ -34,6 +34,7 @@ _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = ("terms", "glsl", "scenes", "loading", "drawing", "images")
 _MODULES = ("batch/outputs.py", "job.py", "shading.py")
 _LARGEST = 128  # maximum number of jobs per chunk
+_SHARD = 32  # minimum number of jobs per tar, if there are enough: readers shuffle whole tars
 # Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
 # same mesh; the waiting jobs would fill at most this number of chunks.
 _CHUNKS = 64
@@ -91,18 +92,21 @@ class Chunk:
         return f"{self.number:06d}-{digest_of(*self.keys)[:16]}"
 
 
-def chunk_size(total: int) -> int:
+def chunk_size(total: int, layout: Layout) -> int:
     """Return the number of jobs per chunk.
 
-    The size depends only on the total number of jobs: any number of workers gives the same chunks.
+    The size depends only on the total number of jobs and the layout: any number of workers gives
+    the same chunks.
     """
-    size = 1
+    size = _SHARD if layout == "shards" else 1
     while size < _LARGEST and total >= 2 * _CHUNKS * size:
         size *= 2
     return size
 
 
-def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
+def chunks(
+    rows: Iterable[Row], size: int | None = None, layout: Layout = "files"
+) -> Iterator[Chunk]:
     """Divide rows into chunks; rows with equal mesh and image tables share a chunk where possible.
 
     Few rows are in memory at a time.
@@ -112,7 +116,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
     rows = iter(rows)
     if size is None:
         first = [*islice(rows, _CHUNKS * _LARGEST)]
-        size = chunk_size(len(first))
+        size = chunk_size(len(first), layout)
         rows = chain(first, rows)
         del first
     waiting: dict[str, list[Row]] = {}

@@ -38,8 +38,8 @@ Table = Literal["jsonl", "parquet"]
 
 
 @contextmanager
-def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
-    """Lock the output folder and write batch.json. An output URL is not locked.
+def locked(output: str) -> Iterator[Storage]:
+    """Create and lock the output folder. An output URL is not locked.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
     """
     import fcntl  # absent on Windows
 
-    storage = Storage(settings.output)
+    storage = Storage(output)
     with ExitStack() as held:
         if not storage.remote:
             with storage.scratch():
@@ -63,9 +63,13 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
             storage.sweep()
             held.callback(storage.sweep)
             held.enter_context(if_ended(storage.sweep))
-        facts = {"facerender": __version__, "layout": settings.layout, "run": settings.run}
-        storage.put(ABOUT, json.dumps({**facts, **about}, indent=2).encode() + b"\n")
         yield storage
+
+
+def start(storage: Storage, settings: Settings, about: Mapping[str, Any]) -> None:
+    """Write batch.json; a worker that outlives an earlier run then stops writing."""
+    facts = {"facerender": __version__, "layout": settings.layout, "run": settings.run}
+    storage.put(ABOUT, json.dumps({**facts, **about}, indent=2).encode() + b"\n")
 
 
 def status(output: str) -> dict[str, int]:

@@ -1,8 +1,9 @@
 """Checks the input files of a table of jobs: each mesh, map, environment map, file of vertices and
-landmark file is read once. OpenGL is not used."""
+landmark file is read once, and poses and landmarks must fit their meshes. OpenGL is not used."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -11,41 +12,79 @@ from facerender.errors import InputError, clipped
 from facerender.job import MESH_PATHS
 from facerender.loading import load_mesh
 from facerender.loading.environment import load_environment
-from facerender.loading.vertices import frame_count
-from facerender.scenes.file import STUDIO, EnvironmentFile
+from facerender.loading.vertices import frame_count, posed
+from facerender.scenes.file import STUDIO, EnvironmentFile, Pose
 from facerender.scenes.landmarks import load_landmarks
 from facerender.scenes.material import MAPS
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.texture import Texture
 
 _File = tuple[Any, ...]  # kind of a file, its path, and options with which it is read
+_Use = tuple[str, str | None]  # "weights", "clip", "vertices" or "landmarks", with a name or path
+_Call = Callable[..., Any]
+_Place = tuple[int, str]  # number of a row, and its position as a text for messages
+_OPTIONS = ("allow_outside", "as_is", "parts", "hide")  # keys of a mesh that change its vertices
 
 
-def file_faults(rows: Iterable[tuple[str, Row]]) -> Iterator[str]:
-    """Yield a message for each input file that cannot be used, after all rows were read.
+def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
+    """Return a message for each input file that cannot be used, and for each shape, clip, file of
+    vertices and landmark file that does not fit its mesh.
 
-    The message names the first row with this file. Maps that a mesh file names are decoded, too.
+    A message names the first row with this file; for a clip and a file of vertices, the row with
+    the largest time or frame. Maps that a mesh file names are decoded, too.
 
     rows : pairs of a row's position, as a text for messages, and the row
     """
-    first: dict[_File, str] = {}
+    first: dict[_File, _Place] = {}
+    uses: dict[_File, dict[_Use, tuple[float, _Place]]] = {}  # by mesh, with the time or frame
     for position, row in rows:
-        for file in _files(row):
-            first.setdefault(file, position)
-    for file, position in first.items():
+        place = row.number, position
+        for file in (mesh := _mesh_of(row), *_files(row)):
+            first.setdefault(file, place)
+        known = uses.setdefault(mesh, {})
+        for use, moment in _uses(row):
+            if use not in known or moment > known[use][0]:
+                known[use] = moment, place
+    faults: dict[tuple[_File, str], _Place] = {}
+
+    def read(file: _File) -> Any:
+        return _READ[file[0]](*file[1:])
+
+    def attempt(file: _File, place: _Place, name: str, call: _Call, *given: Any) -> Any:
+        """Return the result of a call, or note its error and return None."""
         try:
-            _READ[file[0]](*file[1:])
+            return call(*given)
         except InputError as error:
-            yield f"{position}: {error}"
+            text = str(error)
         except MemoryError:
-            yield f"{position}: {file[1]} does not fit into memory: make it smaller"
+            text = f"{name} does not fit into memory: make it smaller"
         except Exception as error:  # as in the worker, a reader may raise any exception
-            yield f"{position}: {file[1]} cannot be read: {clipped(str(error))}"
+            text = f"{name} cannot be read: {clipped(str(error))}"
+        faults.setdefault((file, text), place)
+        return None
+
+    unread = set[str]()
+    for file in first.keys() - uses.keys():
+        if attempt(file, first[file], file[1], read, file) is None:
+            unread.add(file[1])
+    for file, known in uses.items():
+        mesh = attempt(file, first[file], file[1] or "the built-in head", read, file)
+        for use, (moment, place) in known.items():
+            if mesh is not None and use[1] not in unread:
+                attempt(file, place, use[1] or "its clip", _check_use, mesh, *use, moment)
+    places = sorted((place, text) for (_, text), place in faults.items())
+    return [f"{position}: {text}" for (_, position), text in places]
+
+
+def _mesh_of(row: Row) -> _File:
+    mesh = row.tables.get("mesh", {})
+    options = {name: mesh[name] for name in _OPTIONS if name in mesh}
+    return "mesh", mesh.get("path"), "albedo" in mesh, json.dumps(options)
 
 
 def _files(row: Row) -> Iterator[_File]:
+    """Yield the files of a row, without the mesh."""
     mesh = row.tables.get("mesh", {})
-    if "path" in mesh:
-        yield "mesh", mesh["path"], "albedo" in mesh, mesh.get("allow_outside", False)
     for name in MESH_PATHS:
         if name != "path" and name in mesh:
             yield "map", mesh[name]
@@ -59,16 +98,44 @@ def _files(row: Row) -> Iterator[_File]:
         yield "landmarks", row.tables["landmarks"]
 
 
-def _read_mesh(path: str, replaced: bool, allow_outside: bool) -> None:
+def _uses(row: Row) -> Iterator[tuple[_Use, float]]:
+    """Yield the names and files that must fit the row's mesh, each with its time or frame."""
+    moves = not {"motion", "layers"}.isdisjoint(row.outputs)
+    for key in ("pose", "before") if moves else ("pose",):
+        pose = row.tables.get(key, {})
+        for name in pose.get("weights", ()):
+            yield ("weights", name), 0.0
+        if "vertices" in pose:
+            yield ("vertices", pose["vertices"]), pose.get("frame", 0)
+        elif "clip" in pose or "time" in pose:
+            yield ("clip", pose.get("clip")), pose.get("time", 0.0)
+    if "landmarks" in row.tables:
+        yield ("landmarks", row.tables["landmarks"]), 0.0
+
+
+def _check_use(mesh: Mesh, kind: str, name: Any, moment: Any) -> None:
+    """Raise InputError if a mesh lacks a shape or clip, or vertices or landmarks do not fit it."""
+    if kind == "landmarks":
+        load_landmarks(name).positions(mesh)
+    elif kind == "vertices":
+        posed(mesh, Pose(vertices=name, frame=moment))
+    elif kind == "clip":
+        posed(mesh, Pose(clip=name, time=moment))
+    elif name not in mesh.shapes:
+        posed(mesh, Pose({name: 0.0}))
+
+
+def _read_mesh(path: str | None, replaced: bool, options: str) -> Mesh:
     """Load a mesh and decode its maps; ``replaced``: whether a row replaces the albedo map."""
     albedo = Texture.from_array([[[1.0, 1.0, 1.0]]]) if replaced else None
-    mesh = load_mesh(path, albedo=albedo, allow_outside=allow_outside)
+    mesh = load_mesh(path, albedo=albedo, **json.loads(options))
     textures = {getattr(material, name) for material in mesh.materials for name in MAPS}
     for texture in textures - {None}:
         texture.rgb()
+    return mesh
 
 
-_READ: dict[str, Callable[..., object]] = {
+_READ: dict[str, _Call] = {
     "mesh": _read_mesh,
     "map": lambda path: Texture.open(path).rgb(),
     "environment": lambda path: load_environment(EnvironmentFile(path)),

@@ -93,13 +93,13 @@ class JobTable:
     ----------
     path : path of the table, a .jsonl, .csv, .parquet, .toml or .py file
     common : default values of all rows, with the same keys as a row
-    most : maximum number of invalid rows to describe
+    most : maximum number of different errors to describe
 
     Attributes
     ----------
     rows : number of rows, including invalid ones
     meshes : number of different mesh files in the valid rows; the built-in head counts as one
-    faults : one message for each of the first `most` invalid rows
+    faults : one message for each of the first `most` different errors, with its rows
     more : number of invalid rows that `faults` does not describe
     """
 
@@ -124,6 +124,7 @@ class JobTable:
         InputError : the file cannot be read or has no rows
         """
         meshes, good = set[int](), set[int]()
+        errors: dict[str, _Fault] = {}
         ids = array("q")  # Hashes of the ids: 8 bytes per row.
         for position, row in _rows(self._path, self._common):
             self.rows += 1
@@ -132,21 +133,27 @@ class JobTable:
                     raise row
                 if len(good) > _MOST_GOOD:
                     good.clear()
-                _check(row, position, good)
+                _check(row, good)
             except InputError as error:
                 self._bad += 1
-                if self._bad <= self._most:
-                    self.faults.append(clipped(str(error), _LONGEST_FAULT))
+                if (text := clipped(str(error), _LONGEST_FAULT)) in errors:
+                    errors[text].add(self.rows)
+                elif len(errors) < self._most:
+                    errors[text] = _Fault(position, self.rows, self.rows)
                 continue
             ids.append(hash(row.id))
             meshes.add(hash(row.tables.get("mesh", {}).get("path")))
             yield position, row
         self.meshes = len(meshes)
+        name = PurePath(self._path).name
+        self.faults = [f"{fault.position(name)}: {text}" for text, fault in errors.items()]
+        described = sum(fault.count for fault in errors.values())
         ordered = np.sort(np.asarray(ids))
         twice = ordered[1:][ordered[1:] == ordered[:-1]]
         if len(twice) and len(self.faults) < self._most:
-            self.faults += self._duplicates({*twice[:_MOST_TWICE].tolist()})
-        self.more = self._bad + len(twice) - len(self.faults)
+            faults = self._duplicates({*twice[:_MOST_TWICE].tolist()})
+            self.faults, described = self.faults + faults, described + len(faults)
+        self.more = self._bad + len(twice) - described
 
     def check(self) -> JobTable:
         """Read and check all rows, and return the table."""
@@ -174,6 +181,28 @@ class JobTable:
         return faults
 
 
+@dataclass
+class _Fault:
+    """The rows with one error: the position of the first row, its and the last row's number from 1,
+    and the count of rows."""
+
+    first_position: str
+    first: int
+    last: int
+    count: int = 1
+
+    def add(self, number: int) -> None:
+        self.last, self.count = number, self.count + 1
+
+    def position(self, name: str) -> str:
+        """Return the position of the rows as a text; ``name``: of the table's file."""
+        if self.count == 1:
+            return self.first_position
+        whole = self.count == self.last - self.first + 1
+        rows = "rows" if whole else f"{self.count} rows from"
+        return f"{name}, {rows} {self.first} to {self.last}"
+
+
 def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
 ) -> Iterator[tuple[str, Row | InputError]]:
@@ -193,7 +222,7 @@ def _rows(
             else:
                 row = _row(number, merged(base, found), folder)
         except InputError as error:
-            row = InputError(clipped(f"{position}: {error}", _LONGEST_FAULT))
+            row = error
         yield position, row
     if number < 0:
         raise InputError(f"{name} has no rows: give at least one")
@@ -365,7 +394,7 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
 # --- checks --------------------------------------------------------------------------------------
 
 
-def _check(row: Row, position: str, good: set[int]) -> None:
+def _check(row: Row, good: set[int]) -> None:
     """Check the tables of a row as :meth:`facerender.Job.from_dict` does.
 
     Tables whose hashes are in `good` are skipped; the hashes of valid tables are added to `good`.
@@ -390,10 +419,10 @@ def _check(row: Row, position: str, good: set[int]) -> None:
             if (name := hash(f"{count} {row.tables['shading']!r}")) not in good:
                 Shading.from_dict(row.tables["shading"]).check_lights(count)
                 good.add(name)
-    except InputError as error:
-        raise InputError(f"{position}: {error}") from None
+    except InputError:
+        raise
     except (TypeError, ValueError, ArithmeticError) as error:  # A value of an unexpected type.
-        raise InputError(f"{position}: {shown(row.tables)} cannot be used: {error}") from None
+        raise InputError(f"{shown(row.tables)} cannot be used: {error}") from None
 
 
 def _without_valid(key: str, table: Any) -> Any:

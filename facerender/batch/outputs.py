@@ -56,11 +56,12 @@ class Drawn:
     Attributes
     ----------
     files : contents of the files, keyed by the file name, such as "image.png"
-    facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" from
-        :func:`camera_facts`. With output depth, "depth_scale": mesh units per step of the 16-bit
-        depth. With output parts or layers, "parts": the number of parts. For a planned scene,
-        "planned": whether the plan covers this size and number of samples, and was therefore used.
-        For a job with landmarks, "landmarks": a list from :func:`landmark_facts`
+    facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION"; "mesh", the path
+        or "built-in"; and "camera" from :func:`camera_facts`. With output depth, "depth_scale":
+        mesh units per step of the 16-bit depth. With output parts or layers, "parts": the names of
+        the parts. For a planned scene, "planned": whether the plan covers this size and number of
+        samples, and was therefore used. For a job with landmarks, "landmarks": a list from
+        :func:`landmark_facts`
     """
 
     files: dict[str, bytes]
@@ -102,6 +103,7 @@ def draw(
     facts: dict[str, Any] = {
         name: renderer.metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
     }
+    facts["mesh"] = job.mesh.path or "built-in"
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
     moves = "motion" in outputs or ("layers" in outputs and job.pose != job.before)
@@ -123,11 +125,13 @@ def draw(
     for name in filter(outputs.__contains__, OUTPUTS):
         file = file_name(name)
         if name == "layers":
-            files[file] = exr_bytes(file, _layers(frames), frames["image"].metadata)
+            moved = frames.get("motion", frames["image"])
+            metadata = {**moved.metadata, **frames["image"].metadata}
+            files[file] = exr_bytes(file, _layers(frames), metadata)
         else:
             files[file] = _png(frames[name], name, exposure, facts.get("depth_scale", 1.0))
     if {"parts", "layers"} & set(outputs):
-        facts["parts"] = len(mesh.parts)
+        facts["parts"] = [part.name for part in mesh.parts]
     return Drawn(files, facts)
 
 
@@ -136,14 +140,15 @@ def _frames(
 ) -> dict[str, Frame]:
     """Return the frames that the outputs need, keyed by the name of the output."""
     values = replace(detail, samples=min(detail.samples, renderer.samples)).values
+    still = replace(scene, before=None)  # the metadata of all other frames lack the frame before
     frames = {
-        name: renderer.render(scene, job.shading, only, **values)
+        name: renderer.render(scene if name == "motion" else still, job.shading, only, **values)
         for name, only in _APART.items()
         if name in outputs
     }
     if shared := outputs - _APART.keys():
-        gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
-        metadata = scene_metadata(scene, job.shading, renderer.albedo_kind)
+        gbuffer = renderer.gbuffer(still, job.shading, blended=False)
+        metadata = scene_metadata(still, job.shading, renderer.albedo_kind)
         metadata |= renderer.metadata | {"samples": "1"}
         for only in DATA:
             if only in shared:

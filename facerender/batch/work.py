@@ -15,7 +15,14 @@ import numpy as np
 
 from facerender.batch.chunk import Chunk, Record, Settings, chunks, forget_files
 from facerender.batch.jobs import Row
-from facerender.batch.records import BEGUN, STALE, read_head, record_names, records_of
+from facerender.batch.records import (
+    BEGUN,
+    RECORDS,
+    STALE,
+    read_head,
+    record_names,
+    records_of,
+)
 from facerender.batch.storage import Storage, temporary_folder
 from facerender.errors import InputError
 from facerender.system.atomic import reported
@@ -31,15 +38,17 @@ class Spool:
     Attributes
     ----------
     names : names of all chunks, in order
+    ids : hashes of the ids of all jobs, 8 bytes each
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
+        self._file, self.ids = file, array("q")
         self._of: dict[str, tuple[int, int]] = {}  # keyed by chunk name: number of jobs, offset
 
     def add(self, chunk: Chunk) -> None:
         """Append a chunk to the temporary file."""
         self._of[chunk.name] = len(chunk.rows), self._file.tell()
+        self.ids.extend(hash(row.id) for row in chunk.rows)
         pickle.dump(chunk, self._file, protocol=pickle.HIGHEST_PROTOCOL)
 
     @property
@@ -73,7 +82,7 @@ def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterat
         stack.callback(_close, file)
         spool = Spool(file)
         with reported("write", temporary_folder(), "or set TMPDIR to another folder"):
-            for chunk in chunks(_with_valid_ids(rows, settings), size):
+            for chunk in chunks(_with_valid_ids(rows, settings), size, settings.layout):
                 spool.add(chunk)
             file.flush()
         yield spool
@@ -112,6 +121,21 @@ class Work:
     jobs: int
     left: int
     stale: frozenset[str]
+
+
+def check_removed(spool: Spool, storage: Storage, table: str) -> None:
+    """Raise InputError if the table of jobs lacks jobs that an earlier run has drawn."""
+    drawn = array("q")
+    for folder in (RECORDS, STALE):
+        for name in record_names(storage, folder).difference(spool.names):
+            records = records_of(storage, name, folder)
+            # A list from the folder BEGUN has empty keys: its jobs are not finished.
+            drawn.extend(hash(own["id"]) for own in records if own["key"] and "error" not in own)
+    if count := len(np.setdiff1d(np.asarray(drawn), np.asarray(spool.ids))):
+        raise InputError(
+            f"{table} lacks {count} of the finished jobs in {storage.root}: give another folder, "
+            "or --prune to delete their files"
+        )
 
 
 def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:

@@ -87,7 +87,8 @@ def add(batch: argparse.ArgumentParser) -> None:
     add_limited("timeout", silence, f"{_TIMEOUT:g}", default=_TIMEOUT, metavar="SECONDS")
     attempts = "maximum attempts per crashing or hanging job"
     add_limited("tries", attempts, f"{_TRIES}", default=_TRIES, metavar="N")
-    add_limited("chunk", "jobs per chunk", "1 to 128, depends on the number of jobs", metavar="N")
+    sizes = "1 to 128, in shards 32 to 128, depends on the number of jobs"
+    add_limited("chunk", "jobs per chunk", sizes, metavar="N")
 
     written = batch.add_argument_group("output")
     layout = Help("a folder per job, or a tar file per chunk", "files")
@@ -97,6 +98,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help=kind)
     add_flag(written, "transforms", "also write the cameras as transforms.json for nerfstudio")
     add_flag(written, "retry-failed", "also redraw jobs that failed in an earlier run")
+    add_flag(written, "prune", "delete the files of drawn jobs that the table lacks")
     add_flag(written, "json", "print a line of JSON per chunk, per failed job and at the end")
     add_quiet(written)
 
@@ -124,8 +126,7 @@ def run(options: argparse.Namespace) -> int:
     if options.check:
         from facerender.batch.inputs import file_faults
 
-        faults = [*file_faults(table.valid())]
-        _check_faults(table, faults)
+        _check_faults(table, file_faults(table.valid()))
         print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
@@ -179,7 +180,7 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
     from facerender.batch.chunk import Settings, code_version
     from facerender.batch.parquet import check_parquet
     from facerender.batch.progress import Progress
-    from facerender.batch.work import spooled, work_of
+    from facerender.batch.work import check_removed, spooled, work_of
 
     if options.table == "parquet":
         check_parquet()
@@ -191,8 +192,10 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
     with ExitStack() as stack:
         spool = stack.enter_context(spooled(table, settings, options.chunk))
         _check_faults(table)
-        about = {"table": options.jobs, "jobs": table.rows}
-        storage = stack.enter_context(folder.locked(settings, about))
+        storage = stack.enter_context(folder.locked(output))
+        if not options.prune:
+            check_removed(spool, storage, options.jobs)
+        folder.start(storage, settings, {"table": options.jobs, "jobs": table.rows})
         stack.enter_context(_surviving_pipes())
         work = work_of(spool, storage, options.retry_failed)
         folder.set_aside(storage, work)

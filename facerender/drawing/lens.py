@@ -92,7 +92,7 @@ class Lens:
     def nearest_values(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the value of the nearest pixel of an undistorted image for each pixel."""
         columns, rows = self.places.astype(np.intp).T
-        flat = image.reshape(-1, *image.shape[2:])
+        flat = image.reshape(math.prod(self.wide), *image.shape[2:])
         found = flat[rows * self.wide[0] + columns]
         return np.asarray(found.reshape(*self.size[::-1], *image.shape[2:]))
 

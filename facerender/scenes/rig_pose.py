@@ -42,7 +42,10 @@ def posed(
     """
     skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
     if skeleton is None:
-        raise InputError(f"{rest.name} has no shapes and no clips: give a glTF file with a rig")
+        raise InputError(
+            f"{rest.name} has no shapes and no clips: give a glTF file with a rig, or leave out "
+            "the pose"
+        )
     given = _checked(rest, weights)
     chosen = _chosen(rest, skeleton.clips, clip, time)
     moves: Moves = {}
