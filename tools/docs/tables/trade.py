@@ -97,9 +97,7 @@ def headline(measurement: Measurement) -> str:
     return markdown_table(["Cook-Torrance", "ns (relative)", "cycles (relative)", "error, %"], rows)
 
 
-def by_target(
-    cpu: Measurement, gpu: Measurement, instructions: dict[str, dict[str, Any]]
-) -> str:
+def by_target(cpu: Measurement, gpu: Measurement, instructions: dict[str, dict[str, Any]]) -> str:
     """Return a table: cost of some Cook-Torrance terms on phones, desktop GPUs and a CPU."""
     names = ("exact", "exact, m >= 0.2", "d8", "fitted")
     counts = "instructions (of the slow unit)"
@@ -108,12 +106,17 @@ def by_target(
         of = instructions[phone]["cook-torrance"]
         title = f"phone: {phone.replace('-', ' ').title()}"
         rows.append([title, counts, *("{all} ({special})".format(**of[name]) for name in names)])
+    cycles = load("amd")["statistics"]["navi21"]["cook-torrance"]
+    rows.append(
+        ["desktop GPU: AMD RDNA2 (estimate)", "cycles per wave"]
+        + [str(cycles[name]["inverse_throughput"]) for name in names]
+    )
     for title, measurement in (("desktop GPU: NVIDIA H200", gpu), ("CPU: llvmpipe", cpu)):
         costs = {
             row.variant.name: row.cost.term_ns.value
             for row in measurement.of_model("cook-torrance")
         }
-        rows.append([title, "ns per evaluation", *(f"{costs[name]:.3g}" for name in names)])
+        rows.append([title, "ns per evaluation", *(f"{costs[name]:#.3g}" for name in names)])
     return markdown_table(["target", "unit", *names], rows)
 
 
