@@ -724,6 +724,12 @@ def test_lobe_curves_agree_with_float64(page, words, term, changes):
     assert found["m"] == page.evaluate("place => explorer.probe([place])[0].a.m", place)
 
 
+def test_stated_errors_of_another_m_are_not_shown(page):
+    look(page, "a=lobe:d8;m:0.25&b=lobe:fitted;m:0.25")
+    text = page.locator("#lobes .note").inner_text()
+    assert re.fullmatch(r"fitted: stated error [\d.]+ % for every m", text)
+
+
 def test_lobe_curves_follow_the_pointer(page):
     look(page, "a=lobe:exact")
     box = page.locator("#canvas").bounding_box()

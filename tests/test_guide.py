@@ -129,11 +129,10 @@ def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monke
 
 
 VARIABLES = """#version 330 core
-uniform vec3 n, l, v, u, albedo, irradiance, position, mesh_normal;
-uniform vec2 uv, plane, start;
-uniform float m, f0, ks, s, k, material_m, radius;
-uniform mat3 frame;
-uniform mat4 light_view;
+uniform vec3 n, l, v, u, albedo, irradiance, position, mesh_normal, centre;
+uniform vec2 uv;
+uniform float m, f0, ks, s, k, material_m, radius, size;
+uniform mat3 frame, axes;
 uniform sampler2D normal_map, map;
 vec3 radiance = vec3(0.0);
 out vec4 color;

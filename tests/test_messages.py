@@ -480,7 +480,7 @@ MESSAGES = [
         "shaders flatten shadow --target hlsl",
         "facerender/shadow.glsl in HLSL: not translated: function fr_shadow_depth: 'sampler2D'; "
         "only functions and constants of numbers, vectors and matrices are supported; write this "
-        "code in HLSL, or cross-compile the GLSL of the target vulkan",
+        "code in HLSL, or convert the SPIR-V of target vulkan with spirv-cross",
     ),
 ]
 FILES = {

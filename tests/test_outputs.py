@@ -460,7 +460,7 @@ def test_commands_print_no_progress_without_a_terminal(inputs, capsys, egl):
     assert capsys.readouterr().err == ""
     plan = (*PLAN, "--size", "16", "--samples", "1", "--light", "key,no-shadow")
     assert main([*plan]) == 0
-    slow = "facerender: planning may take minutes, fewer with --light key and --parts head\n"
+    slow = "facerender: planning may take minutes, fewer with --light key and fewer --parts\n"
     assert capsys.readouterr().err in ("", slow)
     assert main([*plan, "--quiet"]) == 0
     assert capsys.readouterr().err == ""

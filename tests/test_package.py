@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import venv
 from collections.abc import Iterable
@@ -236,6 +237,26 @@ def test_wheel_has_the_committed_files_of_the_package(wheel, built):
     assert {name for name in found if ".dist-info/" not in name} == expected
     _, of_sdist = built
     assert contents(of_sdist) == found
+
+
+@pytest.mark.wheel
+def test_shaders_install_from_the_sdist(built, tmp_path):
+    committed = ["git", "ls-files", ":!.ci"]
+    listed = subprocess.run(committed, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    with tarfile.open(built[0]) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (source,) = tmp_path.iterdir()
+    found = {path.relative_to(source).as_posix() for path in source.rglob("*") if path.is_file()}
+    assert found == {*listed.splitlines(), "PKG-INFO"}
+    make = ["make", "install-shaders", f"PREFIX={tmp_path / 'prefix'}"]
+    subprocess.run(make, cwd=source, check=True, capture_output=True)
+    share = tmp_path / "prefix/share"
+    for name in (
+        "facerender/shaders/facerender/ward.glsl",
+        "pkgconfig/facerender-shaders.pc",
+        "cmake/facerender_shaders/facerender_shadersConfig.cmake",
+    ):
+        assert (share / name).is_file()
 
 
 @pytest.mark.wheel

@@ -227,7 +227,7 @@ def test_a_message_announces_long_plans_where_no_bar_is_shown(cli, framed, monke
     monkeypatch.setattr("facerender.planning.plan.plan", slow)
     monkeypatch.setattr("facerender.commands.plan._SILENT", -1.0)
     words = ("plan", *FACE, "--budget", "2/255")
-    message = "facerender: planning may take minutes, fewer with --light key and --parts head\n"
+    message = "facerender: planning may take minutes, fewer with --light key and fewer --parts\n"
     assert cli.run(*words) == (0, framed.explain() + "\n", message)
     assert cli.run(*words, "--quiet")[2] == ""
     assert message not in cli.run(*words, "--verbose")[2]

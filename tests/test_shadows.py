@@ -4,12 +4,14 @@ change."""
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
 import facerender as fr
+from facerender.drawing.context import create_context
 from facerender.drawing.passes.shadow import MOST, with_shadows
 from facerender.drawing.program import Program
 from facerender.drawing.resolve import resolve
@@ -17,8 +19,12 @@ from facerender.scenes.light import light_space, parse_light
 from facerender.scenes.mesh import Part
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
+from tests.markdown import code
 from tests.test_reference import key, shadows
+from tests.verification.evaluate import CORNERS, vertex_shader
 from tests.verification.shadows import edge_error, light_in_cavities, shadow_error
+
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -255,3 +261,68 @@ def test_visibility_view(renderer, head):
     covered = gbuffer.part >= 0
     np.testing.assert_array_equal(frame.linear[covered][:, 1], gbuffer.visibility[covered][:, 0])
     assert not frame.linear[~covered].any()
+
+
+RECIPE = """#version 330 core
+{include}
+uniform vec3 centre, n, across, along;
+uniform mat3 axes;
+uniform float radius, size;
+uniform sampler2D map;
+out float seen;
+void main() {{
+    vec2 at = 0.7 * (gl_FragCoord.xy / 64.0 - 1.0);  // inside the sphere
+    vec3 position = centre + size * (at.x * across + at.y * along);
+    {body}
+    seen = visible;
+}}
+"""
+
+
+def test_recipe_of_the_guide_agrees_with_rays(egl):
+    """The recipe of docs/shaders.md for a square over a plane that is tilted to the light."""
+    page = (ROOT / "docs/shaders.md").read_text(encoding="utf-8")
+    (recipe,) = (block for block in code(page, "glsl") if "fr_shadow_disc" in block)
+    include, body = recipe.split("\n\n", 1)
+    source = fr.resolve_includes(RECIPE.format(include=include, body=body))
+    axes = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turned = trimesh.transformations.rotation_matrix(0.6, (0.8, -0.6, 0.0))[:3, :3]
+    across, along, n = (axes @ turned).T
+    centre, size, radius, height, side = np.array([5.0, -2.0, 1.0]), 3.0, 0.1, 0.5, 0.4
+    unit = np.array([(-1, -1), (1, -1), (-1, 1), (1, 1)]) @ [across, along]
+    squares = (side * unit + height * n, unit)
+    context = create_context(egl)
+    with context.drawing() as gl:
+        depth = gl.program(
+            "#version 330 core\nin vec3 q; out float z;"
+            "void main() { z = q.z; gl_Position = vec4(q.xy, -q.z, 1.0); }",
+            "#version 330 core\nin float z; out float color; void main() { color = z; }",
+        )
+        map_ = gl.texture((1024, 1024), 1, dtype="f4")
+        gl.framebuffer(map_, gl.depth_renderbuffer((1024, 1024))).use()
+        gl.enable(gl.DEPTH_TEST)
+        gl.clear(-1e30)
+        for square in squares:
+            q = gl.buffer((square @ axes).astype("f4"))
+            gl.vertex_array(depth, [(q, "3f", "q")]).render(gl.TRIANGLE_STRIP)
+        gl.disable(gl.DEPTH_TEST)
+        image = gl.texture((128, 128), 1, dtype="f4")
+        gl.framebuffer(image).use()
+        program = gl.program(vertex_shader("330 core"), source)
+        values = {"centre": centre, "n": n, "across": across, "along": along, "axes": axes.T}
+        for name, value in (values | {"size": size, "radius": radius}).items():
+            program[name] = value if np.ndim(value) == 0 else tuple(np.ravel(value))
+        map_.use(0)
+        gl.vertex_array(program, [(gl.buffer(CORNERS), "2f", "corner")]).render()
+        seen = np.frombuffer(image.read(), "f4").reshape(128, 128)
+    context.release()
+    spread = np.sqrt((np.arange(300) + 0.5) / 300) * np.tan(radius)
+    turn = 2.4 * np.arange(300)
+    rays = axes @ [spread * np.cos(turn), spread * np.sin(turn), np.ones(300)]
+    rays = rays * height / (n @ rays)
+    at = 0.7 * ((np.arange(128)[:, None] + 0.5) / 64.0 - 1.0)
+    x, y = np.abs(at + across @ rays) < side, np.abs(at + along @ rays) < side
+    hit = y[:, None] & x
+    apart = (seen - 1.0 + hit.mean(axis=-1)).reshape(16, 8, 16, 8).mean(axis=(1, 3))
+    assert hit.mean() > 0.1
+    assert np.abs(apart).max() < 0.03

@@ -12,6 +12,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
+from facerender.drawing.context import create_context
 from facerender.drawing.program import surface_features
 from facerender.drawing.resolve import resolve
 from facerender.images.read import read_image
@@ -20,6 +21,7 @@ from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_lod import mesh_of
 from tests.test_reference import SIDE, areas
+from tests.verification.evaluate import Evaluator
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.parts_head import ball
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
@@ -63,6 +65,24 @@ def test_steep_relief_is_clamped():
     texels = np.empty((2, 2, 3))
     texels[0], texels[1] = tilted(89.0), tilted(-89.0)
     assert levels_of(texels)[1][0, 0, 3] == 255
+
+
+def test_relief_of_normally_distributed_slopes_needs_the_whole_variance(egl):
+    slopes = np.random.default_rng(6).normal(0.0, 0.115, (256, 256, 2))
+    c = 1.0 / np.sqrt(1.0 + (slopes**2).sum(axis=-1))
+    deviation = relief(slopes, 1.0).levels("normal").result()[-1][0, 0, 3] / 255.0
+    m = np.array([0.15, 0.25], np.float32)
+    peaks = [fr.lobes.exact(c, each, 4).mean() / each**2 for each in m]
+    include = '#include "facerender/slope_variance.glsl"'
+    call = "fr_slope_filtered(m, fr_slope_variance_map(alpha))"
+    inputs = {"m": m, "alpha": np.full_like(m, deviation)}
+    evaluate = Evaluator(create_context(egl).gl)
+    try:
+        for define, ratios in (("", (1.34, 1.13)), ("#define FR_MAP_SHARE 1.0\n", (1.0, 1.0))):
+            wide = evaluate(fr.resolve_includes(define + include), call, inputs)
+            np.testing.assert_allclose(wide**-2.0 / peaks, ratios, atol=0.04)
+    finally:
+        evaluate.release()
 
 
 def test_curvature_is_the_same_with_deferred_shading(egl, head, monkeypatch):

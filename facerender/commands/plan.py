@@ -133,7 +133,7 @@ def _announced(progress: Progress) -> Progress:
         if time.monotonic() > end:
             end = math.inf
             print_message(
-                "facerender: planning may take minutes, fewer with --light key and --parts head"
+                "facerender: planning may take minutes, fewer with --light key and fewer --parts"
             )
 
     return report

@@ -36,8 +36,10 @@ def add(shaders: argparse.ArgumentParser) -> None:
     path.set_defaults(command=run_path)
     flatten = actions.add_parser("flatten", help="print a shader without includes")
     flatten.description = (
-        "Print a shader as one file, which contains each included file once and only the\n"
-        "chosen terms. With --m, all coefficients of the lobe are constants."
+        "Print a shader as one file, which contains each included file once. With --lobe,\n"
+        "the code of all other lobes is removed. Other functions that you do not call\n"
+        "remain. With --m, all coefficients of the lobe are constants. To combine several\n"
+        "library files or to set macros such as FR_MASKING, flatten a file of your own."
     )
     text = "library file, such as cook_torrance or lobe/exact; library function; or your GLSL file"
     flatten.add_argument("name", metavar="NAME", help=Help(text, "required"))

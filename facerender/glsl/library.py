@@ -155,10 +155,10 @@ def _flat(
             text = translate(text.split("\n"), target)
         except InputError as error:
             language = target.upper()
-            raise InputError(
-                f"{label if own else name} in {language}: {error}; write this code in {language}, "
-                "or cross-compile the GLSL of the target vulkan"
-            ) from None
+            remedy = f"write this code in {language}"
+            if target != "wgsl":
+                remedy += ", or convert the SPIR-V of target vulkan with spirv-cross"
+            raise InputError(f"{label if own else name} in {language}: {error}; {remedy}") from None
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 

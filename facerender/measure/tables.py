@@ -123,16 +123,24 @@ def _cost_and_error(row: Row) -> str:
 
 
 def frame_advice(measurement: Measurement, model: str) -> str:
-    """Return the time of a frame with the exact lobe, and the faster lobes; "" if not measured."""
+    """Return the time of a frame with the exact lobe, and the faster lobes; "" if not measured.
+
+    A lobe is faster if both the frame and the specular term are measurably cheaper: noise alone can
+    make a frame cheaper.
+    """
     rows = [row for row in pareto(measurement, model, FRAME) if row.cost]
-    exact = next((row.cost for row in rows if row.variant.lobe == "exact"), None)
-    if exact is None:
+    best = next((row for row in rows if row.variant.lobe == "exact"), None)
+    if best is None or best.cost is None:
         return ""
+    exact, term = best.cost, best.measured.cost.term_ns
     allowed = f"with an error of at most {LIMITS[-1]:g} %"
     faster = [
         f"{row.variant.name} ({_number(row.cost.value)} ms)"
         for row in rows
-        if row.cost and row.cost.high < exact.low and (row.error or 0.0) <= LIMITS[-1]
+        if row.cost
+        and row.cost.high < exact.low
+        and row.measured.cost.term_ns.high < term.low
+        and (row.error or 0.0) <= LIMITS[-1]
     ]
     found = f"No lobe {allowed} is measurably faster."
     if faster:

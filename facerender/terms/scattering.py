@@ -116,6 +116,26 @@ def spiral(gaussians: Gaussians, samples: int) -> Float:
     return np.stack([r * np.cos(angle), r * np.sin(angle), 1.0 / density], axis=-1)
 
 
+def scatter_uniforms(gaussians: Gaussians, samples: int, unit: float = 1.0) -> dict[str, Float]:
+    """Return the arguments "gaussians", "rest" and "spiral" of ``fr_scatter``.
+
+    Parameters
+    ----------
+    gaussians : result of :func:`wide_gaussians`; their number is FR_SCATTER_GAUSSIANS
+    samples : FR_SCATTER_SAMPLES
+    unit : millimetres per unit of length in the shader
+    """
+    variance, weight = _columns(gaussians)
+    variance = variance[:, None] / unit**2
+    return {
+        "gaussians": np.hstack(
+            [weight / (2.0 * math.pi * variance), -math.log2(math.e) / (2.0 * variance)]
+        ),
+        "rest": rest(gaussians),
+        "spiral": spiral(gaussians, samples) / (unit, unit, unit**2),
+    }
+
+
 def scatter_area(c: ArrayLike) -> Float:
     """Return the surface area that a pixel shows, relative to the area if the surface faced the
     camera.

@@ -13,7 +13,7 @@ from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
 Float = NDArray[np.float64]
 
-MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # Values of FR_MAP_DEVIATION and FR_MAP_SHARE.
+MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # FR_MAP_DEVIATION, and default of FR_MAP_SHARE.
 MAX_PIXEL_VARIANCE = 0.1  # Value of FR_MAX_PIXEL_VARIANCE in GLSL.
 MAX_RADIUS = 20.0  # Largest angular radius of a disc light, in degrees.
 _LEAST_V_DOT_H2 = 0.05

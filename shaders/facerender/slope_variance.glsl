@@ -16,10 +16,12 @@
 // Standard deviation of the slopes that alpha = 1 encodes in a prepared normal map.
 #define FR_MAP_DEVIATION 0.35
 
-// Fraction of a normal map's variance that widens the lobe. Relief such as pores is mostly flat
-// with few steep walls: a Gaussian distribution with the full variance has a lower peak than the
-// real highlight.
+// Fraction of a normal map's variance that widens the lobe, in (0, 1]. Skin relief such as pores is
+// mostly flat with few steep walls: a Gaussian distribution with the full variance has a lower peak
+// than the real highlight.
+#ifndef FR_MAP_SHARE
 #define FR_MAP_SHARE 0.5
+#endif
 
 // Largest result of fr_slope_variance_pixel. At a silhouette the normal changes without bound, but
 // m must stay in the domain of the lobe.
@@ -43,11 +45,15 @@ float fr_slope_filtered(float m, float variance) {
 // Slope variance within one texel of a prepared normal map, at any mip level.
 // The command facerender shaders prepare-normal-map writes such maps.
 //
-//   formula:  0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of unit
-//             normals
+//   formula:  FR_MAP_SHARE (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of
+//             unit normals; (0.35 alpha)^2 is the variance v of the slopes, FR_MAP_SHARE is 0.5
 //   alpha:    Alpha channel of the map, filtered together with red, green and blue, in [0, 1].
-//   error:    docs/measurements/skin.md states the remaining error of a highlight; float32
-//             rounding: 3e-7 times the result.
+//   error:    The default 0.5 suits skin, whose relief is mostly flat with few steep walls: the
+//             highlight loses at most 7 % of its light, but 18 to 22 % with 1.0 (slopes times 3, m
+//             = 0.15; docs/measurements/skin.md). For normally distributed slopes define
+//             FR_MAP_SHARE 1.0: with 0.5 the peak is too high, about (m^2 + 2 v)/(m^2 + v) times
+//             the true peak, 1.34 times for sqrt(v) = 0.115 and m = 0.15, 1.13 times for m = 0.25;
+//             with 1.0 the error is at most 4 %. Float32 rounding: 3e-7 times the result.
 //   source:   Toksvig (2005), "Mipmapping normal maps"; here the map stores the standard deviation
 //             instead of |N|.
 float fr_slope_variance_map(float alpha) {

@@ -3,7 +3,6 @@ pass: radiance, irradiance, position and albedo."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -14,7 +13,7 @@ from facerender.drawing.program import Program
 from facerender.scenes.scattering import Scattering
 from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View
-from facerender.terms.scattering import rest, spiral
+from facerender.terms.scattering import scatter_uniforms
 
 IMAGE, ALBEDO = "image", "albedo"
 LAYERS = ("light", "place")  # uniform names of shade.frag's further images
@@ -51,19 +50,10 @@ def scatter_pass(
 
 
 def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> Iterator[Draw]:
-    unit = scattering.millimetres
     for number, gaussians in enumerate(scattering.profiles, 1):
         own = {"profile": number, "depth": 1.0 / (1.0 + number)}
         yield Draw(Program("scatter_mask.frag", "screen.vert", several), own, depth="mark")
-        table = np.array(gaussians)
-        variance = table[:, :1] / unit**2
-        weight = table[:, 1:] / (2.0 * math.pi * variance)
-        uniforms = {
-            **own,
-            "gaussians": np.hstack([weight, -math.log2(math.e) / (2.0 * variance)]),
-            "rest": rest(gaussians),
-            "spiral": spiral(gaussians, samples) / (unit, unit, unit**2),
-        }
+        uniforms = {**own, **scatter_uniforms(gaussians, samples, scattering.millimetres)}
         features = (
             f"FR_SCATTER_SAMPLES {samples}",
             f"FR_SCATTER_GAUSSIANS {len(gaussians)}",

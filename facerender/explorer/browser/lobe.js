@@ -26,7 +26,7 @@ function lobeValues(drawing, term, m) {
 }
 
 // Returns `limit`, the largest error of a term's lobe in % of the peak as the registry states it, and
-// a text with this error.
+// a text with this error. The registry states some errors only for multiples of 0.1.
 function statedError(term, m) {
   const stated = lobeOf(term).errors?.[modelOf(term).k];
   if (!stated || lobeOf(term).by_angle) return {text: ""};
@@ -35,13 +35,9 @@ function statedError(term, m) {
   }
   const step = Math.round(10 * m) - 1;
   const known = step >= 0 && step < stated.length && Math.abs(10 * m - step - 1) < 0.005;
-  const near = clamp(Math.floor(10 * m) - 1, 0, stated.length - 2);
-  return {
-    limit: known ? stated[step] : undefined,
-    text: known ? `${lobeName(term)}: stated error ${stated[step]} % at m = ${short((step + 1) / 10)}`
-      : `${lobeName(term)}: stated error ${stated[near]} % at m = ${short((near + 1) / 10)}, `
-        + `${stated[near + 1]} % at m = ${short((near + 2) / 10)}`,
-  };
+  if (!known) return {text: ""};
+  const text = `${lobeName(term)}: stated error ${stated[step]} % at m = ${short((step + 1) / 10)}`;
+  return {limit: stated[step], text};
 }
 
 function svg(tag, attributes, ...children) {

@@ -32,6 +32,7 @@ def blocks() -> dict[str, str]:
     extremes = [{**each, "input": published(each["input"])} for each in data["extremes"]]
     return {
         **{model: lobe_table(k) for k, model in MODELS.items()},
+        "cook-torrance-short": short_table(4),
         "domains": domains(),
         "powers": ", ".join(map(str, G_POWERS)),
         "fitted": fitted_g_powers(),
@@ -61,6 +62,22 @@ def lobe_table(k: int) -> str:
     return markdown_table(["m", *names], rows)
 
 
+def g_power_errors(m: float, k: int) -> dict[int, float]:
+    """Return the errors of the g-powers that are fitted to one m, by g."""
+    fits = [fit_g_power(k, g, m, m) for g in G_POWERS]
+    return {lobe.g: lobe_error(lobe, m, k) for lobe in fits if lobe is not None}
+
+
+def short_table(k: int) -> str:
+    """Return a table: the errors of the approximated lobes and of the best g-power, by m."""
+    rows = []
+    for m in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6):
+        power = min(g_power_errors(m, k).values())
+        errors = [lobe_error(name, m, k) for name in ("d4", "d8", "d16", "fitted", "fitted-fine")]
+        rows.append([f"{m:g}", *(f"{each:.2f}" for each in (*errors, power))])
+    return markdown_table(["m", "d4", "d8", "d16", "fitted", "fitted-fine", "best g-power"], rows)
+
+
 def domains() -> str:
     """Return a table: the range of m of each lobe, for both models."""
     rows = [
@@ -76,8 +93,7 @@ def fitted_g_powers() -> str:
     for m in SLOPES:
         row = [f"{m:g}"]
         for k in MODELS:
-            fits = [fit_g_power(k, g, m, m) for g in G_POWERS]
-            errors = {lobe.g: lobe_error(lobe, m, k) for lobe in fits if lobe is not None}
+            errors = g_power_errors(m, k)
             g = min(errors, key=errors.__getitem__)
             paper = [
                 lobe_error(name, m, k)

@@ -31,6 +31,7 @@ def blocks() -> dict[str, str]:
     instructions = compiled[0]["instructions"] | compiled[1]["instructions"]
     return {
         "readme": headline(measurement),
+        "targets": by_target(measurement, h200, instructions),
         "machine": _machine(measurement),
         "machine-h200": _machine(h200),
         "amd": load("amd")["driver"],
@@ -94,6 +95,29 @@ def headline(measurement: Measurement) -> str:
             ]
         )
     return markdown_table(["Cook-Torrance", "ns (relative)", "cycles (relative)", "error, %"], rows)
+
+
+def by_target(cpu: Measurement, gpu: Measurement, instructions: dict[str, dict[str, Any]]) -> str:
+    """Return a table: cost of some Cook-Torrance terms on phones, desktop GPUs and a CPU."""
+    names = ("exact", "exact, m >= 0.2", "d8", "fitted")
+    counts = "instructions (of the slow unit)"
+    rows = []
+    for phone in ("adreno-740", "mali-g610"):
+        of = instructions[phone]["cook-torrance"]
+        title = f"phone: {phone.replace('-', ' ').title()}"
+        rows.append([title, counts, *("{all} ({special})".format(**of[name]) for name in names)])
+    cycles = load("amd")["statistics"]["navi21"]["cook-torrance"]
+    rows.append(
+        ["desktop GPU: AMD RDNA2 (estimate)", "cycles per wave"]
+        + [str(cycles[name]["inverse_throughput"]) for name in names]
+    )
+    for title, measurement in (("desktop GPU: NVIDIA H200", gpu), ("CPU: llvmpipe", cpu)):
+        costs = {
+            row.variant.name: row.cost.term_ns.value
+            for row in measurement.of_model("cook-torrance")
+        }
+        rows.append([title, "ns per evaluation", *(f"{costs[name]:#.3g}" for name in names)])
+    return markdown_table(["target", "unit", *names], rows)
 
 
 def in_program(measurement: Measurement, model: str) -> str:
