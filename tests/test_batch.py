@@ -292,6 +292,7 @@ def test_files_that_a_mesh_names_are_found(tmp_path, small):
         ("a.gltf", f'{{{buffers}, "images": 5}}', []),
         ("a.gltf", f'{{{buffers}, "images": {images}}}', ["a b.bin", "c.png"]),
         ("a.ply", "ply\ncomment TextureFile skin.png\n", ["skin.png"]),
+        ("b.ply", "ply\n comment texturefile  skin.png\n", ["skin.png"]),
     ):
         (tmp_path / name).write_text(text)
         assert [path.name for path in named_files(tmp_path / name)] == named

@@ -178,9 +178,10 @@ def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
 ) -> Iterator[tuple[str, Row | InputError]]:
     """Yield pairs: a row's position, as a text for messages, and the row or its error."""
+    _scene_tables.cache_clear()  # the files may have changed
     name = PurePath(path).name
     own, folder = nested(common), os.getcwd()
-    base = _over_scene(own, own.pop("scene", None), folder)
+    base = _over_scene(own, own.pop("scene", None))
     number = -1
     for number, (line, found) in enumerate(found_rows(path)):
         position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
@@ -189,7 +190,7 @@ def _rows(
             if isinstance(found, InputError):
                 raise found
             if (scene := found.pop("scene", None)) is not None:
-                row = _row(number, merged(_over_scene(own, scene, folder), found), folder)
+                row = _row(number, merged(_over_scene(own, scene), found), folder)
             else:
                 row = _row(number, merged(base, found), folder)
         except InputError as error:
@@ -199,12 +200,12 @@ def _rows(
         raise InputError(f"{name} has no rows: give at least one")
 
 
-def _over_scene(tables: Table, scene: Any, folder: str) -> Table:
+def _over_scene(tables: Table, scene: Any) -> Table:
     """Return the tables of the scene file `scene`, if given, updated with `tables`."""
     if scene is None:
         return tables
     check_path("scene", scene)
-    return merged(_scene_tables(os.fspath(scene), folder), tables)
+    return merged(_scene_tables(os.fspath(scene)), tables)
 
 
 def _row(number: int, values: Table, folder: str) -> Row:
@@ -247,11 +248,8 @@ def _row(number: int, values: Table, folder: str) -> Row:
 
 
 @lru_cache(64)
-def _scene_tables(path: str, folder: str) -> Table:
-    """Return the tables of a scene file; `facerender plan` writes such files.
-
-    The working directory, `folder`, is part of the cache key because `path` may be relative.
-    """
+def _scene_tables(path: str) -> Table:
+    """Return the tables of a scene file; `facerender plan` writes such files."""
     return nested(read_toml(Path(path)))
 
 
