@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from facerender.errors import InputError, check_path, check_type, each_of, shown, warn
@@ -38,6 +38,9 @@ from facerender.terms.ranges import (
     range_of,
     ranged,
 )
+
+# The fields of MeshFile that are paths.
+MESH_PATHS = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,6 @@ class MeshFile:
 
             mesh = with_occlusion(mesh, cache=cache)
         return mesh if self.triangles is None else simplified(mesh, self.triangles)
-
-
-# The fields of MeshFile that are paths.
-MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
 
 
 def parse_size(text: str, name: str = "size") -> tuple[int, int]:

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender.job import MESH_PATHS
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 
@@ -101,8 +102,8 @@ def right(call: str, name: str, annotation: str) -> list[Any]:
     values = [
         value for words, some in ALLOWED.items() if re.search(words, annotation) for value in some
     ]
-    any_text = name in ("name", "file", "text") or (
-        call in ("MeshFile", "Pose") and annotation == "str | None"
+    any_text = name in ("name", "file", "text", "clip", "vertices") or (
+        call == "MeshFile" and name in MESH_PATHS
     )
     return [*values, *["nonsense"] * any_text, *RIGHT.get(f"{call} {name}", [])]
 
