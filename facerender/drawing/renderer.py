@@ -140,7 +140,8 @@ class Renderer:
         _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        # Depth peeling reads the target of the previous layer, which no other thread may overwrite.
+        # Depth peeling reads the target of the previous layer, which no other thread may overwrite
+        # or free.
         self._layer_lock = threading.Lock()
         if memory is not None:
             MEMORY.check("memory", memory)
@@ -413,7 +414,7 @@ class Renderer:
         known: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             before = self._sized(replace(surface.target, number=1 - surface.target.number))
-            known[PREVIOUS_LAYER] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
+            known[PREVIOUS_LAYER] = self._resources.targets[before].color_attachments[-1]  # type: ignore[assignment]
         position, normal, albedo, uv, *others = self._draw(passes, scene, known)
         two = any(material.two_lobes for material in scene.mesh.materials)
         shines = any(material.emits for material in scene.mesh.materials)
@@ -523,21 +524,21 @@ class Renderer:
     def _of_size(self, size: tuple[int, int]) -> Renderer:
         """Return a renderer of another size with the same context, geometry, maps and programs. The
         last one is cached; targets of earlier sizes are freed."""
-        if self._resized is None or self._resized.size != size:
+        resized = self._resized
+        if resized is None or resized.size != size:
             resized = copy(self)
             resized.size, resized._resized = size, None
             resized._fitting = weakref.WeakKeyDictionary()
             resized._check_size()
-            with self.context.drawing() as gl:
-                known = self._resources
-                for target in [each for each in known.targets if each.size in self._sizes]:
-                    for made in (known.targets, known.scopes, known.held):
-                        made.pop(target, None)
+            with self._layer_lock, self.context.drawing() as gl:
+                resources = self._resources
+                for target in [each for each in resources.targets if each.size in self._sizes]:
+                    for cache in (resources.targets, resources.scopes, resources.held):
+                        cache.pop(target, None)
                 gl.gc()
                 self._sizes.clear()
             self._resized = resized
-            return resized
-        return self._resized
+        return resized
 
     def _sized(self, target: Target) -> Target:
         """Return a target with an explicit size, unless it has the size of the resources."""
