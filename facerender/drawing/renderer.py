@@ -30,7 +30,7 @@ from facerender.drawing.motion import (
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
-from facerender.drawing.passes.surface import surface_pass
+from facerender.drawing.passes.surface import surface_images, surface_pass
 from facerender.drawing.passes.transparency import (
     PREVIOUS_LAYER,
     BlendedPart,
@@ -415,16 +415,16 @@ class Renderer:
         if blended_part is not None and blended_part.layer:
             before = self._sized(replace(surface.target, number=1 - surface.target.number))
             known[PREVIOUS_LAYER] = self._resources.targets[before].color_attachments[-1]  # type: ignore[assignment]
-        position, normal, albedo, uv, *others = self._draw(passes, scene, known)
-        two = any(material.two_lobes for material in scene.mesh.materials)
-        shines = any(material.emits for material in scene.mesh.materials)
-        lobes = others.pop(0) if two else None
+        names = surface_images(scene, blended_part is not None)
+        images = dict(zip(names, self._draw(passes, scene, known), strict=True))
+        position, normal, albedo, uv = (images[name] for name in names[:4])
+        lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if number := len(lighting.shadowed):
             look = light_visibility_pass(resolved, view, visibility, blended_part)
             seen_by = [visibility.drawn(), look] if visibility else [look]
-            images = self._draw(with_shadows(resolved, view, self.size, seen_by), scene, known)
-            seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
+            fractions = self._draw(with_shadows(resolved, view, self.size, seen_by), scene, known)
+            seen[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -441,11 +441,11 @@ class Renderer:
             second_m=None if lobes is None else lobes[..., 0],
             lobe_weight=None if lobes is None else lobes[..., 1],
             facing=uv[..., 3] if scatters else None,
-            emission=others[0][..., :3] if shines else None,
+            emission=None if emitted is None else emitted[..., :3],
             opacity=uv[..., 3] if blended_part else None,
             transmission=material.transmission if material and material.thin else 0.0,
         )
-        return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
+        return gbuffer, np.empty((0, 0), np.float32) if order is None else order[..., 1]
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
