@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
+_GBUFFER_SAMPLES = 4  # the G-buffer's images need as much memory as an image of so many samples
 
 
 @dataclass(frozen=True)
@@ -371,7 +372,7 @@ class Renderer:
         if lens := _lens(scene, self.size):
             drawn = self._of_size(lens.wide).gbuffer(lens.undistorted(scene), shading, blended)
             return lens.nearest(drawn, view)
-        resolved = self._resolved(scene, shading, view, 4)
+        resolved = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
         with self._layer_lock:
             over = [
                 layer
@@ -466,10 +467,12 @@ class Renderer:
         visibility = self._visibility(scene, view, samples, image.shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
         refraction = None if only else _refraction(scene, view, self.size)
-        beside = scattering if samples == 1 else None
-        whole = shade_pass(resolved, view, samples, only, beside, refraction=refraction)
-        shaded = visibility.shaded(whole) if visibility else whole
-        if scattering and not beside:
+        # One sample: the shading pass also draws the inputs of scattering. Several samples may show
+        # different points: another pass draws the inputs at the pixels' centres.
+        inputs = scattering if samples == 1 else None
+        forward = shade_pass(resolved, view, samples, only, inputs, refraction=refraction)
+        shaded = visibility.shaded(forward) if visibility else forward
+        if scattering and not inputs:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
             shaded = replace(shaded, name="image", target=target, draws=draws)
@@ -477,22 +480,22 @@ class Renderer:
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
-            background, area = None, None
-            if beside:
+            background, mesh_area = None, None
+            if inputs:
                 background = scene.background if only is None else None
-                area = visibility.area if visibility else None
-            else:  # samples of a pixel may show different points: scatter at pixel centres
-                one = self._visibility(scene, view, 1)
+                mesh_area = visibility.area if visibility else None
+            else:
+                centres = self._visibility(scene, view, 1)
                 light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
-                passes += [one.drawn(), one.shaded(light)] if one else [light]
-            how = resolved.shading.scatter_samples, background, not beside, area
-            passes.append(scatter_pass(view, scattering, *how))
-        over = blended_area(scene, view, self.size)
-        if (scattering or visibility) and all(over[2:]):
-            if beside:
-                whole = shade_pass(resolved, view, samples, only, refraction=refraction)
+                passes += [centres.drawn(), centres.shaded(light)] if centres else [light]
+            count = resolved.shading.scatter_samples
+            passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
+        blended = blended_area(scene, view, self.size)
+        if (scattering or visibility) and all(blended[2:]):
+            if inputs:
+                forward = shade_pass(resolved, view, samples, only, refraction=refraction)
             visible = visibility.target if visibility else None
-            passes += with_blended(whole, passes.pop(), over, visible)
+            passes += with_blended(forward, passes.pop(), blended, visible)
         if refraction:
             passes = [*refraction.passes(resolved), *passes]
         return self._draw(with_shadows(resolved, view, self.size, passes), scene)[0]
