@@ -24,12 +24,18 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison import neighbourhoods as nearby
-from facerender.comparison.blocks import BLOCK, LINEAR, STEPS, BlockStatistics, BlockSums
+from facerender.comparison.blocks import BLOCK, SCALES, BlockStatistics, BlockSums
 from facerender.comparison.neighbourhoods import (
+    EDGE,
     FULL,
+    MARGIN,
+    ROUGH,
+    SLIVER,
+    SLIVERS,
+    SMOOTH,
     Float,
     Mask,
+    difference,
     excess,
     explained,
     filtered,
@@ -49,7 +55,6 @@ from facerender.system.files import check_file
 
 Driver = Literal["auto", "same", "other"]
 
-MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
@@ -106,7 +111,7 @@ def compare(
     strip = _Strip.of_all(a, b, counts, limits)
     statistics = BlockStatistics(
         sums=strip.sums,
-        scale=LINEAR if a.encoding == "linear" else STEPS,
+        scale=SCALES[a.encoding],
         foreign=_foreign(driver, (a, b)),
         moved=limits.shift,
         allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
@@ -228,7 +233,7 @@ def _result(
         foreign=statistics.foreign,
         point=strip.excess,
         point_at=strip.at,
-        points=int(np.count_nonzero(np.abs(strip.over) > 1)),
+        points=int(np.count_nonzero(np.abs(strip.over) > SLIVER)),
         slight=int(np.count_nonzero(strip.over)),
         holes=strip.holes,
         block=float(blocks[down, across]),
@@ -318,18 +323,26 @@ class _Strip:
         value = np.where(unexplained, found.value, np.float32(0.0))[own]
         slack = found.slack[own]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
-        sliver = nearby.LINEAR if relative else nearby.STEPS
-        place = 2.0 + (slack > 0.25 * sliver.rough) + (slack >= np.float32(sliver.edge))
-        over = np.where(beyond > limits.point, place, np.abs(value) > limits.point)
-        over *= np.sign(value)
+        sliver = SLIVERS[a.encoding]
+        # The first condition that holds gives the class of a pixel.
+        over = np.sign(value) * np.select(
+            [
+                np.abs(value) <= limits.point,
+                beyond <= limits.point,
+                slack >= np.float32(sliver.edge),
+                slack > 0.25 * sliver.rough,
+            ],
+            [0, SLIVER, EDGE, ROUGH],
+            SMOOTH,
+        )
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
         worst = max(beyond[row, column], 0.0)
         worst = abs(value[row, column]) if worst > limits.point else worst
         inside = shrunk(full & counted, 0 if whole and counts is None else MARGIN)
         faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
-        apart = nearby.difference(color_a[own], color_b[own])[counted[own]]
+        apart = difference(color_a[own], color_b[own])[counted[own]]
         return cls(
-            BlockSums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
+            BlockSums.of(color_a, color_b, inside, own, SCALES[a.encoding]),
             over.astype(np.int8),
             float(beyond[row, column]),
             float(np.copysign(worst, value[row, column])),
