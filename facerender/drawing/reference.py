@@ -115,7 +115,11 @@ def scattered(
         depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
         light = scatter(
-            *(terms.light, place, number, area, own),
+            terms.light,
+            place,
+            number,
+            area,
+            own,
             scale=scale,
             unit=found.millimetres,
             gaussians=gaussians,
