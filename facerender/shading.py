@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_type, shown
+from facerender.errors import InputError, check_known, check_type, shown
 from facerender.system.reprs import short_repr
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
@@ -250,8 +250,7 @@ class Shading:
             ("diffuse", "diffuse term", DIFFUSE),
         ):
             check_type(name, value := getattr(self, name), str, "a string")
-            if value not in known:
-                raise InputError(f"unknown {noun} {shown(value)}; known: {', '.join(known)}")
+            check_known(noun, value, known)
         counts = range_of(Shading, "environment_samples")
         if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(

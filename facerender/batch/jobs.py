@@ -19,7 +19,7 @@ import numpy as np
 
 from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
-from facerender.errors import InputError, check_path, clipped, shown
+from facerender.errors import InputError, check_known, check_path, clipped, shown
 from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import (
@@ -290,8 +290,7 @@ def file_name(output: str) -> str:
 def check_outputs(names: Sequence[str]) -> None:
     """Raise InputError for an unknown output."""
     for name in names:
-        if name not in OUTPUTS:
-            raise InputError(f"unknown output {shown(name)}; known: {', '.join(OUTPUTS)}")
+        check_known("output", name, OUTPUTS)
 
 
 # --- ids -----------------------------------------------------------------------------------------

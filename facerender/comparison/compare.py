@@ -47,7 +47,7 @@ from facerender.comparison.result import LIMITS, Comparison, Limits
 from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite, size_of
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError, shown, warn
+from facerender.errors import InputError, check_known, warn
 from facerender.images.decode import MAX_BYTES
 from facerender.images.image import Encoding, ImageData, PixelRange
 from facerender.images.read import SUFFIXES
@@ -95,8 +95,7 @@ def compare(
     InputError : a file cannot be read; sizes, channels, encodings or colour spaces differ; a pixel
         is not finite; the mask has another size or is 0 everywhere; a limit or driver is invalid
     """
-    if not (isinstance(driver, str) and driver in get_args(Driver)):
-        raise InputError(f"unknown driver {shown(driver)}; known: {', '.join(get_args(Driver))}")
+    check_known("driver", driver, get_args(Driver))
     a, b = as_image(reference, "A"), as_image(image, "B")
     check_alike(a, b)
     check_finite(a)

@@ -15,7 +15,7 @@ from facerender.images.exr import exr_bytes, save_exr
 from facerender.images.sheet import arranged
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
-from facerender.scenes.scene import ONLY, Only, Scene
+from facerender.scenes.scene import Only, Scene, check_only
 from facerender.scenes.vectors import unit
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes
@@ -65,8 +65,7 @@ class Frame:
     def __post_init__(self) -> None:
         if not isinstance(self.linear, np.ndarray) or self.linear.ndim != 3:
             raise InputError(f"linear = {shown(self.linear)}: give an array (H, W, 4)")
-        if self.only is not None and str(self.only) not in ONLY:
-            raise InputError(f"unknown term {shown(self.only)}; known: {', '.join(ONLY)}")
+        check_only(self.only)
         check_switch("transparent", self.transparent)
         check_type("metadata", self.metadata, Mapping, "a mapping of strings")
 

@@ -66,6 +66,7 @@ from facerender.scenes.scene import (
     Only,
     Scene,
     ShadingRate,
+    check_only,
     check_shading_rate,
     refuse_keyword,
 )
@@ -262,10 +263,9 @@ class Renderer:
         check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
+        check_only(only)
         if only in DATA:
             return self._data_frame(scene, shading, only)
-        if only not in (None, "specular", "diffuse"):
-            raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         _LIMITS["samples"].check("samples", samples)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(
             simplify(scene, shading), samples

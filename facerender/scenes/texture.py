@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import (
     InputError,
+    check_known,
     check_path,
     check_switch,
     check_type,
@@ -223,8 +224,7 @@ class Texture:
         if not (isinstance(wrap, tuple | list) and len(wrap) == 2):
             raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(known)}, for u and v")
         for each in wrap:
-            if not (isinstance(each, str) and each in known):
-                raise InputError(f"unknown wrap {shown(each)}; known: {', '.join(known)}")
+            check_known("wrap", each, known)
         check_switch("nearest", nearest)
         source = self._source or self
         texture = Texture(source.rgb, self.name)
