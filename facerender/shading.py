@@ -143,6 +143,7 @@ _TERM_FIELDS = tuple(field.name for field in fields(Term))
 _OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
+# init=False: some parameters change a field of ``term`` or of ``lights``, and are no fields.
 @dataclass(frozen=True, init=False)
 class Shading:
     """The specular terms of the lights, and the features that are left out of a scene.

@@ -44,7 +44,7 @@ from facerender.commands.views import (
     is_several,
 )
 from facerender.drawing.context import BACKENDS
-from facerender.drawing.frame import FORMATS
+from facerender.drawing.frame import IMAGE_FORMATS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.write import FRAME_RATES
@@ -103,7 +103,7 @@ def add(render: argparse.ArgumentParser) -> None:
     note = "parts gives each part a colour, or in an .exr file the number of the part"
     only = Help("term or data to render", "the whole image", note=note)
     image.add_argument("--only", choices=ONLY, help=only)
-    image.add_argument("--format", choices=FORMATS, help=Help("format of -o -", "png"))
+    image.add_argument("--format", choices=IMAGE_FORMATS, help=Help("format of -o -", "png"))
     add_flag(image, "sheet", "arrange all views in one image")
     rate, default = (
         "images per second of an animation, or of a clip",

@@ -24,7 +24,7 @@ from facerender.terms.ranges import EXPOSURES
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FORMATS: tuple[Format, ...] = get_args(Format)
+IMAGE_FORMATS: tuple[Format, ...] = get_args(Format)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,8 +121,8 @@ class Frame:
         InputError : the suffix is unknown, the path cannot be written, the Python package for EXR
             is missing, or a JPEG would be transparent
         """
-        if format is not None and not (isinstance(format, str) and format in FORMATS):
-            raise InputError(f"format = {shown(format)}: give {', '.join(FORMATS)}")
+        if format is not None and not (isinstance(format, str) and format in IMAGE_FORMATS):
+            raise InputError(f"format = {shown(format)}: give {', '.join(IMAGE_FORMATS)}")
         EXPOSURES.check("exposure", exposure)
         if not isinstance(path, str | os.PathLike):
             if not callable(getattr(path, "write", None)):

@@ -491,7 +491,7 @@ class Renderer:
             count = resolved.shading.scatter_samples
             passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
         blended = blended_area(scene, view, self.size)
-        if (scattering or visibility) and all(blended[2:]):
+        if (scattering or visibility) and not blended.empty:
             if inputs:
                 forward = shade_pass(resolved, view, samples, only, refraction=refraction)
             visible = visibility.target if visibility else None
@@ -536,7 +536,7 @@ class Renderer:
             with self._layer_lock, self.context.drawing() as gl:
                 resources = self._resources
                 for target in [each for each in resources.targets if each.size in self._sizes]:
-                    for cache in (resources.targets, resources.scopes, resources.held):
+                    for cache in (resources.targets, resources.scopes, resources.images_held):
                         cache.pop(target, None)
                 gl.gc()
                 self._sizes.clear()
@@ -560,15 +560,15 @@ class Renderer:
 
         known : further textures that the passes may read, keyed by uniform name
         """
-        drawn = dict(known)
+        textures = dict(known)
         with self.context.drawing() as gl:
             self._resources.settle()
             if scene.environment is not None:
-                drawn[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
+                textures[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
                 if (own := self._sized(step.target)) is not step.target:
                     step = replace(step, target=own)
-                target = self._resources.draw(step, scene.mesh, drawn)
+                target = self._resources.draw(step, scene.mesh, textures)
                 kind = step.target
                 if kind.samples > 1 and kind.values == "color" and kind.resolved:
                     single = self._resources.target(replace(step.target, samples=1))
@@ -576,7 +576,7 @@ class Renderer:
                     target = single
                 if step.target.sampled:
                     names = (step.name, *step.others)
-                    drawn |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
+                    textures |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
             return [read(target, index) for index in range(step.target.colors)]
 
 
@@ -695,7 +695,7 @@ def render(
     """
     for name in unknown:
         refuse_keyword(render, name, {"fr.Renderer({}=...)": Renderer})
-    shading = Shading(model, lobe, fresnel, outside, masking)
+    shading = Shading(model, lobe, fresnel, masking=masking, outside=outside)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
         loaded = loaded.with_skin(m=m)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from facerender.errors import InputError, check_known, check_switch, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
-from facerender.scenes.vectors import COLORS, HIGHEST, Vector
+from facerender.scenes.vectors import COLORS, MOST_RADIANCE, Vector
 from facerender.shading import WEIGHTS
 from facerender.system.reprs import short_repr
 from facerender.terms.lobe import MIN_SLOPE, SLOPES
@@ -93,7 +93,7 @@ class Material:
     scattering: str | Gaussians | None = None
     alpha: Alpha = "opaque"
     opacity: float = ranged(FRACTION, 1.0)
-    alpha_cutoff: float = ranged(Range(0.0, HIGHEST), 0.5)
+    alpha_cutoff: float = ranged(Range(0.0, MOST_RADIANCE), 0.5)
     opacity_map: Texture | None = None
     emissive: Vector = ranged(COLORS, (0.0, 0.0, 0.0))
     emissive_map: Texture | None = None

@@ -29,7 +29,15 @@ from facerender.errors import (
 from facerender.images.decode import check_pixels, open_image
 from facerender.images.srgb import linear_to_srgb
 from facerender.images.write import png_bytes
-from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
+from facerender.scenes.mips import (
+    Kind,
+    Levels,
+    ReadRows,
+    chain,
+    coarse_base,
+    coarse_chain,
+    coarse_data,
+)
 from facerender.system.files import open_file
 from facerender.system.memory import give_back
 
@@ -38,7 +46,7 @@ if TYPE_CHECKING:
 
 Wrap = Literal["repeat", "clamp", "mirror"]
 
-FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
+DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _DISPLAYED = 512  # largest side of a texture that a notebook displays, in pixels
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
@@ -338,7 +346,7 @@ class Texture:
             return Image.fromarray(coarse_data(rows, self.size, levels))
 
     @contextmanager
-    def _rows(self) -> Iterator[Rows]:
+    def _rows(self) -> Iterator[ReadRows]:
         """Yield a function that returns rows of the image. The image is not cached."""
         with _decoding:
             with self._lock:
@@ -512,7 +520,7 @@ def pack(
 
 
 def _opened(content: bytes | BinaryIO, name: str) -> Image:
-    return open_image(content, name, FORMATS, "PNG, JPEG, TIFF or WebP")
+    return open_image(content, name, DECODERS, "PNG, JPEG, TIFF or WebP")
 
 
 def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
