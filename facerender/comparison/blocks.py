@@ -127,7 +127,7 @@ class BlockSums:
         """
         count = a.shape[2]
         planes = [[np.ascontiguousarray(image[..., i]) for i in range(count)] for image in (a, b)]
-        means = [np.add.reduce(each) / np.float32(count) for each in planes]
+        means = [np.add.reduce(channels) / np.float32(count) for channels in planes]
         steps = [_steps(mean) for mean in means]
         steepest = filtered(np.maximum(*steps), np.maximum)
         level: Float = np.ones((1, 1), np.float32)
@@ -150,32 +150,32 @@ class BlockSums:
             middle, change = np.float32(0.5) * (x + y), (y - x)[rows]
             slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
             weighted = [inverse * slope for slope in slopes]
-            normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
+            normal += [[np.vdot(row, other) for other in (*slopes, change)] for row in weighted]
             least = np.float32(FLOOR if scale is LINEAR else 0.0)
             parts = (change, *slopes, np.maximum(np.abs(x[rows]), least))
             of_cells.append([cell_sums(weight * part) for part in parts])
-            of_blocks.append([block_sums(each) for each in of_cells[-1]])
+            of_blocks.append([block_sums(cells) for cells in of_cells[-1]])
         change, across, down, _ = np.mean(of_cells, axis=0)
         wild = np.float32(_WILD)
         fine = [
-            [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in each]
-            for each in planes
+            [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in channels]
+            for channels in planes
         ]
         apart = [y - x for x, y in zip(*fine, strict=True)]
-        squares = [common_squares(each) for each in (apart, *fine)]
-        own = sum(np.square(each) for each in apart) / np.float32(count) - squares[0]
+        squares = [common_squares(details) for details in (apart, *fine)]
+        single = sum(np.square(detail) for detail in apart) / np.float32(count) - squares[0]
         return cls(
             cell_sums(weight * level),
             change,
             across,
             down,
-            np.stack([cell_sums(each[rows]) for each in means])
+            np.stack([cell_sums(mean[rows]) for mean in means])
             if scale is SRGB8
             else np.zeros((2, *change.shape), np.float32),
             np.stack(of_blocks),
-            np.stack([block_sums(cell_sums(each)) for each in (counted, flat)]),
-            np.stack([block_sums(cell_sums(flat * each)) for each in (*squares, own)]),
-            np.stack([block_sums(cell_sums(counted * each)) for each in (*squares, own)]),
+            np.stack([block_sums(cell_sums(mask)) for mask in (counted, flat)]),
+            np.stack([block_sums(cell_sums(flat * square)) for square in (*squares, single)]),
+            np.stack([block_sums(cell_sums(counted * square)) for square in (*squares, single)]),
             normal,
         )
 

@@ -100,7 +100,7 @@ def compare(
     check_alike(a, b)
     check_finite(a)
     check_finite(b)
-    if jpegs := [each.name for each in (a, b) if each.jpeg]:
+    if jpegs := [data.name for data in (a, b) if data.jpeg]:
         warn(f"{' and '.join(jpegs)}: the losses of JPEG count as differences; save as PNG")
     counts = None if mask is None else _counting(mask, a)
     overrides = {"point": point, "block": block, "trend": trend, "grain": grain}
@@ -303,28 +303,28 @@ class _Strip:
     ) -> _Strip:
         """Return the metrics of ``rows``; ``counts`` is the mask of the whole images."""
         around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
-        own = slice(rows.start - around.start, rows.stop - around.start)
+        inner = slice(rows.start - around.start, rows.stop - around.start)
         (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
         relative = a.encoding == "linear"
         counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[around]
         full = (alpha_a >= FULL) & (alpha_b >= FULL)
-        whole = bool(full.all())
-        covered = None if whole else full
-        found = excess(color_a, color_b, covered, limits.point, relative)
+        all_full = bool(full.all())
+        covered = None if all_full else full
+        differences = excess(color_a, color_b, covered, limits.point, relative)
         black = holes(color_a, color_b, covered, relative)
-        if not whole:
+        if not all_full:
             black |= gaps(alpha_a, alpha_b)
         unexplained = uncovered = counted
         if a.shift_range is not None:
             moved = PixelRange(*(end[around] for end in a.shift_range))
             colors, coverage = explained(moved, color_b, alpha_b, limits.point)
             unexplained, uncovered = counted & ~colors, counted & ~coverage
-        value = np.where(unexplained, found.value, np.float32(0.0))[own]
-        slack = found.slack[own]
+        value = np.where(unexplained, differences.value, np.float32(0.0))[inner]
+        slack = differences.slack[inner]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
         sliver = SLIVERS[a.encoding]
         # The first condition that holds gives the class of a pixel.
-        over = np.sign(value) * np.select(
+        classes = np.sign(value) * np.select(
             [
                 np.abs(value) <= limits.point,
                 beyond <= limits.point,
@@ -337,16 +337,16 @@ class _Strip:
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
         worst = max(beyond[row, column], 0.0)
         worst = abs(value[row, column]) if worst > limits.point else worst
-        inside = shrunk(full & counted, 0 if whole and counts is None else MARGIN)
-        faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
-        apart = difference(color_a[own], color_b[own])[counted[own]]
+        inside = shrunk(full & counted, 0 if all_full and counts is None else MARGIN)
+        faded = 0 if all_full else _faded(alpha_a, alpha_b, uncovered, inner)
+        apart = difference(color_a[inner], color_b[inner])[counted[inner]]
         return cls(
-            BlockSums.of(color_a, color_b, inside, own, SCALES[a.encoding]),
-            over.astype(np.int8),
+            BlockSums.of(color_a, color_b, inside, inner, SCALES[a.encoding]),
+            classes.astype(np.int8),
             float(beyond[row, column]),
             float(np.copysign(worst, value[row, column])),
             (int(column), rows.start + int(row)),
-            int((black & unexplained)[own].sum()),
+            int((black & unexplained)[inner].sum()),
             faded,
             float(apart.max(initial=0.0)),
             float(apart.sum(dtype=np.float64)),

@@ -51,16 +51,16 @@ def reasons_of(
     rows = strips(height, width, result.point_at[1], result.block_at[1])
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
-    reasons = [f"{each}: looks like {cause}{_estimate(result, cause)}" for each in blocks]
-    reasons += [f"{each}: looks like {cause}" for each in others]
+    reasons = [f"{block}: looks like {cause}{_estimate(result, cause)}" for block in blocks]
+    reasons += [f"{other}: looks like {cause}" for other in others]
     if wrong.any():
-        seen = np.concatenate([wrong[each] for each in rows])
+        seen = np.concatenate([wrong[strip] for strip in rows])
         most = change.share(seen) > 0.5
         fault = _fault(result, over, wrong) if most or _lonely(change, seen) else ""
         if fault == "false highlights" and cause in (LIGHT, EXPOSURE):
             fault = ""
         if fault and blocks and _explained(result, wrong, statistics):
-            reasons = [f"{each}: looks like {fault}{_estimate(result, fault)}" for each in blocks]
+            reasons = [f"{block}: looks like {fault}{_estimate(result, fault)}" for block in blocks]
         text = f"{_pixels(result, over[wrong])}: looks like {fault or cause}"
         reasons.insert(0 if most else len(reasons), text)
     elif holes:

@@ -412,19 +412,20 @@ class Renderer:
         if refraction:
             passes = [*refraction.passes(resolved), *passes]
             passes = with_shadows(resolved, view, self.size, passes)
-        known: dict[str, moderngl.Texture] = {}
+        textures: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             before = self._sized(replace(surface.target, number=1 - surface.target.number))
-            known[PREVIOUS_LAYER] = self._resources.targets[before].color_attachments[-1]  # type: ignore[assignment]
+            textures[PREVIOUS_LAYER] = self._resources.targets[before].color_attachments[-1]  # type: ignore[assignment]
         names = surface_images(scene, blended_part is not None)
-        images = dict(zip(names, self._draw(passes, scene, known), strict=True))
+        images = dict(zip(names, self._draw(passes, scene, textures), strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if number := len(lighting.shadowed):
             look = light_visibility_pass(resolved, view, visibility, blended_part)
             seen_by = [visibility.drawn(), look] if visibility else [look]
-            fractions = self._draw(with_shadows(resolved, view, self.size, seen_by), scene, known)
+            passes = with_shadows(resolved, view, self.size, seen_by)
+            fractions = self._draw(passes, scene, textures)
             seen[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(

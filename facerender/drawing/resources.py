@@ -530,9 +530,9 @@ class Resources:
         All mip levels come from texture.py: moderngl's build_mipmaps takes 65 ms for 2048 x 2048
         texels on a software driver.
         """
-        known = self.textures.setdefault(source, {})
-        if kind in known:
-            return known[kind]
+        uploaded = self.textures.setdefault(source, {})
+        if kind in uploaded:
+            return uploaded[kind]
         self._settled = False
         levels = source.levels(kind).result()
         if source.coarse:
@@ -569,7 +569,7 @@ class Resources:
         change = self.context.function("glTexParameteri", *[ctypes.c_uint] * 2, ctypes.c_int)
         for axis, wrap in zip(_WRAP_AXES, source.wrap, strict=True):
             change(_TEXTURE_2D, axis, _WRAPS[wrap])
-        known[kind] = texture
+        uploaded[kind] = texture
         if source.coarse:
             del levels
             source.forget()

@@ -71,7 +71,7 @@ def with_shadows(
     mesh = scene.mesh
     key = (
         *(ref(part) for part in mesh.parts),
-        *(_cut(each) for each in mesh.materials),
+        *(_cut(material) for material in mesh.materials),
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
@@ -83,8 +83,8 @@ def with_shadows(
         drawn,
         *_cones(spaces, texels, key),
         *(
-            replace(each, uniforms={**each.uniforms, **tiles}, key=each.key and (each.key, texels))
-            for each in passes
+            replace(step, uniforms={**step.uniforms, **tiles}, key=step.key and (step.key, texels))
+            for step in passes
         ),
     ]
 
