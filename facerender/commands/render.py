@@ -145,11 +145,7 @@ def _scenes(
 
 
 def _check_views(options: argparse.Namespace, output: str, playing: bool, cameras: int) -> None:
-    """Raise InputError for options that do not fit a clip, or several cameras.
-
-    playing : whether a clip is drawn
-    cameras : number of cameras
-    """
+    """Raise InputError for options that do not fit a clip, or the number of cameras."""
     if playing and options.fps is None and not (is_several(output) or options.sheet):
         raise InputError(
             f"-o {output} holds one image of the clip: give --time SECONDS (or --vertices "

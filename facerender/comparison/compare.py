@@ -324,16 +324,9 @@ class _Strip:
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
         sliver = SLIVERS[a.encoding]
         # The first condition that holds gives the class of a pixel.
-        classes = np.sign(value) * np.select(
-            [
-                np.abs(value) <= limits.point,
-                beyond <= limits.point,
-                slack >= np.float32(sliver.edge),
-                slack > 0.25 * sliver.rough,
-            ],
-            [0, SLIVER, EDGE, ROUGH],
-            SMOOTH,
-        )
+        conditions = [np.abs(value) <= limits.point, beyond <= limits.point]
+        conditions += [slack >= np.float32(sliver.edge), slack > 0.25 * sliver.rough]
+        classes = np.sign(value) * np.select(conditions, [0, SLIVER, EDGE, ROUGH], SMOOTH)
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
         worst = max(beyond[row, column], 0.0)
         worst = abs(value[row, column]) if worst > limits.point else worst

@@ -30,7 +30,6 @@ class Area(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        """Whether the rectangle contains no pixel."""
         return not (self.width and self.height)
 
 

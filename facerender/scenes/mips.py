@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
-ReadRows = Callable[[int, int], "Image"]  # returns rows [low, high); row 0 is the bottom
+Rows = Callable[[int, int], "Image"]  # returns rows [low, high); row 0 is the bottom
 
 _STRIP = 32  # number of rows that are reduced at once
 
@@ -31,7 +31,7 @@ def chain(kind: Kind, image: Image) -> Levels:
 
 
 def coarse_base(
-    kind: Literal["color", "normal", "data"], rows: ReadRows, size: tuple[int, int], drop: int
+    kind: Literal["color", "normal", "data"], rows: Rows, size: tuple[int, int], drop: int
 ) -> NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return the base level from which :func:`coarse_chain` computes a mip chain.
 
@@ -69,7 +69,7 @@ def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float3
     return _data_chain(base) if base.shape[2] == 3 else _color_chain(base)
 
 
-def coarse_data(rows: ReadRows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
+def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
     """Return the base level of kind "data", (H, W, 3), or (H, W) for grey rows. See
     :func:`coarse_base` for the parameters."""
     width, height = (side >> drop for side in size)
@@ -80,7 +80,7 @@ def coarse_data(rows: ReadRows, size: tuple[int, int], drop: int) -> NDArray[np.
     return finest
 
 
-def _coarse_strips(rows: ReadRows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
+def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
     """Yield strips of an image, each with the index of its first row in the base level.
 
     height : height of the base level; the yielded indices are even

@@ -29,15 +29,7 @@ from facerender.errors import (
 from facerender.images.decode import check_pixels, open_image
 from facerender.images.srgb import linear_to_srgb
 from facerender.images.write import png_bytes
-from facerender.scenes.mips import (
-    Kind,
-    Levels,
-    ReadRows,
-    chain,
-    coarse_base,
-    coarse_chain,
-    coarse_data,
-)
+from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
 from facerender.system.files import open_file
 from facerender.system.memory import give_back
 
@@ -346,7 +338,7 @@ class Texture:
             return Image.fromarray(coarse_data(rows, self.size, levels))
 
     @contextmanager
-    def _rows(self) -> Iterator[ReadRows]:
+    def _rows(self) -> Iterator[Rows]:
         """Yield a function that returns rows of the image. The image is not cached."""
         with _decoding:
             with self._lock:

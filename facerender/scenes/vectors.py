@@ -15,9 +15,7 @@ Vector = tuple[float, float, float]
 
 SHAPE_WEIGHTS = Range(-100.0, 100.0)  # accepted weights of morph targets
 FARTHEST = 1e30  # largest coordinate of a position, in mesh units
-MOST_RADIANCE = (
-    1e9  # limit of radiance, irradiance and albedo, so that images do not overflow float32
-)
+MOST_RADIANCE = 1e9  # limit of colours and light, so that images do not overflow float32
 MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
 
 POSITIONS = VectorRange(-FARTHEST, FARTHEST)
