@@ -213,8 +213,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
     tables: Table = {key: listed(value, key) for key, value in values.items()}
     template, outputs, exposure = (tables.pop(key, None) for key in ("id", "outputs", "exposure"))
     for key in tables:
-        if key not in TABLES:
-            raise InputError(f"unknown key {shown(key)}; known: {', '.join((*OWN, *TABLES))}")
+        check_known("key", key, (*OWN, *TABLES))
     if type(image := tables.get("image")) is dict and type(image.get("size")) in (str, int):
         tables["image"] = {**image, "size": [*parse_size(str(image["size"]), "image size")]}
     if type(mesh := tables.get("mesh")) is dict:

@@ -83,7 +83,7 @@ if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
-_GBUFFER_SAMPLES = 4  # the G-buffer's images need as much memory as an image of so many samples
+_GBUFFER_SAMPLES = 4  # the G-buffer needs the memory of an image with this number of samples
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,7 @@ class Renderer:
         _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        # Depth peeling reads the target of the previous layer, which no other thread may overwrite
-        # or free.
+        # Depth peeling reads the target of the previous layer: other threads must not change it.
         self._layer_lock = threading.Lock()
         if memory is not None:
             MEMORY.check("memory", memory)
