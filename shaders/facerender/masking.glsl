@@ -31,10 +31,7 @@
 // Masking term G divided by (N.L)(N.V): pair (x, y) whose quotient lacks the factor 1/h.h. The
 // argument `masking` selects the term.
 vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, int masking) {
-    if (masking == FR_MASKING_NONE) {
-        float x = min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0;
-        return vec2(x, abs(n_dot_l * n_dot_v) + FR_FLOOR);
-    }
+    if (masking == FR_MASKING_NONE) return vec2(min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR);
     if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen_ratio(n_dot_l, n_dot_v);
     return fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v);
 }
