@@ -114,6 +114,13 @@ def check_type(name: str, value: Any, kinds: Any, remedy: str) -> None:
         raise InputError(f"{name} = {shown(value)}: give {remedy}")
 
 
+def check_known(kind: str, value: Any, known: Iterable[str]) -> None:
+    """Raise InputError unless a value is one of the known names of a kind."""
+    names = [*known]
+    if not isinstance(value, str) or value not in names:
+        raise InputError(f"unknown {kind} {shown(value)}; known: {', '.join(names)}")
+
+
 def check_switch(name: str, value: Any) -> None:
     """Raise InputError unless a value is a bool."""
     check_type(name, value, bool, "true or false")

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from facerender.errors import InputError, check_path, check_type, each_of, shown, warn
+from facerender.errors import InputError, check_known, check_path, check_type, each_of, shown, warn
 from facerender.images.write import format_of
 from facerender.loading import cached_mesh, load_mesh
 from facerender.loading.source import check_normal_map_y
@@ -28,7 +28,7 @@ from facerender.scenes.light import Light, lights_of
 from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
-from facerender.scenes.scene import ONLY, Only, Scene, background_of, default_light
+from facerender.scenes.scene import Only, Scene, background_of, check_only, default_light
 from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
 from facerender.shading import Shading
 from facerender.system.reprs import short_repr
@@ -38,6 +38,9 @@ from facerender.terms.ranges import (
     range_of,
     ranged,
 )
+
+# The fields of MeshFile that are paths.
+MESH_PATHS = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
 @dataclass(frozen=True)
@@ -100,10 +103,6 @@ class MeshFile:
         return mesh if self.triangles is None else simplified(mesh, self.triangles)
 
 
-# The fields of MeshFile that are paths.
-MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
-
-
 def parse_size(text: str, name: str = "size") -> tuple[int, int]:
     """Parse width and height from ``N`` or ``WxH``; raise InputError for other text, and for a size
     that no image can have."""
@@ -136,8 +135,7 @@ class Output:
         check_path("output path", self.path)
         object.__setattr__(self, "path", os.fspath(self.path))
         format_of(self.path)
-        if self.only is not None and not (isinstance(self.only, str) and self.only in ONLY):
-            raise InputError(f"unknown term {self.only!r}; known: {', '.join(ONLY)}")
+        check_only(self.only)
         check_fields(self)
 
 
@@ -346,8 +344,7 @@ class Job:
         ]
         values: dict[str, Any] = {}
         for key, value in tables.items():
-            if key not in known:
-                raise InputError(f"unknown key {shown(key)}; known: {', '.join(known)}")
+            check_known("key", key, known)
             if key == "mesh":
                 values[key] = from_table(MeshFile, key, value)
             elif key == "outputs":

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_type, shown
+from facerender.errors import InputError, check_known, check_type, shown
 from facerender.system.reprs import short_repr
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
@@ -143,6 +143,7 @@ _TERM_FIELDS = tuple(field.name for field in fields(Term))
 _OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
+# init=False: some parameters change a field of ``term`` or of ``lights``, and are no fields.
 @dataclass(frozen=True, init=False)
 class Shading:
     """The specular terms of the lights, and the features that are left out of a scene.
@@ -250,8 +251,7 @@ class Shading:
             ("diffuse", "diffuse term", DIFFUSE),
         ):
             check_type(name, value := getattr(self, name), str, "a string")
-            if value not in known:
-                raise InputError(f"unknown {noun} {shown(value)}; known: {', '.join(known)}")
+            check_known(noun, value, known)
         counts = range_of(Shading, "environment_samples")
         if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(

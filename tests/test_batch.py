@@ -30,12 +30,13 @@ import pytest
 
 import facerender as fr
 from facerender.batch import engine, records
-from facerender.batch.chunk import Settings, chunks, code_version
+from facerender.batch.chunk import Settings, chunks, code_version, forget_files, key_of
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
 from facerender.batch.storage import Storage
 from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
+from facerender.job import MESH_PATHS
 from facerender.loading.references import named_files
 from facerender.system.memory import available
 from tests.awkward_files import MINI_HEAD
@@ -322,9 +323,20 @@ def test_files_that_a_mesh_names_are_found(tmp_path, small):
         ("a.gltf", f'{{{buffers}, "images": 5}}', []),
         ("a.gltf", f'{{{buffers}, "images": {images}}}', ["a b.bin", "c.png"]),
         ("a.ply", "ply\ncomment TextureFile skin.png\n", ["skin.png"]),
+        ("b.ply", "ply\n comment texturefile  skin.png\n", ["skin.png"]),
     ):
         (tmp_path / name).write_text(text)
         assert [path.name for path in named_files(tmp_path / name)] == named
+
+
+@pytest.mark.parametrize("name", MESH_PATHS)
+def test_the_key_of_a_job_depends_on_the_content_of_each_file(tmp_path, name):
+    path, keys = tmp_path / "file", set()
+    for content in ("a", "b"):
+        path.write_text(content)
+        forget_files()
+        keys.add(key_of(Row(0, "a", {"mesh": {name: str(path)}})))
+    assert len(keys) == 2
 
 
 # --- failures -----------------------------------------------------------------------------------

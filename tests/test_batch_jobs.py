@@ -272,6 +272,14 @@ def test_a_numbered_key_changes_one_light_of_the_default_lights():
     ]
 
 
+def test_each_table_reads_scene_files_again():
+    write("rows.jsonl", '{"scene": "a.toml"}')
+    for ambient in (0.5, 0.75):
+        write("a.toml", f"ambient = {ambient}")
+        (row,) = JobTable("rows.jsonl")
+        assert row.tables["ambient"] == ambient
+
+
 def test_lights_of_a_table_replace_the_lights_of_a_scene():
     write("a.toml", "lights = ['key', 'fill', 'front']")
     write("rows.toml", "scene = 'a.toml'\nlights = ['rim']\ngrid.lights.0.azimuth = [5]")

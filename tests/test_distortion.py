@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import fields, replace
+from threading import Thread
 
 import cv2
 import numpy as np
@@ -459,6 +460,30 @@ def test_one_renderer_draws_all_lenses(egl, mini):
         with fr.Renderer(SIZE, samples=4, backend=egl) as renderer:
             alone = renderer.render(fr.Scene(mini, camera_of(mini, lens))).linear
         assert np.array_equal(alone, image)
+
+
+def test_another_lens_does_not_free_the_layers_of_an_image(egl, mini, monkeypatch):
+    """A thread that draws through another lens waits for all layers of the image."""
+    scene = fr.Scene(mini.with_material(alpha="blend", opacity=0.5), camera_of(mini, STRONG))
+    threads = []
+    layer = fr.Renderer._gbuffer
+
+    def drawn(self, resolved, view, blended_part=None):
+        if blended_part and blended_part.layer == 1:
+            threads.append(Thread(target=renderer._of_size, args=[(50, 50)]))
+            threads[-1].start()
+            threads[-1].join(0.5)
+        return layer(self, resolved, view, blended_part)
+
+    with fr.Renderer(SIZE, samples=1, backend=egl) as renderer:
+        expected = renderer.gbuffer(scene).transparent_layers
+        monkeypatch.setattr(fr.Renderer, "_gbuffer", drawn)
+        layers = renderer.gbuffer(scene).transparent_layers
+        for thread in threads:
+            thread.join()
+    assert len(layers) == len(expected) > 1
+    for one, other in zip(layers, expected, strict=True):
+        np.testing.assert_array_equal(one.part, other.part)
 
 
 def test_shifted_scenes_keep_their_distortion(drawing, mini):

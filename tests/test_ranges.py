@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import make_dataclass
 
 import numpy as np
 import pytest
@@ -16,11 +17,14 @@ from facerender.scenes.environment import studio
 from facerender.scenes.file import scene_value
 from facerender.scenes.lod import Planned
 from facerender.terms.ranges import (
+    FRACTION,
     IntegerRange,
     Range,
     SizeRange,
     VectorRange,
+    check_fields,
     range_of,
+    ranged,
     ranges_of,
 )
 
@@ -111,6 +115,12 @@ def test_numpy_numbers_are_converted():
 )
 def test_text_of_a_range(limits, text):
     assert str(limits) == text
+
+
+def test_a_dataclass_without_text_annotations_is_refused():
+    kind = make_dataclass("Kind", [("x", float | None, ranged(FRACTION, None))])
+    with pytest.raises(TypeError, match="from __future__ import annotations"):
+        check_fields(kind())
 
 
 def test_help_states_ranges_units_and_defaults(capsys):

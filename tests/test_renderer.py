@@ -36,6 +36,8 @@ from facerender.images.srgb import srgb_to_linear
 from facerender.lobes import GPower
 from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
+from facerender.scenes.environment import studio
+from facerender.scenes.material import MAPS
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
@@ -50,6 +52,7 @@ from tests.test_reference import (
     shadows,
     skin,
 )
+from tests.verification.eye import CLEAR, eye
 from tests.verification.lights import PLAIN_THREE
 
 
@@ -553,6 +556,7 @@ class Host:
         ("glPixelStorei", 0x0CF5, 8),
         ("glActiveTexture", 0x84C1),
     )
+    UNITS = range(20)
 
     def __init__(self, backend: Backend) -> None:
         self.context = create_context(backend)
@@ -563,7 +567,7 @@ class Host:
 
     def set_everything(self) -> None:
         self.target.use()
-        for unit in range(5):
+        for unit in self.UNITS:
             self.gl.texture((1, 1), 4, bytes(4)).use(unit)
             self.gl.texture((1, 1), 4, samples=4).use(unit)
             self.gl.sampler(filter=(moderngl.NEAREST, moderngl.NEAREST)).use(unit)
@@ -582,7 +586,7 @@ class Host:
             values = (ctypes.c_double * count)()
             get(name, values)
             state["", 0, name] = tuple(values)
-        for unit in range(5):
+        for unit in self.UNITS:
             activate(0x84C0 + unit)
             for name in (0x8069, 0x9104, 0x8919):  # texture, multisample texture, sampler
                 values = (ctypes.c_double * 1)()
@@ -601,6 +605,37 @@ def host(backend: Backend) -> Iterator[Host]:
     host = Host(backend)
     yield host
     host.release()
+
+
+def every_map() -> fr.Scene:
+    """Return a scene with a part that reads every texture that one part can read."""
+    mesh = eye(ks=1.0, transmission=0.5)
+    maps = {name: fr.Texture.from_image(Image.new("RGB", (4, 4), "red")) for name in MAPS}
+    maps["specular_map"] = maps["specular_map"].sampled(("clamp", "clamp"))
+    part = replace(mesh.parts[CLEAR], uv=mesh.parts[CLEAR].positions[:, :2])
+    material = replace(
+        mesh.materials[CLEAR],
+        **{**maps, "opacity_map": None, "emissive": (0.1, 0.1, 0.1)},
+        **{"second_slope": 2.0, "lobe_weight": 0.5},
+    )
+    assert not material.packs
+    mesh = replace(
+        mesh, parts=(*mesh.parts[:CLEAR], part), materials=(*mesh.materials[:CLEAR], material)
+    )
+    lights = (fr.Light(30.0, 20.0, shadow=True, radius=3.0),)
+    return fr.Scene(mesh, lights=lights, environment=fr.Environment(studio()))
+
+
+def test_guest_restores_every_texture_unit(host):
+    scene = every_map()
+    host.set_everything()
+    before = host.state()
+    with fr.Renderer((32, 32), samples=4, backend="current") as guest:
+        guest.render(scene)
+        assert host.state() == before
+        guest.gbuffer(scene)
+        assert host.state() == before
+    host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
 
 
 def test_guest_draws_the_same_and_restores_the_hosts_state(host, head):

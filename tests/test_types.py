@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender.job import MESH_PATHS
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 
@@ -101,8 +102,8 @@ def right(call: str, name: str, annotation: str) -> list[Any]:
     values = [
         value for words, some in ALLOWED.items() if re.search(words, annotation) for value in some
     ]
-    any_text = name in ("name", "file", "text") or (
-        call in ("MeshFile", "Pose") and annotation == "str | None"
+    any_text = name in ("name", "file", "text", "clip", "vertices") or (
+        call == "MeshFile" and name in MESH_PATHS
     )
     return [*values, *["nonsense"] * any_text, *RIGHT.get(f"{call} {name}", [])]
 
@@ -136,3 +137,17 @@ def test_values_of_the_wrong_type_raise_input_error(objects, call):
 def _equal(a: Any, b: Any) -> bool:
     plain = isinstance(a, int | float | str | bytes | list | tuple | dict)
     return a is b or (plain and type(a) is type(b) and repr(a) == repr(b))
+
+
+def test_every_reader_of_only_gives_one_message(objects):
+    wrong = 400 * "x"
+    messages = set()
+    for refuse in (
+        lambda: fr.Output("a.png", wrong),
+        lambda: fr.Frame(np.zeros((1, 1, 4), np.float32), wrong, False, {}),
+        lambda: objects["Renderer"].render(objects["scene"], only=wrong),
+    ):
+        with pytest.raises(fr.InputError, match=r"^unknown term 'x") as caught:
+            refuse()
+        messages.add(str(caught.value))
+    assert len(messages) == 1

@@ -19,6 +19,7 @@ from uuid import uuid4
 
 from facerender import __version__
 from facerender.batch.jobs import Row
+from facerender.job import MESH_PATHS
 from facerender.loading.references import named_files
 from facerender.system.data import data_dir
 from facerender.system.files import digest_of
@@ -38,7 +39,6 @@ _SHARD = 32  # minimum number of jobs per tar, if there are enough: readers shuf
 # Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
 # same mesh; the waiting jobs would fill at most this number of chunks.
 _CHUNKS = 64
-_FILES = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
 @dataclass(frozen=True)
@@ -194,8 +194,8 @@ def _mesh_facts(table: str) -> str:
     """Return a mesh table as JSON, with digests of files instead of paths."""
     mesh = json.loads(table)
     source = mesh.get("path") or str(data_dir("assets") / "head.glb")
-    files = [_content(mesh.get(name) or "") for name in _FILES[1:]]
-    others = [(key, mesh[key]) for key in sorted(mesh) if key not in _FILES]
+    files = [_content(mesh.get(name) or "") for name in MESH_PATHS if name != "path"]
+    others = [(key, mesh[key]) for key in sorted(mesh) if key not in MESH_PATHS]
     return json.dumps([_mesh_content(source), files, others])
 
 

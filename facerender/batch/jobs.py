@@ -19,7 +19,7 @@ import numpy as np
 
 from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
-from facerender.errors import InputError, check_path, clipped, shown
+from facerender.errors import InputError, check_known, check_path, clipped, shown
 from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import (
@@ -207,9 +207,10 @@ def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
 ) -> Iterator[tuple[str, Row | InputError]]:
     """Yield pairs: a row's position, as a text for messages, and the row or its error."""
+    _scene_tables.cache_clear()  # the files may have changed
     name = PurePath(path).name
     own, folder = nested(common), os.getcwd()
-    base = _over_scene(own, own.pop("scene", None), folder)
+    base = _over_scene(own, own.pop("scene", None))
     number = -1
     for number, (line, found) in enumerate(found_rows(path)):
         position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
@@ -218,7 +219,7 @@ def _rows(
             if isinstance(found, InputError):
                 raise found
             if (scene := found.pop("scene", None)) is not None:
-                row = _row(number, merged(_over_scene(own, scene, folder), found), folder)
+                row = _row(number, merged(_over_scene(own, scene), found), folder)
             else:
                 row = _row(number, merged(base, found), folder)
         except InputError as error:
@@ -228,12 +229,12 @@ def _rows(
         raise InputError(f"{name} has no rows: give at least one")
 
 
-def _over_scene(tables: Table, scene: Any, folder: str) -> Table:
+def _over_scene(tables: Table, scene: Any) -> Table:
     """Return the tables of the scene file `scene`, if given, updated with `tables`."""
     if scene is None:
         return tables
     check_path("scene", scene)
-    return merged(_scene_tables(os.fspath(scene), folder), tables)
+    return merged(_scene_tables(os.fspath(scene)), tables)
 
 
 def _row(number: int, values: Table, folder: str) -> Row:
@@ -241,8 +242,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
     tables: Table = {key: listed(value, key) for key, value in values.items()}
     template, outputs, exposure = (tables.pop(key, None) for key in ("id", "outputs", "exposure"))
     for key in tables:
-        if key not in TABLES:
-            raise InputError(f"unknown key {shown(key)}; known: {', '.join((*OWN, *TABLES))}")
+        check_known("key", key, (*OWN, *TABLES))
     if type(image := tables.get("image")) is dict and type(image.get("size")) in (str, int):
         tables["image"] = {**image, "size": [*parse_size(str(image["size"]), "image size")]}
     if type(mesh := tables.get("mesh")) is dict:
@@ -276,11 +276,8 @@ def _row(number: int, values: Table, folder: str) -> Row:
 
 
 @lru_cache(64)
-def _scene_tables(path: str, folder: str) -> Table:
-    """Return the tables of a scene file; `facerender plan` writes such files.
-
-    The working directory, `folder`, is part of the cache key because `path` may be relative.
-    """
+def _scene_tables(path: str) -> Table:
+    """Return the tables of a scene file; `facerender plan` writes such files."""
     return nested(read_toml(Path(path)))
 
 
@@ -321,8 +318,7 @@ def file_name(output: str) -> str:
 def check_outputs(names: Sequence[str]) -> None:
     """Raise InputError for an unknown output."""
     for name in names:
-        if name not in OUTPUTS:
-            raise InputError(f"unknown output {shown(name)}; known: {', '.join(OUTPUTS)}")
+        check_known("output", name, OUTPUTS)
 
 
 # --- ids -----------------------------------------------------------------------------------------

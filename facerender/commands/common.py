@@ -58,7 +58,8 @@ def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
 
 def add_mesh(command: argparse.ArgumentParser) -> None:
     """Add the positional argument MESH."""
-    formats = Help("mesh file: .glb, .gltf, .obj, .ply or .stl", "the built-in head")
+    *suffixes, last = FORMATS
+    formats = Help(f"mesh file: {', '.join(suffixes)} or {last}", "the built-in head")
     command.add_argument("mesh", nargs="?", metavar="MESH", help=formats)
 
 

@@ -44,7 +44,7 @@ from facerender.commands.views import (
     is_several,
 )
 from facerender.drawing.context import BACKENDS
-from facerender.drawing.frame import FORMATS
+from facerender.drawing.frame import IMAGE_FORMATS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.write import FRAME_RATES
@@ -103,7 +103,7 @@ def add(render: argparse.ArgumentParser) -> None:
     note = "parts gives each part a colour, or in an .exr file the number of the part"
     only = Help("term or data to render", "the whole image", note=note)
     image.add_argument("--only", choices=ONLY, help=only)
-    image.add_argument("--format", choices=FORMATS, help=Help("format of -o -", "png"))
+    image.add_argument("--format", choices=IMAGE_FORMATS, help=Help("format of -o -", "png"))
     add_flag(image, "sheet", "arrange all views in one image")
     rate, default = (
         "images per second of an animation, or of a clip",
@@ -144,25 +144,31 @@ def _scenes(
         last = last and now
 
 
-def run(options: argparse.Namespace) -> int:
-    _check(options)
-    output = options.output or default_output(options.mesh, ".png")
-    job, cameras = job_of(options, parse_size(options.size) if options.size else None)
-    check_inputs(job)
-    playing = plays(options, job.pose)
+def _check_views(options: argparse.Namespace, output: str, playing: bool, cameras: int) -> None:
+    """Raise InputError for options that do not fit a clip, or the number of cameras."""
     if playing and options.fps is None and not (is_several(output) or options.sheet):
         raise InputError(
             f"-o {output} holds one image of the clip: give --time SECONDS (or --vertices "
             "FILE,FRAME), or for all frames a .gif, an .mp4 or {index} in the name"
         )
-    if playing and len(cameras) > 1:
-        raise InputError(f"a clip has one view, and there are {len(cameras)}: give one --camera")
-    if options.budget is not None and (playing or len(cameras) > 1):
-        count = "a clip" if playing else len(cameras)
+    if playing and cameras > 1:
+        raise InputError(f"a clip has one view, and there are {cameras}: give one --camera")
+    if options.budget is not None and (playing or cameras > 1):
+        count = "a clip" if playing else cameras
         raise InputError(
             f"--budget plans one view, and there are {count}: give one --camera, or run "
             "facerender plan with all cameras and render its scene with --scene"
         )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Draw and write the images of a command line, and print their names."""
+    _check(options)
+    output = options.output or default_output(options.mesh, ".png")
+    job, cameras = job_of(options, parse_size(options.size) if options.size else None)
+    check_inputs(job)
+    playing = plays(options, job.pose)
+    _check_views(options, output, playing, len(cameras))
     EXPOSURES.check("exposure", options.exposure)
     step = step_log(options)
     still = replace(job, pose=Pose(), before=Pose())
@@ -176,9 +182,9 @@ def run(options: argparse.Namespace) -> int:
     if scene is not None:
         poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
     names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
+    transparent = job.background is None
     target = Destination.of(
-        *(output, names, options.sheet, options.format, options.fps),
-        *(job.background is None, playing),
+        output, names, options.sheet, options.format, options.fps, transparent, playing
     )
     written = [] if output == STANDARD_OUTPUT else target.files
     if options.output is None:
@@ -198,9 +204,10 @@ def run(options: argparse.Namespace) -> int:
             from facerender.planning.cache import cached_plan
 
             scene, poses = replace(scene, mesh=posed(scene.mesh, job.pose)), [Pose()]
-            within = options.within or 1.0
-            asked = scene, options.budget, job.shading, options.exposure, within, renderer
-            plan = cached_plan(*asked, cache=not options.no_cache)
+            budget, within, cache = options.budget, options.within or 1.0, not options.no_cache
+            plan = cached_plan(
+                scene, budget, job.shading, options.exposure, within, renderer, cache=cache
+            )
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.neighbourhoods import Float, Mask, filtered
+from facerender.images.image import Encoding
 
 BLOCK, _CELL = 16, 4  # width and height of a block and of a cell, in pixels
 LEAST = 48  # smallest number of pixels of a judged block
@@ -63,7 +64,8 @@ class Scale:
 
 
 LINEAR = Scale(5e-4, 0.1, 0.5, 0.015, 1e-4, 2.0, 2.8e-3)
-STEPS = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
+SRGB8 = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
+SCALES: dict[Encoding, Scale] = {"linear": LINEAR, "srgb8": SRGB8}
 
 
 def cell_sums(values: Float | Mask) -> NDArray[np.float32]:
@@ -125,7 +127,7 @@ class BlockSums:
         """
         count = a.shape[2]
         planes = [[np.ascontiguousarray(image[..., i]) for i in range(count)] for image in (a, b)]
-        means = [np.add.reduce(each) / np.float32(count) for each in planes]
+        means = [np.add.reduce(channels) / np.float32(count) for channels in planes]
         steps = [_steps(mean) for mean in means]
         steepest = filtered(np.maximum(*steps), np.maximum)
         level: Float = np.ones((1, 1), np.float32)
@@ -138,9 +140,9 @@ class BlockSums:
         slope = np.minimum(np.float32(scale.slope) * steepest / level, np.float32(_WILD))
         noise = scale.noise**2 + np.square(slope)
         weight = (counts / noise / level).astype(np.float32)[rows]
-        level = level if scale is STEPS else level[rows]
+        level = level if scale is SRGB8 else level[rows]
         inverse = weight / level
-        if scale is STEPS:  # rounding moves the contours of smooth areas
+        if scale is SRGB8:  # rounding moves the contours of smooth areas
             inverse *= steepest[rows] > 1.0
         normal = np.zeros((2, 3))
         of_cells, of_blocks = [], []
@@ -148,32 +150,32 @@ class BlockSums:
             middle, change = np.float32(0.5) * (x + y), (y - x)[rows]
             slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
             weighted = [inverse * slope for slope in slopes]
-            normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
+            normal += [[np.vdot(row, other) for other in (*slopes, change)] for row in weighted]
             least = np.float32(FLOOR if scale is LINEAR else 0.0)
             parts = (change, *slopes, np.maximum(np.abs(x[rows]), least))
             of_cells.append([cell_sums(weight * part) for part in parts])
-            of_blocks.append([block_sums(each) for each in of_cells[-1]])
+            of_blocks.append([block_sums(cells) for cells in of_cells[-1]])
         change, across, down, _ = np.mean(of_cells, axis=0)
         wild = np.float32(_WILD)
         fine = [
-            [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in each]
-            for each in planes
+            [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in channels]
+            for channels in planes
         ]
         apart = [y - x for x, y in zip(*fine, strict=True)]
-        squares = [common_squares(each) for each in (apart, *fine)]
-        own = sum(np.square(each) for each in apart) / np.float32(count) - squares[0]
+        squares = [common_squares(details) for details in (apart, *fine)]
+        single = sum(np.square(detail) for detail in apart) / np.float32(count) - squares[0]
         return cls(
             cell_sums(weight * level),
             change,
             across,
             down,
-            np.stack([cell_sums(each[rows]) for each in means])
-            if scale is STEPS
+            np.stack([cell_sums(mean[rows]) for mean in means])
+            if scale is SRGB8
             else np.zeros((2, *change.shape), np.float32),
             np.stack(of_blocks),
-            np.stack([block_sums(cell_sums(each)) for each in (counted, flat)]),
-            np.stack([block_sums(cell_sums(flat * each)) for each in (*squares, own)]),
-            np.stack([block_sums(cell_sums(counted * each)) for each in (*squares, own)]),
+            np.stack([block_sums(cell_sums(mask)) for mask in (counted, flat)]),
+            np.stack([block_sums(cell_sums(flat * square)) for square in (*squares, single)]),
+            np.stack([block_sums(cell_sums(counted * square)) for square in (*squares, single)]),
             normal,
         )
 
@@ -211,7 +213,7 @@ class BlockStatistics:
         across, down, change = self.sums.normal.T
         normal = np.stack([across, down])
         ridge = 1e-6 * np.trace(normal) + 1e-12
-        if self.scale is STEPS:
+        if self.scale is SRGB8:
             ridge += _STEP * float(self.sums.weight.sum())
         x, y = np.linalg.solve(normal + ridge * np.eye(2), -change)
         return float(x), float(y)
@@ -269,7 +271,7 @@ class BlockStatistics:
     @property
     def _dithered(self) -> bool:
         """Whether one image may be dithered, or rounded in another way than the other image."""
-        return self.foreign and self.scale is STEPS
+        return self.foreign and self.scale is SRGB8
 
     @property
     def quiet(self) -> bool:
@@ -278,7 +280,7 @@ class BlockStatistics:
         Other drivers filter 8-bit textures with other rounding errors, which differ from channel to
         channel of a coloured texture.
         """
-        if self.scale is STEPS or self.changed.sum() < _FEW:
+        if self.scale is SRGB8 or self.changed.sum() < _FEW:
             return False
         pixels = self.sums.pixels[0][self.changed]
         noise, own = np.median(self.sums.texture[::3, self.changed] / pixels, axis=1)
@@ -369,7 +371,7 @@ class BlockStatistics:
     def gain(self) -> float:
         """Brightness that the changed blocks gained: fraction of the reference, or 8-bit levels."""
         change, across, down, level = self.sums.channels[:, :, self.changed].sum(axis=(0, 2))
-        if self.scale is STEPS:
+        if self.scale is SRGB8:
             level = len(self.sums.channels) * self._weight[self.changed].sum()
         return float(self._settled(change, across, down) / max(level, 1e-12))
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, block_sums, cell_sums, common_squares, detail_of
-from facerender.comparison.neighbourhoods import FULL, Float, Mask, filtered, shrunk
+from facerender.comparison.neighbourhoods import FULL, MARGIN, Float, Mask, filtered, shrunk
 from facerender.comparison.sources import HIGHEST_HALF
 from facerender.images.image import ImageData
 from facerender.images.srgb import srgb_to_linear
@@ -38,7 +38,6 @@ _ROWS = 128  # height of a strip
 _PIXELS = 1 << 20  # of larger images, evenly spaced strips with this number of pixels are used
 _DARK = 0.1  # smallest radiance that changes are divided by
 _BRIGHT = 2.0  # larger radiance counts as this
-_MARGIN = 2  # width in pixels of the coverage's border, which is ignored
 _STEEP = 0.5  # smallest range of 3 x 3 pixels at an edge, as a fraction of their maximum
 _WINDOW = 8  # width and height in cells of the areas whose displacement is fitted
 
@@ -91,7 +90,7 @@ class Change:
     def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
         (x, alpha_x), (y, alpha_y) = a.rows(rows), b.rows(rows)
         x, y = (each.clip(np.float32(-HIGHEST_HALF), np.float32(HIGHEST_HALF)) for each in (x, y))
-        inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), _MARGIN)
+        inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), MARGIN)
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
         of_value = y - x

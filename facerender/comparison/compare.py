@@ -24,12 +24,18 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison import neighbourhoods as nearby
-from facerender.comparison.blocks import BLOCK, LINEAR, STEPS, BlockStatistics, BlockSums
+from facerender.comparison.blocks import BLOCK, SCALES, BlockStatistics, BlockSums
 from facerender.comparison.neighbourhoods import (
+    EDGE,
     FULL,
+    MARGIN,
+    ROUGH,
+    SLIVER,
+    SLIVERS,
+    SMOOTH,
     Float,
     Mask,
+    difference,
     excess,
     explained,
     filtered,
@@ -41,7 +47,7 @@ from facerender.comparison.result import LIMITS, Comparison, Limits
 from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite, size_of
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError, shown, warn
+from facerender.errors import InputError, check_known, warn
 from facerender.images.decode import MAX_BYTES
 from facerender.images.image import Encoding, ImageData, PixelRange
 from facerender.images.read import SUFFIXES
@@ -49,7 +55,6 @@ from facerender.system.files import check_file
 
 Driver = Literal["auto", "same", "other"]
 
-MARGIN = 2  # width in pixels of the coverage's border, which blocks ignore
 FADED = 0.2  # smallest change of a pixel's coverage that counts
 _STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
@@ -90,13 +95,12 @@ def compare(
     InputError : a file cannot be read; sizes, channels, encodings or colour spaces differ; a pixel
         is not finite; the mask has another size or is 0 everywhere; a limit or driver is invalid
     """
-    if not (isinstance(driver, str) and driver in get_args(Driver)):
-        raise InputError(f"unknown driver {shown(driver)}; known: {', '.join(get_args(Driver))}")
+    check_known("driver", driver, get_args(Driver))
     a, b = as_image(reference, "A"), as_image(image, "B")
     check_alike(a, b)
     check_finite(a)
     check_finite(b)
-    if jpegs := [each.name for each in (a, b) if each.jpeg]:
+    if jpegs := [data.name for data in (a, b) if data.jpeg]:
         warn(f"{' and '.join(jpegs)}: the losses of JPEG count as differences; save as PNG")
     counts = None if mask is None else _counting(mask, a)
     overrides = {"point": point, "block": block, "trend": trend, "grain": grain}
@@ -106,7 +110,7 @@ def compare(
     strip = _Strip.of_all(a, b, counts, limits)
     statistics = BlockStatistics(
         sums=strip.sums,
-        scale=LINEAR if a.encoding == "linear" else STEPS,
+        scale=SCALES[a.encoding],
         foreign=_foreign(driver, (a, b)),
         moved=limits.shift,
         allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
@@ -228,7 +232,7 @@ def _result(
         foreign=statistics.foreign,
         point=strip.excess,
         point_at=strip.at,
-        points=int(np.count_nonzero(np.abs(strip.over) > 1)),
+        points=int(np.count_nonzero(np.abs(strip.over) > SLIVER)),
         slight=int(np.count_nonzero(strip.over)),
         holes=strip.holes,
         block=float(blocks[down, across]),
@@ -299,42 +303,43 @@ class _Strip:
     ) -> _Strip:
         """Return the metrics of ``rows``; ``counts`` is the mask of the whole images."""
         around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
-        own = slice(rows.start - around.start, rows.stop - around.start)
+        inner = slice(rows.start - around.start, rows.stop - around.start)
         (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
         relative = a.encoding == "linear"
         counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[around]
         full = (alpha_a >= FULL) & (alpha_b >= FULL)
-        whole = bool(full.all())
-        covered = None if whole else full
-        found = excess(color_a, color_b, covered, limits.point, relative)
+        all_full = bool(full.all())
+        covered = None if all_full else full
+        differences = excess(color_a, color_b, covered, limits.point, relative)
         black = holes(color_a, color_b, covered, relative)
-        if not whole:
+        if not all_full:
             black |= gaps(alpha_a, alpha_b)
         unexplained = uncovered = counted
         if a.shift_range is not None:
             moved = PixelRange(*(end[around] for end in a.shift_range))
             colors, coverage = explained(moved, color_b, alpha_b, limits.point)
             unexplained, uncovered = counted & ~colors, counted & ~coverage
-        value = np.where(unexplained, found.value, np.float32(0.0))[own]
-        slack = found.slack[own]
+        value = np.where(unexplained, differences.value, np.float32(0.0))[inner]
+        slack = differences.slack[inner]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
-        sliver = nearby.LINEAR if relative else nearby.STEPS
-        place = 2.0 + (slack > 0.25 * sliver.rough) + (slack >= np.float32(sliver.edge))
-        over = np.where(beyond > limits.point, place, np.abs(value) > limits.point)
-        over *= np.sign(value)
+        sliver = SLIVERS[a.encoding]
+        # The first condition that holds gives the class of a pixel.
+        conditions = [np.abs(value) <= limits.point, beyond <= limits.point]
+        conditions += [slack >= np.float32(sliver.edge), slack > 0.25 * sliver.rough]
+        classes = np.sign(value) * np.select(conditions, [0, SLIVER, EDGE, ROUGH], SMOOTH)
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
         worst = max(beyond[row, column], 0.0)
         worst = abs(value[row, column]) if worst > limits.point else worst
-        inside = shrunk(full & counted, 0 if whole and counts is None else MARGIN)
-        faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
-        apart = nearby.difference(color_a[own], color_b[own])[counted[own]]
+        inside = shrunk(full & counted, 0 if all_full and counts is None else MARGIN)
+        faded = 0 if all_full else _faded(alpha_a, alpha_b, uncovered, inner)
+        apart = difference(color_a[inner], color_b[inner])[counted[inner]]
         return cls(
-            BlockSums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
-            over.astype(np.int8),
+            BlockSums.of(color_a, color_b, inside, inner, SCALES[a.encoding]),
+            classes.astype(np.int8),
             float(beyond[row, column]),
             float(np.copysign(worst, value[row, column])),
             (int(column), rows.start + int(row)),
-            int((black & unexplained)[own].sum()),
+            int((black & unexplained)[inner].sum()),
             faded,
             float(apart.max(initial=0.0)),
             float(apart.sum(dtype=np.float64)),

@@ -118,8 +118,8 @@ def check(
     """
     image = _linear_rgb(source, metadata or {})
     renderer = image.metadata.get("GL_RENDERER", "")
-    own = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
-    golden = own if os.path.isfile(own) else golden
+    of_renderer = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
+    golden = of_renderer if os.path.isfile(of_renderer) else golden
     exists = os.path.isfile(golden)  # checked before reading: another process may write the file
     pair = Pair.of(name, golden, image, **options)
     if pair.status == 0:
@@ -139,7 +139,7 @@ def check(
     if not failure and exists:
         recorded = pair.reference.metadata.get("GL_RENDERER", "") if pair.reference else None
         if recorded != renderer and updates.alternative and renderer:
-            place = own
+            place = of_renderer
         if recorded != renderer and place == golden and not updates.force:
             failure = _of_another(golden.name, recorded, renderer)
     if not failure and place in written:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.images.image import PixelRange
+from facerender.images.image import Encoding, PixelRange
 
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -27,6 +27,7 @@ _CONTRAST = 0.5  # a range is widened by this fraction of the range of 5 x 5 pix
 _RELATIVE = 0.01  # a range is widened by this fraction of the level
 COVERED = 0.5  # smallest coverage of a covered pixel
 FULL = 0.99  # least coverage of a pixel inside the mesh: half floats and filters do not reach 1
+MARGIN = 2  # width in pixels of the coverage's border, which statistics of areas ignore
 _ALPHA = 0.01  # amount by which coverage may leave the range that a golden stores
 _STEP = 0.2  # smallest range of 5 x 5 pixels at an edge, as a fraction of their maximum
 
@@ -46,8 +47,10 @@ class Slack:
     edge: float
 
 
-LINEAR = Slack(0.1, 0.28)
-STEPS = Slack(52.0, 53.0)
+SLIVERS: dict[Encoding, Slack] = {"linear": Slack(0.1, 0.28), "srgb8": Slack(52.0, 53.0)}
+# Classes of the pixels that exceed the point limit: a possible sliver; others in a smooth area, in
+# texture, and at an edge.
+SLIVER, SMOOTH, ROUGH, EDGE = 1, 2, 3, 4
 
 
 class Excess(NamedTuple):
@@ -217,8 +220,8 @@ def _range(
     allowed = np.float32(_CONTRAST) * span
     if relative:
         allowed += np.float32(_RELATIVE) * np.abs(top)
-    scale = LINEAR if relative else STEPS
+    slack = SLIVERS["linear" if relative else "srgb8"]
     steepness = span / np.maximum(np.abs(top), np.float32(1e-6))
-    sliver = np.float32(scale.rough) * np.minimum(steepness / np.float32(0.5 * _STEP), 1.0)
-    sliver[steepness >= _STEP] = scale.edge
+    sliver = np.float32(slack.rough) * np.minimum(steepness / np.float32(0.5 * _STEP), 1.0)
+    sliver[steepness >= _STEP] = slack.edge
     return low, high, allowed, sliver

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, BlockStatistics, block_sums, cell_sums
 from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
-from facerender.comparison.neighbourhoods import Mask, filtered
+from facerender.comparison.neighbourhoods import EDGE, ROUGH, SLIVER, SMOOTH, Mask, filtered
 from facerender.comparison.result import BLUR, Comparison
 from facerender.images.image import ImageData
 
-# Largest unexplained difference of a single pixel: in a smooth area, in texture, at an edge.
-_LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
+# Largest unexplained difference of a single pixel, keyed by the class of the pixel.
+_LONE = {
+    "linear": {SMOOTH: 0.0, ROUGH: 0.1, EDGE: 0.5},
+    "srgb8": {SMOOTH: 0.0, ROUGH: 53.0, EDGE: 90.0},
+}
 _WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
 _BRIGHTER = 5e-5  # smallest gain that is reported
 _SHIFTED = 0.01  # smallest shift that is reported, in pixels
@@ -33,8 +36,8 @@ def reasons_of(
 ) -> tuple[str, ...]:
     """Return the reasons of a difference, with likely causes.
 
-    over : (H, W), class of each pixel that exceeds the point limit: 1 a possible sliver, 2 in a
-        smooth area, 3 in texture, 4 at an edge; negative if the pixel is too dark. Other pixels: 0
+    over : (H, W), class of each pixel that exceeds the point limit: SLIVER, SMOOTH, ROUGH or EDGE,
+        negative if the pixel is too dark. Other pixels: 0
     images : reference and image, whose pixels and metadata reveal the cause
     """
     wrong = _wrong(result, over)
@@ -48,16 +51,16 @@ def reasons_of(
     rows = strips(height, width, result.point_at[1], result.block_at[1])
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
-    reasons = [f"{each}: looks like {cause}{_estimate(result, cause)}" for each in blocks]
-    reasons += [f"{each}: looks like {cause}" for each in others]
+    reasons = [f"{block}: looks like {cause}{_estimate(result, cause)}" for block in blocks]
+    reasons += [f"{other}: looks like {cause}" for other in others]
     if wrong.any():
-        seen = np.concatenate([wrong[each] for each in rows])
+        seen = np.concatenate([wrong[strip] for strip in rows])
         most = change.share(seen) > 0.5
         fault = _fault(result, over, wrong) if most or _lonely(change, seen) else ""
         if fault == "false highlights" and cause in (LIGHT, EXPOSURE):
             fault = ""
         if fault and blocks and _explained(result, wrong, statistics):
-            reasons = [f"{each}: looks like {fault}{_estimate(result, fault)}" for each in blocks]
+            reasons = [f"{block}: looks like {fault}{_estimate(result, fault)}" for block in blocks]
         text = f"{_pixels(result, over[wrong])}: looks like {fault or cause}"
         reasons.insert(0 if most else len(reasons), text)
     elif holes:
@@ -99,16 +102,16 @@ def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
     """
     place = np.abs(over)
     if result.points > 1:
-        return place > 1
-    if result.points and abs(result.point) > _LONE[result.encoding][int(place.max()) - 2]:
-        return place > 1
+        return place > SLIVER
+    if result.points and abs(result.point) > _LONE[result.encoding][int(place.max())]:
+        return place > SLIVER
     return (place > 0) & (result.slight > result.sliver_limit)
 
 
 def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     """Describe the wrong pixels; ``over`` has their classes, see :func:`reasons_of`."""
     pixels = f"{len(over)} pixel{' differs' if len(over) == 1 else 's differ'}"
-    if (np.abs(over) == 1).any():
+    if (np.abs(over) == SLIVER).any():
         return f"{pixels} like slivers at edges, limit {result.sliver_limit:.0f}"
     point = abs(result.point)
     by = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
@@ -180,7 +183,7 @@ def _lonely(change: Change, wrong: Mask) -> bool:
 
 def _at_edge(over: NDArray[np.int8]) -> bool:
     """Return whether most pixels lie at edges; ``over`` has their classes."""
-    return bool((np.abs(over) == 4).mean() > 0.5)
+    return bool((np.abs(over) == EDGE).mean() > 0.5)
 
 
 def _estimate(result: Comparison, cause: str) -> str:

@@ -22,7 +22,7 @@ from facerender.drawing.gl_state import (
     egl_in_use,
     save_state,
 )
-from facerender.errors import ContextError, InputError, shown
+from facerender.errors import ContextError, check_known
 from facerender.system import IMPORTER
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
@@ -358,8 +358,7 @@ def create_context(backend: Backend = "auto") -> Context:
     InputError : an unknown backend
     ContextError : no backend works; the message lists each backend's error, and a remedy
     """
-    if str(backend) not in BACKENDS:
-        raise InputError(f"unknown backend {shown(backend)}; known: {', '.join(BACKENDS)}")
+    check_known("backend", backend, BACKENDS)
     tried = AUTO if backend == "auto" else (backend,)
     host = current_context()
     errors = []

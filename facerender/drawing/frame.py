@@ -15,7 +15,7 @@ from facerender.images.exr import exr_bytes, save_exr
 from facerender.images.sheet import arranged
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
-from facerender.scenes.scene import ONLY, Only, Scene
+from facerender.scenes.scene import Only, Scene, check_only
 from facerender.scenes.vectors import unit
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes
@@ -24,7 +24,7 @@ from facerender.terms.ranges import EXPOSURES
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FORMATS: tuple[Format, ...] = get_args(Format)
+IMAGE_FORMATS: tuple[Format, ...] = get_args(Format)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,8 +65,7 @@ class Frame:
     def __post_init__(self) -> None:
         if not isinstance(self.linear, np.ndarray) or self.linear.ndim != 3:
             raise InputError(f"linear = {shown(self.linear)}: give an array (H, W, 4)")
-        if self.only is not None and str(self.only) not in ONLY:
-            raise InputError(f"unknown term {shown(self.only)}; known: {', '.join(ONLY)}")
+        check_only(self.only)
         check_switch("transparent", self.transparent)
         check_type("metadata", self.metadata, Mapping, "a mapping of strings")
 
@@ -122,8 +121,8 @@ class Frame:
         InputError : the suffix is unknown, the path cannot be written, the Python package for EXR
             is missing, or a JPEG would be transparent
         """
-        if format is not None and not (isinstance(format, str) and format in FORMATS):
-            raise InputError(f"format = {shown(format)}: give {', '.join(FORMATS)}")
+        if format is not None and not (isinstance(format, str) and format in IMAGE_FORMATS):
+            raise InputError(f"format = {shown(format)}: give {', '.join(IMAGE_FORMATS)}")
         EXPOSURES.check("exposure", exposure)
         if not isinstance(path, str | os.PathLike):
             if not callable(getattr(path, "write", None)):

@@ -222,8 +222,9 @@ _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 # (texture target, query of the bound texture) for 2D textures and 2D multisample textures.
 _TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))
 _SAMPLER_BINDING = 0x8919
-# Number of texture units for drawing: maps, triangle setup, passes, shadow maps, environment.
-_UNITS = 12
+# Texture units that every driver has for a fragment shader. Drawing uses up to 14: maps, triangle
+# table, passes, shadow maps, environment.
+_UNITS = 16
 
 
 def save_state(load: Callable[[str], int]) -> Callable[[], None]:

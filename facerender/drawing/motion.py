@@ -21,7 +21,9 @@ from facerender.scenes.view import View
 
 Float = NDArray[np.float64]
 
-_IN_ROW = 4096  # triangles per unit of the second channel that depth.frag writes
+# Triangles per unit of the second channel that depth.frag writes: float32 does not represent all
+# indices above 2^24.
+_INDEX_BASE = 4096
 # Displacements are rounded to 1e-6 pixels, because two poses of one mesh may use renderer's spaces
 # of different radius. Rounding errors of float64 then leave static points at 0.
 _DIGITS = 6
@@ -80,7 +82,7 @@ def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     for number, (part, material) in enumerate(parts, 1):
         features = mask_features(surface_features(part, material, shading))
-        program = Program("depth.frag", features=(*features, "TRIANGLE"))
+        program = Program("depth.frag", features=(*features, f"TRIANGLE {_INDEX_BASE}"))
         uniforms, order = {**part_uniforms(part, material), "part": number}, None
         if material.double_sided is False:
             order = triangle_setup_of(part, scene.mesh).facing(view.position)
@@ -119,7 +121,7 @@ def motion_vectors(
         pixels = shown[owners == number]
         if not len(pixels):
             continue
-        index = (seen[pixels, 1] * _IN_ROW + seen[pixels, 2]).astype(np.int64)
+        index = (seen[pixels, 1] * _INDEX_BASE + seen[pixels, 2]).astype(np.int64)
         index = index if draw.order is None else draw.order[index]
         own, other = (each.mesh.parts[number - 1] for each in (scene, before))
         visible, index = _unique(index, len(own.faces))

@@ -67,12 +67,12 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
 
 def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh]) -> Scene:
     """Return a scene with a changed mesh, from a cache keyed by the original mesh and `key`."""
-    known = _simplified.setdefault(scene.mesh, {})
-    if key not in known:
-        if len(known) >= _MOST_SIMPLIFIED:
-            del known[next(iter(known))]
-        known[key] = change(scene.mesh)
-    return replace(scene, mesh=known[key])
+    variants = _simplified.setdefault(scene.mesh, {})
+    if (mesh := variants.get(key)) is None:
+        if len(variants) >= _MOST_SIMPLIFIED:
+            variants.pop(next(iter(variants)), None)  # another thread may have removed it
+        mesh = variants[key] = change(scene.mesh)
+    return replace(scene, mesh=mesh)
 
 
 def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:

@@ -115,12 +115,10 @@ def scattered(
         depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
         light = scatter(
-            *(terms.light, place, number, area, own),
-            scale=scale,
-            unit=found.millimetres,
-            gaussians=gaussians,
+            terms.light, place, number, area, own,
+            scale=scale, unit=found.millimetres, gaussians=gaussians,
             samples=shading.scatter_samples,
-        )
+        )  # fmt: skip
         change[own] = terms.albedo[own] * (light - terms.light[own])
     return change
 

@@ -30,7 +30,7 @@ from facerender.drawing.motion import (
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
-from facerender.drawing.passes.surface import surface_pass
+from facerender.drawing.passes.surface import surface_images, surface_pass
 from facerender.drawing.passes.transparency import (
     PREVIOUS_LAYER,
     BlendedPart,
@@ -66,6 +66,7 @@ from facerender.scenes.scene import (
     Only,
     Scene,
     ShadingRate,
+    check_only,
     check_shading_rate,
     refuse_keyword,
 )
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
+_GBUFFER_SAMPLES = 4  # the G-buffer needs the memory of an image with this number of samples
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class Renderer:
         _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        # Depth peeling reads the target of the previous layer, which no other thread may overwrite.
+        # Depth peeling reads the target of the previous layer: other threads must not change it.
         self._layer_lock = threading.Lock()
         if memory is not None:
             MEMORY.check("memory", memory)
@@ -260,10 +262,9 @@ class Renderer:
         check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
+        check_only(only)
         if only in DATA:
             return self._data_frame(scene, shading, only)
-        if only not in (None, "specular", "diffuse"):
-            raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         _LIMITS["samples"].check("samples", samples)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(
             simplify(scene, shading), samples
@@ -370,7 +371,7 @@ class Renderer:
         if lens := _lens(scene, self.size):
             drawn = self._of_size(lens.wide).gbuffer(lens.undistorted(scene), shading, blended)
             return lens.nearest(drawn, view)
-        resolved = self._resolved(scene, shading, view, 4)
+        resolved = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
         with self._layer_lock:
             over = [
                 layer
@@ -410,20 +411,21 @@ class Renderer:
         if refraction:
             passes = [*refraction.passes(resolved), *passes]
             passes = with_shadows(resolved, view, self.size, passes)
-        known: dict[str, moderngl.Texture] = {}
+        textures: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             before = self._sized(replace(surface.target, number=1 - surface.target.number))
-            known[PREVIOUS_LAYER] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
-        position, normal, albedo, uv, *others = self._draw(passes, scene, known)
-        two = any(material.two_lobes for material in scene.mesh.materials)
-        shines = any(material.emits for material in scene.mesh.materials)
-        lobes = others.pop(0) if two else None
+            textures[PREVIOUS_LAYER] = self._resources.targets[before].color_attachments[-1]  # type: ignore[assignment]
+        names = surface_images(scene, blended_part is not None)
+        images = dict(zip(names, self._draw(passes, scene, textures), strict=True))
+        position, normal, albedo, uv = (images[name] for name in names[:4])
+        lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if number := len(lighting.shadowed):
             look = light_visibility_pass(resolved, view, visibility, blended_part)
             seen_by = [visibility.drawn(), look] if visibility else [look]
-            images = self._draw(with_shadows(resolved, view, self.size, seen_by), scene, known)
-            seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
+            passes = with_shadows(resolved, view, self.size, seen_by)
+            fractions = self._draw(passes, scene, textures)
+            seen[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -440,11 +442,11 @@ class Renderer:
             second_m=None if lobes is None else lobes[..., 0],
             lobe_weight=None if lobes is None else lobes[..., 1],
             facing=uv[..., 3] if scatters else None,
-            emission=others[0][..., :3] if shines else None,
+            emission=None if emitted is None else emitted[..., :3],
             opacity=uv[..., 3] if blended_part else None,
             transmission=material.transmission if material and material.thin else 0.0,
         )
-        return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
+        return gbuffer, np.empty((0, 0), np.float32) if order is None else order[..., 1]
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
@@ -465,10 +467,12 @@ class Renderer:
         visibility = self._visibility(scene, view, samples, image.shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
         refraction = None if only else _refraction(scene, view, self.size)
-        beside = scattering if samples == 1 else None
-        whole = shade_pass(resolved, view, samples, only, beside, refraction=refraction)
-        shaded = visibility.shaded(whole) if visibility else whole
-        if scattering and not beside:
+        # One sample: the shading pass also draws the inputs of scattering. Several samples may show
+        # different points: another pass draws the inputs at the pixels' centres.
+        inputs = scattering if samples == 1 else None
+        forward = shade_pass(resolved, view, samples, only, inputs, refraction=refraction)
+        shaded = visibility.shaded(forward) if visibility else forward
+        if scattering and not inputs:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
             shaded = replace(shaded, name="image", target=target, draws=draws)
@@ -476,22 +480,22 @@ class Renderer:
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
-            background, area = None, None
-            if beside:
+            background, mesh_area = None, None
+            if inputs:
                 background = scene.background if only is None else None
-                area = visibility.area if visibility else None
-            else:  # samples of a pixel may show different points: scatter at pixel centres
-                one = self._visibility(scene, view, 1)
+                mesh_area = visibility.area if visibility else None
+            else:
+                centres = self._visibility(scene, view, 1)
                 light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
-                passes += [one.drawn(), one.shaded(light)] if one else [light]
-            how = resolved.shading.scatter_samples, background, not beside, area
-            passes.append(scatter_pass(view, scattering, *how))
-        over = blended_area(scene, view, self.size)
-        if (scattering or visibility) and all(over[2:]):
-            if beside:
-                whole = shade_pass(resolved, view, samples, only, refraction=refraction)
+                passes += [centres.drawn(), centres.shaded(light)] if centres else [light]
+            count = resolved.shading.scatter_samples
+            passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
+        blended = blended_area(scene, view, self.size)
+        if (scattering or visibility) and not blended.empty:
+            if inputs:
+                forward = shade_pass(resolved, view, samples, only, refraction=refraction)
             visible = visibility.target if visibility else None
-            passes += with_blended(whole, passes.pop(), over, visible)
+            passes += with_blended(forward, passes.pop(), blended, visible)
         if refraction:
             passes = [*refraction.passes(resolved), *passes]
         return self._draw(with_shadows(resolved, view, self.size, passes), scene)[0]
@@ -523,21 +527,21 @@ class Renderer:
     def _of_size(self, size: tuple[int, int]) -> Renderer:
         """Return a renderer of another size with the same context, geometry, maps and programs. The
         last one is cached; targets of earlier sizes are freed."""
-        if self._resized is None or self._resized.size != size:
+        resized = self._resized
+        if resized is None or resized.size != size:
             resized = copy(self)
             resized.size, resized._resized = size, None
             resized._fitting = weakref.WeakKeyDictionary()
             resized._check_size()
-            with self.context.drawing() as gl:
-                known = self._resources
-                for target in [each for each in known.targets if each.size in self._sizes]:
-                    for made in (known.targets, known.scopes, known.held):
-                        made.pop(target, None)
+            with self._layer_lock, self.context.drawing() as gl:
+                resources = self._resources
+                for target in [each for each in resources.targets if each.size in self._sizes]:
+                    for cache in (resources.targets, resources.scopes, resources.images_held):
+                        cache.pop(target, None)
                 gl.gc()
                 self._sizes.clear()
             self._resized = resized
-            return resized
-        return self._resized
+        return resized
 
     def _sized(self, target: Target) -> Target:
         """Return a target with an explicit size, unless it has the size of the resources."""
@@ -556,15 +560,15 @@ class Renderer:
 
         known : further textures that the passes may read, keyed by uniform name
         """
-        drawn = dict(known)
+        textures = dict(known)
         with self.context.drawing() as gl:
             self._resources.settle()
             if scene.environment is not None:
-                drawn[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
+                textures[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
                 if (own := self._sized(step.target)) is not step.target:
                     step = replace(step, target=own)
-                target = self._resources.draw(step, scene.mesh, drawn)
+                target = self._resources.draw(step, scene.mesh, textures)
                 kind = step.target
                 if kind.samples > 1 and kind.values == "color" and kind.resolved:
                     single = self._resources.target(replace(step.target, samples=1))
@@ -572,7 +576,7 @@ class Renderer:
                     target = single
                 if step.target.sampled:
                     names = (step.name, *step.others)
-                    drawn |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
+                    textures |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
             return [read(target, index) for index in range(step.target.colors)]
 
 
@@ -691,7 +695,7 @@ def render(
     """
     for name in unknown:
         refuse_keyword(render, name, {"fr.Renderer({}=...)": Renderer})
-    shading = Shading(model, lobe, fresnel, outside, masking)
+    shading = Shading(model, lobe, fresnel, masking=masking, outside=outside)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
         loaded = loaded.with_skin(m=m)

@@ -231,19 +231,19 @@ class Resources:
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
-        self._drawn: set[Program] = set()  # programs of the last frame
+        self._frame_programs: set[Program] = set()  # programs of the last frame
         self.targets: dict[Target, moderngl.Framebuffer] = {}
         # moderngl 5.13 does not free a scope completely, so each target reuses one scope.
         self.scopes: dict[Target, moderngl.Scope] = {}
-        self.held: dict[Target, Hashable] = {}  # Pass.key of the image in each target
-        self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
+        self.images_held: dict[Target, Hashable] = {}  # Pass.key of the image in each target
+        self.screen_arrays: dict[moderngl.Program, moderngl.VertexArray] = {}
         self._settled = True
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
         textures = (self.panoramas, self.selected, self.textures)
-        others = (self.geometries, self.programs, self.targets, self.scopes, self.screens)
-        for made in (*textures, *others, self.held):
+        others = (self.geometries, self.programs, self.targets, self.scopes, self.screen_arrays)
+        for made in (*textures, *others, self.images_held):
             made.clear()
         self.context.gl.gc()
 
@@ -254,13 +254,13 @@ class Resources:
         head). After a frame that created GPU objects, this memory is released, and so are the
         pages of mip chains in mapped files. The context must be current.
         """
-        unused = [source for source in self.programs if source not in self._drawn]
+        unused = [source for source in self.programs if source not in self._frame_programs]
         for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
             program = self.programs.pop(source)
-            self.screens.pop(program, None)
+            self.screen_arrays.pop(program, None)
             for geometry in self.geometries.values():
                 geometry.forget(program)
-        self._drawn.clear()
+        self._frame_programs.clear()
         if not self._settled:
             for texture, uploaded in self.textures.items():
                 for kind in uploaded if not texture.coarse else ():
@@ -269,13 +269,13 @@ class Resources:
         self._settled = True
 
     def draw(
-        self, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
+        self, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
     ) -> moderngl.Framebuffer:
         """Draw a pass into its target, and return the target.
 
         Parameters
         ----------
-        drawn : textures of the scene, keyed by uniform name, such as the images of earlier passes
+        textures : keyed by uniform name, such as the images of earlier passes
 
         Raises
         ------
@@ -283,9 +283,9 @@ class Resources:
         ContextError : the driver refuses a target or a program
         """
         target = self.target(step.target, step.area)
-        held = self.held.pop(step.target, None)
-        if step.key is not None and held == step.key:
-            self.held[step.target] = held
+        key = self.images_held.pop(step.target, None)
+        if step.key is not None and key == step.key:
+            self.images_held[step.target] = key
             return target
         for draw in step.draws:
             if draw.depth == "marked" and draw.part is not None:
@@ -299,8 +299,8 @@ class Resources:
                 self._switch(step, draw)
                 features = draw.program.features
                 with self._to_coverage(any(name.startswith("TO_COVERAGE") for name in features)):
-                    self._draw(draw, step, mesh, drawn)
-        self.held[step.target] = step.key
+                    self._draw(draw, step, mesh, textures)
+        self.images_held[step.target] = step.key
         return target
 
     def _prepare(self, target: moderngl.Framebuffer, step: Pass, draw: Draw | None = None) -> None:
@@ -334,11 +334,11 @@ class Resources:
                 gl.disable_direct(each)
 
     def _draw(
-        self, draw: Draw, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
+        self, draw: Draw, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
     ) -> None:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
-        self.bind(program, draw, drawn)
+        self.bind(program, draw, textures)
         gl, part, faces = self.context.gl, draw.part, None
         if part is None or draw.depth == "marked":
             self._screen(program).render(vertices=3)
@@ -348,11 +348,11 @@ class Resources:
         self.geometry(part, mesh).draw(gl, program, faces)
 
     def bind(
-        self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
+        self, program: moderngl.Program, draw: Draw, textures: Mapping[str, moderngl.Texture]
     ) -> None:
         """Bind the material's maps, the triangle table and the scene's textures to the uniforms of
         a program."""
-        textures = dict(drawn)
+        textures = dict(textures)
         if draw.part is not None and draw.material is not None:
             filtered = "SLOPE_FILTER" in draw.program.features
             maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
@@ -445,7 +445,7 @@ class Resources:
     def program(self, source: Program) -> moderngl.Program:
         """Return the compiled program from the cache, or compile it. The cache is limited by
         :meth:`settle`."""
-        self._drawn.add(source)
+        self._frame_programs.add(source)
         if source in self.programs:
             self.programs[source] = self.programs.pop(source)
         else:
@@ -500,9 +500,9 @@ class Resources:
 
     def _screen(self, program: moderngl.Program) -> moderngl.VertexArray:
         """Return the vertex array of a program that draws one triangle over the target."""
-        if program not in self.screens:
-            self.screens[program] = self.context.gl.vertex_array(program, [])
-        return self.screens[program]
+        if program not in self.screen_arrays:
+            self.screen_arrays[program] = self.context.gl.vertex_array(program, [])
+        return self.screen_arrays[program]
 
     def _selected(self, part: Part, order: NDArray[np.int64]) -> moderngl.Texture:
         """Return a texture of triangle indices, IN_ROW in a row."""
@@ -530,9 +530,9 @@ class Resources:
         All mip levels come from texture.py: moderngl's build_mipmaps takes 65 ms for 2048 x 2048
         texels on a software driver.
         """
-        known = self.textures.setdefault(source, {})
-        if kind in known:
-            return known[kind]
+        uploaded = self.textures.setdefault(source, {})
+        if kind in uploaded:
+            return uploaded[kind]
         self._settled = False
         levels = source.levels(kind).result()
         if source.coarse:
@@ -569,7 +569,7 @@ class Resources:
         change = self.context.function("glTexParameteri", *[ctypes.c_uint] * 2, ctypes.c_int)
         for axis, wrap in zip(_WRAP_AXES, source.wrap, strict=True):
             change(_TEXTURE_2D, axis, _WRAPS[wrap])
-        known[kind] = texture
+        uploaded[kind] = texture
         if source.coarse:
             del levels
             source.forget()

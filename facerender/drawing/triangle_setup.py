@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,7 +18,22 @@ from facerender.scenes.view import View
 _EDGE_ON = 0.01  # sine of the angle between view ray and triangle
 
 Floats = NDArray[np.floating[Any]]
-Area = tuple[int, int, int, int]
+
+
+class Area(NamedTuple):
+    """A rectangle of an image: left column, lowest row, width and height in pixels."""
+
+    left: int
+    low: int
+    width: int
+    height: int
+
+    @property
+    def empty(self) -> bool:
+        return not (self.width and self.height)
+
+
+NO_AREA = Area(0, 0, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,26 +89,25 @@ class TriangleSetup:
         return np.flatnonzero(np.append(camera, 1.0).astype(np.float32) @ self.planes > -edge_on)
 
     def area(self, view: View, size: tuple[int, int]) -> Area:
-        """Return the bounds of the part in an image: left column, lowest row, width and height in
-        pixels. If width or height is 0, the part is outside the image.
+        """Return the bounds of the part in an image; empty if the part is outside the image.
 
         size : width and height of the image
         """
         clip = self.bounds @ view.matrix
         if clip[:, 3].min() <= 0.0:
-            return (0, 0, *size)
+            return Area(0, 0, *size)
         at = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
         start = np.clip(np.floor(at.min(axis=0)), 0, size).astype(int)
         end = np.clip(np.ceil(at.max(axis=0)), 0, size).astype(int)
-        return (*start.tolist(), *(end - start).tolist())
+        return Area(*start.tolist(), *(end - start).tolist())
 
 
 def around(areas: Sequence[Area]) -> Area:
     """Return the bounds of several areas. Empty areas are ignored."""
-    seen = [area for area in areas if all(area[2:])] or [(0, 0, 0, 0)]
-    left, low = min(area[0] for area in seen), min(area[1] for area in seen)
-    right, high = max(area[0] + area[2] for area in seen), max(area[1] + area[3] for area in seen)
-    return left, low, right - left, high - low
+    seen = [area for area in areas if not area.empty] or [NO_AREA]
+    left, low = min(area.left for area in seen), min(area.low for area in seen)
+    right = max(area.left + area.width for area in seen)
+    return Area(left, low, right - left, max(area.low + area.height for area in seen) - low)
 
 
 _made: WeakKeyDictionary[Part, TriangleSetup] = WeakKeyDictionary()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facerender import __version__
-from facerender.errors import InputError, check_type
+from facerender.errors import InputError, check_known, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Includes
 from facerender.glsl.preprocessor import Preprocessor
@@ -113,8 +113,8 @@ def _flat(
     lobe: AnyLobe | None,
     m: float | None,
 ) -> str:
-    if target is not None and str(target) not in (*TARGETS, *LANGUAGES):
-        raise InputError(f"unknown target {target!r}; known: {', '.join((*TARGETS, *LANGUAGES))}")
+    if target is not None:
+        check_known("target", target, (*TARGETS, *LANGUAGES))
     check_type("name", name, str, "the name of a library file or function, or a path, as a string")
     path = _path(name)
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}

@@ -147,24 +147,11 @@ def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, s
     return {**scalars, **vectors, **matrices, **squares}
 
 
-class Hlsl(Writer):
-    """HLSL. A column of a GLSL matrix becomes a row of the HLSL matrix, so that [i] and
-    constructors have the same meaning as in GLSL. Therefore matrix products reverse the order of
-    their operands."""
+class _CLike(Writer):
+    """A language with C's syntax; `constant` is the qualifier of its global constants."""
 
     types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
-    functions: ClassVar[Mapping[str, str]] = {
-        "mix": "lerp",
-        "fract": "frac",
-        "inversesqrt": "rsqrt",
-        "dFdx": "ddx",
-        "dFdy": "ddy",
-    }
-
-    constant = "static const"
-
-    def splat(self, type_: str, text: str) -> str:
-        return f"(({self.types[type_]})({text}))"
+    constant: ClassVar[str]
 
     def write_constants(self, node: Node) -> str:
         word, *parts = map(self.text, node.parts)
@@ -177,6 +164,30 @@ class Hlsl(Writer):
             return _before(node) + self.splat(node.name, self.bare(arguments[0]))
         return "".join(map(self.text, node.parts))
 
+    def write_function(self, node: Node) -> str:
+        self._function = node.name
+        text = "".join(map(self.text, node.parts))
+        self._function = ""
+        return text
+
+
+class Hlsl(_CLike):
+    """HLSL. A column of a GLSL matrix becomes a row of the HLSL matrix, so that [i] and
+    constructors have the same meaning as in GLSL. Therefore matrix products reverse the order of
+    their operands."""
+
+    constant = "static const"
+    functions: ClassVar[Mapping[str, str]] = {
+        "mix": "lerp",
+        "fract": "frac",
+        "inversesqrt": "rsqrt",
+        "dFdx": "ddx",
+        "dFdy": "ddy",
+    }
+
+    def splat(self, type_: str, text: str) -> str:
+        return f"(({self.types[type_]})({text}))"
+
     def write_binary(self, node: Node) -> str:
         left, sign, right = node.parts
         types = [each.type for each in (left, right) if isinstance(each, Node)]
@@ -186,14 +197,8 @@ class Hlsl(Writer):
             return f"{_before(node)}mul({self.bare(right)}, {self.bare(left)})"
         return super().write_binary(node)
 
-    def write_function(self, node: Node) -> str:
-        self._function = node.name
-        text = "".join(map(self.text, node.parts))
-        self._function = ""
-        return text
 
-
-class Msl(Hlsl):
+class Msl(_CLike):
     constant = "constant"
     head = "#include <metal_stdlib>\nusing namespace metal;\n\n"
     functions: ClassVar[Mapping[str, str]] = {
@@ -201,12 +206,6 @@ class Msl(Hlsl):
         "dFdx": "dfdx",
         "dFdy": "dfdy",
     }
-
-    def splat(self, type_: str, text: str) -> str:
-        return f"{self.types[type_]}({text})"
-
-    def write_binary(self, node: Node) -> str:
-        return Writer.write_binary(self, node)
 
     def write_in(self, node: Node) -> str:
         return f"{_before(node)}{self.types[node.type]} {self.word(node.name)}"

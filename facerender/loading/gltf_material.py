@@ -25,7 +25,7 @@ from facerender.loading.materials import (
 from facerender.loading.references import inline
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
-from facerender.scenes.vectors import HIGHEST
+from facerender.scenes.vectors import MOST_RADIANCE
 from facerender.terms.ranges import range_of
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class Materials:
             ks=self._factor("specular", specular.get("specularFactor", 1.0)),
             alpha=alpha,
             opacity=opacity if alpha != "opaque" else 1.0,
-            alpha_cutoff=self._factor("alphaCutoff", source.get("alphaCutoff", 0.5), HIGHEST),
+            alpha_cutoff=self._factor("alphaCutoff", source.get("alphaCutoff", 0.5), MOST_RADIANCE),
             emissive=emissive,
             double_sided=source.get("doubleSided", False),
             normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
@@ -186,7 +186,7 @@ class Materials:
 
     def _emissive(self, source: Doc, extensions: Doc) -> tuple[float, float, float]:
         own = extensions.get("KHR_materials_emissive_strength", {})
-        strength = self._factor("emissiveStrength", own.get("emissiveStrength", 1.0), HIGHEST)
+        strength = self._factor("emissiveStrength", own.get("emissiveStrength", 1.0), MOST_RADIANCE)
         factor = source.get("emissiveFactor", (0.0, 0.0, 0.0))
         red, green, blue = (strength * self._factor("emissive", each) for each in factor)
         return red, green, blue
@@ -204,7 +204,7 @@ class Materials:
         tint = specular.get("specularColorFactor", (1.0, 1.0, 1.0))
         if "specularColorTexture" in specular or max(tint) - min(tint) > 0.01 * max(tint):
             self.warn(f"{self.name} has a specular colour (KHR_materials_specular): drawn grey")
-        grey = self._factor("specularColor", sum(tint) / 3.0, HIGHEST)
+        grey = self._factor("specularColor", sum(tint) / 3.0, MOST_RADIANCE)
         return min(f0 * grey, 0.999)
 
     def _transmission(self, extensions: Doc, metallic: Doc) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from facerender.errors import InputError, clipped, warn
 from facerender.images.decode import TooLarge, open_image
 from facerender.loading.references import References
 from facerender.scenes.material import Material
-from facerender.scenes.texture import FORMATS
+from facerender.scenes.texture import DECODERS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -59,7 +59,7 @@ def image_of(content: bytes) -> Image:
     ValueError : the format is not supported, or the image is damaged
     """
     try:
-        return open_image(content, "it", FORMATS, "PNG, JPEG, TIFF or WebP")
+        return open_image(content, "it", DECODERS, "PNG, JPEG, TIFF or WebP")
     except TooLarge:
         raise
     except InputError as error:

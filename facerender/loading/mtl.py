@@ -19,7 +19,7 @@ from facerender.loading.references import UDIM, References, text_of
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture, with_green_turned
-from facerender.scenes.vectors import HIGHEST, Vector
+from facerender.scenes.vectors import MOST_RADIANCE, Vector
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
 if TYPE_CHECKING:
@@ -342,9 +342,9 @@ class Library:
         if not found:
             return None
         three = found[:3] if len(found) >= 3 else found[:1] * 3
-        most = HIGHEST if key == "ke" else 1.0
+        most = MOST_RADIANCE if key == "ke" else 1.0
         red, green, blue = (self._within(key, each, 0.0, most) for each in three)
-        linear = np.minimum(srgb_to_linear(np.array([red, green, blue])), HIGHEST)
+        linear = np.minimum(srgb_to_linear(np.array([red, green, blue])), MOST_RADIANCE)
         return float(linear[0]), float(linear[1]), float(linear[2])
 
     def _opacity(self, statements: Mapping[str, str], has_map: bool) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
 from facerender.loading.materials import image_of, missing_image, unreadable
 from facerender.loading.obj import has_relative, number_vertices, with_absolute, with_parts
-from facerender.loading.references import References, text_of
+from facerender.loading.references import TEXTURE_FILE, References, text_of
 from facerender.loading.source import GLTF, Source, check_format
 from facerender.scenes.repair import Piece, check_count
 from facerender.scenes.texture import Texture
@@ -41,7 +41,6 @@ _LINES = re.compile(
     r"ply|format (?:ascii|binary_little_endian|binary_big_endian) \S+|(?:comment|obj_info)\b.*|"
     rf"element \S+ \d{{1,18}}|property (?:{_TYPE}) \S+|property list (?:{_TYPE}) (?:{_TYPE}) \S+"
 )
-_TEXTURE = re.compile(r"comment\s+texturefile\s+(.*\S)", re.I)
 _INDICES = ("vertex_index", "vertex_indices")
 _SLACK = 16  # blank lines allowed at the end
 
@@ -72,8 +71,8 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
             rows += count
         elif words[0] == "property":
             needed += count * _least_bytes(words, is_text)
-        elif (found := _TEXTURE.fullmatch(line)) is not None:
-            texture = found[1]
+        elif (comment := TEXTURE_FILE.fullmatch(line.encode())) is not None:
+            texture = comment[1].decode()
     if needed > len(rest):
         raise ValueError(f"its header declares at least {needed} bytes, but it has {len(rest)}")
     if is_text and rest.count(b"\n") > rows + _SLACK:

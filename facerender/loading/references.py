@@ -21,7 +21,8 @@ UDIM = "<UDIM>"  # placeholder for the tile number in the name of a map
 _TILE = 4 * "[0-9]"
 _MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
-_TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.*\S)", re.MULTILINE)
+# The comment of a PLY header that names the texture.
+TEXTURE_FILE = re.compile(rb"^[ \t]*comment[ \t]+texturefile[ \t]+(.*\S)", re.MULTILINE | re.I)
 # Windows-1252, in which the five unused bytes are control characters.
 _WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte in range(256)}
 _BYTES = {ord(char): byte for byte, char in _WINDOWS.items()}
@@ -165,7 +166,7 @@ def named_files(path: Path) -> list[Path]:
             libraries = [path.parent / name for line in lines for name in (line, *line.split())]
             return libraries + [each for library in libraries for each in _maps(library)]
         if suffix == ".ply":
-            return [path.parent / name for name in _names(_TEXTURE, path)]
+            return [path.parent / name for name in _names(TEXTURE_FILE, path)]
     except (ValueError, TypeError, RecursionError):  # loading the file reports the error
         pass
     return []

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from facerender.drawing.resolve import Lighting, resolve
-from facerender.errors import InputError
+from facerender.errors import InputError, check_known
 from facerender.glsl.code import call, prelude
 from facerender.pricing.variants import SLOPE
 from facerender.scenes.light import LIGHT_KINDS
@@ -186,9 +186,7 @@ def load_prices(
         kind = "llvmpipe" if software else "navi21"
     if kind in table:
         return table[kind]
-    if kind != HERE:
-        known = ", ".join([FRAME, "auto", *table, HERE])
-        raise InputError(f"unknown cost {kind!r}; known: {known}")
+    check_known("cost", kind, [FRAME, "auto", *table, HERE])
     terms: dict[str, Term] = {}
     seconds: dict[str, Term] = {}
     two_lobes = any(material.two_lobes for material in scene.mesh.materials)

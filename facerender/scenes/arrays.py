@@ -28,9 +28,8 @@ def piece_of(
     check_type("material", material, Material | None, "a facerender.Material or None")
     places = rows_of("positions", positions, (3,))
     count = len(places)
-    corners = _indices(
-        *("faces", faces, count, "vertex", "a face uses vertex"), "; cut polygons into triangles"
-    )
+    hint = "; cut polygons into triangles"
+    corners = _indices("faces", faces, count, "vertex", "a face uses vertex", hint)
     if material is None:
         material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
     maps = [each for each in MAPS if getattr(material, each) is not None]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, check_type, clipped, shown
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import png_bytes
-from facerender.scenes.vectors import AZIMUTHS, HIGHEST, direction_to
+from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, direction_to
 from facerender.terms.environment import harmonics
 from facerender.terms.ranges import Range, check_fields, ranged
 
@@ -58,13 +58,13 @@ class Panorama:
                 f"environment {self.name} has {shape} values: give an RGB image, twice as wide as "
                 "high"
             )
-        inside = (values >= 0.0) & (values <= HIGHEST)
+        inside = (values >= 0.0) & (values <= MOST_RADIANCE)
         if not inside.all():
             row, column, _ = np.unravel_index(int(inside.argmin()), values.shape)
             worst = values[row, column].tolist()
             raise InputError(
                 f"environment {self.name} has radiance {worst} in column {column} of row {row}:"
-                f" give numbers in [0, {HIGHEST:g}]"
+                f" give numbers in [0, {MOST_RADIANCE:g}]"
             )
         object.__setattr__(self, "radiance", values)
 
@@ -145,7 +145,7 @@ class Environment:
 
     panorama: Panorama
     rotation: float = ranged(AZIMUTHS, 0.0)
-    scale: float = ranged(Range(0.0, HIGHEST), 1.0)
+    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
 
     def __post_init__(self) -> None:
         check_type("panorama", self.panorama, Panorama, "a facerender.Panorama")

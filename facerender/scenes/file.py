@@ -20,7 +20,7 @@ from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.presets import PRESETS, preset
 from facerender.scenes.scene import Scene, background_of
-from facerender.scenes.vectors import AZIMUTHS, HIGHEST, SHAPE_WEIGHTS
+from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, SHAPE_WEIGHTS
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
 from facerender.system.reprs import short_repr
@@ -61,7 +61,7 @@ class EnvironmentFile:
 
     file: str
     rotation: float = ranged(AZIMUTHS, 0.0)
-    scale: float = ranged(Range(0.0, HIGHEST), 1.0)
+    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):

@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_switch, shown
+from facerender.errors import InputError, check_known, check_switch, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
-from facerender.scenes.vectors import COLORS, HIGHEST, Vector
+from facerender.scenes.vectors import COLORS, MOST_RADIANCE, Vector
 from facerender.shading import WEIGHTS
 from facerender.system.reprs import short_repr
 from facerender.terms.lobe import MIN_SLOPE, SLOPES
@@ -93,7 +93,7 @@ class Material:
     scattering: str | Gaussians | None = None
     alpha: Alpha = "opaque"
     opacity: float = ranged(FRACTION, 1.0)
-    alpha_cutoff: float = ranged(Range(0.0, HIGHEST), 0.5)
+    alpha_cutoff: float = ranged(Range(0.0, MOST_RADIANCE), 0.5)
     opacity_map: Texture | None = None
     emissive: Vector = ranged(COLORS, (0.0, 0.0, 0.0))
     emissive_map: Texture | None = None
@@ -110,10 +110,7 @@ class Material:
         check_fields(self)
         if self.two_lobes and self.roughness_map is None:
             SLOPES.check("m times second_slope", self.m * self.second_slope)
-        if not (isinstance(self.alpha, str) and self.alpha in get_args(Alpha)):
-            raise InputError(
-                f"unknown alpha {shown(self.alpha)}; known: {', '.join(get_args(Alpha))}"
-            )
+        check_known("alpha", self.alpha, get_args(Alpha))
         names = self.second_uv
         names = names.split(",") if isinstance(names, str) else names  # the text of --part
         if not isinstance(names, tuple | list) or any(each not in MAPS for each in names):

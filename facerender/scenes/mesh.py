@@ -33,7 +33,7 @@ from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 if TYPE_CHECKING:
     from facerender.scenes.rig import Clip, Rig
 
-Rows = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 # The radius of the renderer's space grows by this factor if vertices leave it. With a small factor,
 # the space would change in many frames, and all parts would be uploaded again.
@@ -571,7 +571,7 @@ def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([widths[widest], heights[widest]], axis=1)
 
 
-def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Rows | None]:
+def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
     """Return the rows (N, 3) of each part; None for a part without rows. For the accepted values
     and the errors see :meth:`Mesh.with_positions`."""
     parts = mesh.parts
@@ -595,7 +595,7 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Rows | None]:
             None if own is None else _of_part(f"{name} of {part.name or mesh.name}", own, part)
             for own, part in zip(values, parts, strict=True)
         ]
-    rows: Rows = rows_of(name, values, (3,))
+    rows: Floats = rows_of(name, values, (3,))
     counts = [len(part.positions) for part in parts]
     sources = {part.source_count for part in parts if part.sources is not None}
     if len(rows) in sources and len(sources) == 1:
@@ -612,7 +612,7 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Rows | None]:
 
 
 def _of_part(name: str, values: Any, part: Part) -> NDArray[np.float64]:
-    rows: Rows = rows_of(name, values, (3,))
+    rows: Floats = rows_of(name, values, (3,))
     if part.sources is not None and len(rows) == part.source_count:
         return np.asarray(rows[part.sources])
     if len(rows) != len(part.positions):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
-Rows = Callable[[int, int], "Image"]  # returns rows [low, high) of an image; row 0 is the bottom
+Rows = Callable[[int, int], "Image"]  # returns rows [low, high); row 0 is the bottom
 
 _STRIP = 32  # number of rows that are reduced at once
 

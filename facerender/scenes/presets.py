@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, check_known, shown
 from facerender.scenes.material import Material
 
 CORNEA = 1.336  # index of the aqueous; one surface stands for cornea and aqueous
@@ -62,8 +62,7 @@ _NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
 
 def preset(name: Any) -> Mapping[str, Any]:
     """Return the fields of a preset; raise InputError if the name is unknown."""
-    if not isinstance(name, str) or name not in PRESETS:
-        raise InputError(f"unknown preset {shown(name)}; known: {', '.join(PRESETS)}")
+    check_known("preset", name, PRESETS)
     return PRESETS[name]
 
 

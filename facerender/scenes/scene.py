@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Never, NoReturn, get_args
 
-from facerender.errors import InputError, check_type, near, shown
+from facerender.errors import InputError, check_known, check_type, near, shown
 from facerender.scenes import sources
 from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import LIGHTS, Light, lights_of
@@ -43,6 +43,12 @@ DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
 
 
 _BACKGROUND: Vector = (0.012, 0.013, 0.016)
+
+
+def check_only(value: object) -> None:
+    """Raise InputError unless a value is in ONLY, or None for the whole image."""
+    if value is not None:
+        check_known("term", value, ONLY)
 
 
 def check_shading_rate(name: str, value: object) -> None:

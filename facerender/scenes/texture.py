@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import (
     InputError,
+    check_known,
     check_path,
     check_switch,
     check_type,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 Wrap = Literal["repeat", "clamp", "mirror"]
 
-FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
+DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _DISPLAYED = 512  # largest side of a texture that a notebook displays, in pixels
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
@@ -223,8 +224,7 @@ class Texture:
         if not (isinstance(wrap, tuple | list) and len(wrap) == 2):
             raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(known)}, for u and v")
         for each in wrap:
-            if not (isinstance(each, str) and each in known):
-                raise InputError(f"unknown wrap {shown(each)}; known: {', '.join(known)}")
+            check_known("wrap", each, known)
         check_switch("nearest", nearest)
         source = self._source or self
         texture = Texture(source.rgb, self.name)
@@ -512,7 +512,7 @@ def pack(
 
 
 def _opened(content: bytes | BinaryIO, name: str) -> Image:
-    return open_image(content, name, FORMATS, "PNG, JPEG, TIFF or WebP")
+    return open_image(content, name, DECODERS, "PNG, JPEG, TIFF or WebP")
 
 
 def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:

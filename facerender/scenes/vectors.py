@@ -15,13 +15,13 @@ Vector = tuple[float, float, float]
 
 SHAPE_WEIGHTS = Range(-100.0, 100.0)  # accepted weights of morph targets
 FARTHEST = 1e30  # largest coordinate of a position, in mesh units
-HIGHEST = 1e9  # limit of radiance, irradiance and albedo, so that images do not overflow float32
+MOST_RADIANCE = 1e9  # limit of colours and light, so that images do not overflow float32
 MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
 
 POSITIONS = VectorRange(-FARTHEST, FARTHEST)
-COLORS = VectorRange(0.0, HIGHEST)  # linear RGB of a colour or an irradiance
+COLORS = VectorRange(0.0, MOST_RADIANCE)  # linear RGB of a colour or an irradiance
 _NONE = ', or "none" (None in Python) for a transparent background'
-BACKGROUNDS = VectorRange(0.0, HIGHEST, other=_NONE)
+BACKGROUNDS = VectorRange(0.0, MOST_RADIANCE, other=_NONE)
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
 ELEVATIONS = Range(-90.0, 90.0, "degrees")
 

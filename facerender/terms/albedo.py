@@ -10,9 +10,9 @@ Float = NDArray[np.float64]
 
 ENDS = (0.05, 1.0)  # Range of m; values outside are clamped.
 LOWEST = 0.02  # Lowest square root of the cosine; smaller values are clamped.
-RAISED = 0.0061  # Added to the fit, so that it is nowhere below the integral of BRDF (N.L).
 # Coefficients of s^i t^j in row i and column j, with s = 2 sqrt(cosine) - 1 and t = m scaled to
-# [-1, 1]. The albedo is f0 times the first polynomial, plus the second polynomial.
+# [-1, 1]. The albedo is f0 times the first polynomial, plus the second polynomial. 0.0061 is added
+# to the fit, so that it is nowhere below the integral of BRDF (N.L).
 FITS = np.array(
     [
         [

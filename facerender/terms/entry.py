@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from facerender.errors import InputError
+from facerender.errors import check_known
 
 ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
 
@@ -47,6 +47,5 @@ def named(kind: str, entries: Mapping[str, E], name: object) -> E:
     ------
     InputError : an unknown name
     """
-    if not isinstance(name, str) or name not in entries:
-        raise InputError(f"unknown {kind} {name!r}; known: {', '.join(entries)}")
-    return entries[name]
+    check_known(kind, name, entries)
+    return entries[str(name)]

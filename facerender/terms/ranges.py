@@ -113,7 +113,7 @@ MEMORY = Range(1.0, 1e9, "MiB")  # Memory limit of the process.
 
 def ranged(limits: Range, default: Any = MISSING) -> Any:
     """Return a dataclass field with a range. None is also allowed if the annotation of the field
-    ends with ``| None``."""
+    ends with ``| None``; the module needs ``from __future__ import annotations``."""
     return field(default=default, metadata={"range": limits})
 
 
@@ -153,6 +153,8 @@ def check_fields(value: object, prefix: str = "") -> None:
 @cache
 def _checked(kind: type) -> tuple[tuple[str, Range | None, bool], ...]:
     limits = ranges_of(kind)
+    if not all(isinstance(each.type, str) for each in fields(kind)):
+        raise TypeError(f"{kind.__module__} lacks: from __future__ import annotations")
     return tuple(
         (each.name, limits.get(each.name), str(each.type).endswith("| None"))
         for each in fields(kind)

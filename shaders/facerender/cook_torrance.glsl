@@ -84,7 +84,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
     float inverse_length = inversesqrt(h_dot_h);
     float c = n_dot_h * inverse_length;
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
-    float value = fr_lobe_within(c, slope, inverse_m2, FR_K_COOK_TORRANCE, lobe);
+    float value = fr_lobe_with_inverse_m2(c, slope, inverse_m2, FR_K_COOK_TORRANCE, lobe);
     return vec2(value * (masked.x * inverse), 0.5 * h_dot_h * inverse_length);
 }
 

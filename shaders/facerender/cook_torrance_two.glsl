@@ -59,8 +59,8 @@ float fr_cook_torrance_two_terms(
         float inverse_length = inversesqrt(h_dot_h);
         float c = n_dot_h * inverse_length;
         slope = max(slope, vec2(FR_MIN_SLOPE));
-        lobes.x = fr_lobe_within(c, slope.x, inverse_m2.x, FR_K_COOK_TORRANCE, lobe);
-        lobes.y = fr_lobe_within(c, slope.y, inverse_m2.y, FR_K_COOK_TORRANCE, lobe);
+        lobes.x = fr_lobe_with_inverse_m2(c, slope.x, inverse_m2.x, FR_K_COOK_TORRANCE, lobe);
+        lobes.y = fr_lobe_with_inverse_m2(c, slope.y, inverse_m2.y, FR_K_COOK_TORRANCE, lobe);
         masked_over = masked.x / (masked.y * h_dot_h);
         v_dot_h = 0.5 * h_dot_h * inverse_length;
     }

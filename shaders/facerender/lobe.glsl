@@ -78,7 +78,7 @@
 // Lobe that the argument `lobe` selects, for callers, such as a BRDF, that already have 1/m^2.
 //
 //   inverse_m2:  1/m^2.
-float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
+float fr_lobe_with_inverse_m2(float c, float m, float inverse_m2, int k, int lobe) {
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) return fr_lobe_exact(c, m, k);
 #endif
@@ -95,10 +95,10 @@ float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
     if (lobe == FR_LOBE_D16) return fr_lobe_clamped_power(c, 0.125 * inverse_m2 - 0.0625 * float(k), 16);
 #endif
 #if FR_LOBE == FR_LOBE_FITTED || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_FITTED) return fr_lobe_fitted_within(c, m, inverse_m2, k);
+    if (lobe == FR_LOBE_FITTED) return fr_lobe_fitted_with_inverse_m2(c, m, inverse_m2, k);
 #endif
 #if FR_LOBE == FR_LOBE_FITTED_FINE || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_FITTED_FINE) return fr_lobe_fitted_fine_within(c, m, inverse_m2, k);
+    if (lobe == FR_LOBE_FITTED_FINE) return fr_lobe_fitted_fine_with_inverse_m2(c, m, inverse_m2, k);
 #endif
 #if FR_LOBE == FR_LOBE_G_POWER || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_G_POWER) return fr_lobe_clamped_power(c, FR_STEEPNESS(FR_SLOPE(m), k), FR_G);
@@ -111,7 +111,7 @@ float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
 
 // Lobe that the argument `lobe` selects.
 float fr_lobe_of(float c, float m, int k, int lobe) {
-    return fr_lobe_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
+    return fr_lobe_with_inverse_m2(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
 }
 
 // Lobe that the macro FR_LOBE selects, for example by #define FR_LOBE FR_LOBE_D16.

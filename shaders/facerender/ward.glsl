@@ -45,7 +45,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
         float inverse_m2 = 1.0 / m2;
         float c = n_dot_h * inversesqrt(fr_half_vector_square(h));
         float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
-        value = fr_lobe_within(c, slope, inverse_m2, FR_K_WARD, lobe)
+        value = fr_lobe_with_inverse_m2(c, slope, inverse_m2, FR_K_WARD, lobe)
             * (0.25 / FR_PI * inverse_m2 * inversesqrt(product));
     }
     return product > FR_MIN_COSINE * FR_MIN_COSINE ? value : 0.0;

@@ -1,4 +1,5 @@
-// Draw the depth of a surface. With TRIANGLE, also draw the index of the visible triangle.
+// Draw the depth of a surface. With TRIANGLE, also draw the index of the visible triangle, as two
+// digits of base TRIANGLE.
 #ifdef UV
 in vec2 uv;
 #endif
@@ -20,7 +21,7 @@ void main() {
     share = vec4(1.0);
 #endif
 #ifdef TRIANGLE
-    // Float32 does not represent all indices above 2^24, so two channels hold an index.
-    share = vec4(part, float(gl_PrimitiveID >> 12), float(gl_PrimitiveID & 4095), 1.0);
+    int high = gl_PrimitiveID / TRIANGLE;
+    share = vec4(part, float(high), float(gl_PrimitiveID - high * TRIANGLE), 1.0);
 #endif
 }

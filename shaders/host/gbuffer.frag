@@ -18,13 +18,14 @@ layout(location = 0) out vec4 position_part;
 layout(location = 1) out vec4 normal_slope;
 layout(location = 2) out vec4 albedo_weight;
 layout(location = 3) out vec4 uv_occlusion;
-#ifdef TWO_LOBES
-layout(location = 4) out vec4 second_slope_weight;
+// LOBES, EMITTED and LAYER are the indices of their images.
+#ifdef LOBES
+layout(location = LOBES) out vec4 second_slope_weight;
 #endif
-#ifdef EMITTED  // EMITTED is the index of the render target.
+#ifdef EMITTED
 layout(location = EMITTED) out vec4 emitted;
 #endif
-#ifdef LAYER  // LAYER is the index of the render target.
+#ifdef LAYER
 layout(location = LAYER) out vec4 layer;
 #endif
 
@@ -43,7 +44,7 @@ void main() {
 #else
     uv_occlusion = vec4(0.0, 0.0, s.occlusion, 1.0);
 #endif
-#ifdef TWO_LOBES
+#ifdef LOBES
     second_slope_weight = vec4(s.second_m, s.lobe_weight, 0.0, 1.0);
 #endif
 #ifdef SCATTER

@@ -188,7 +188,7 @@ for _lobe in ALL_LOBES:
     for _k in _entry.ends:
         for _group, _file, _macros, _call in (
             # Called by a BRDF with 1/m^2; alone; chosen by the host's macro; by an argument.
-            ("fr_lobe_within", "lobe", _own | EVERY, f"{_within}, {_k}, {_entry.macro})"),
+            ("fr_lobe_with_inverse_m2", "lobe", _own | EVERY, f"{_within}, {_k}, {_entry.macro})"),
             (_alone, _entry.file, {}, re.sub(r"\bk\b", str(_k), _entry.call[len(_alone) :])),
             ("fr_lobe", "lobe", _own, f"(c, m, {_k})"),
             ("fr_lobe_of", "lobe", _own | EVERY, f"(c, m, {_k}, {_entry.macro})"),
@@ -282,8 +282,16 @@ def coefficient(name: str, k: int, i: int, call: str, above: float, digits: floa
 
 for _name, _k in lobes.FITTED:
     _function = f"fr_lobe_{_name.replace('-', '_')}"
-    _call = f"{_function}_within(c, m, 1.0 / (m * m), {_k})"
-    add(f"fr_lobe_fitted_within {_name} {_k}", lobe_case, "lobe/fitted", {}, _call, _name, _k)
+    _call = f"{_function}_with_inverse_m2(c, m, 1.0 / (m * m), {_k})"
+    add(
+        f"fr_lobe_fitted_with_inverse_m2 {_name} {_k}",
+        lobe_case,
+        "lobe/fitted",
+        {},
+        _call,
+        _name,
+        _k,
+    )
     for _i in range(len(lobes.FITTED[_name, _k].table[0])):
         # Scaled back by m^2, one factor after the other: this order cannot overflow.
         _scaled = f"{_function}_coefficients(m, {_k})[{_i}]" + " * (m * m)" * (_i + 1)

@@ -49,8 +49,7 @@ class Draw:
 
     Attributes
     ----------
-    area : left column, lowest row, width and height, in pixels, of the rectangle to draw; None for
-        the whole target
+    area : rectangle to draw; None for the whole target
     depth : the depth test, and the buffers that the draw writes:
 
         - "test": fragments that are not behind the stored depth write colour and depth

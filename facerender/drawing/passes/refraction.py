@@ -220,7 +220,7 @@ class Refraction:
     def _passes(self, resolved: ResolvedScene, key: tuple[Hashable, ...]) -> list[Pass]:
         regions = [each for own in self.parts for each in own]
         size = (len(regions) * self.side, self.side)
-        areas = [(number * self.side, 0, self.side, self.side) for number in range(len(regions))]
+        areas = [Area(i * self.side, 0, self.side, self.side) for i in range(len(regions))]
         surface = Target(size=size, sampled=True, values="number", number=2)
         seen = Target(size=size, sampled=True, number=2)
         uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)

@@ -48,13 +48,15 @@ def shade_pass(
     parts = resolved.parts(specular)
     if not specular:
         resolved = replace(resolved, shading=resolved.shading.replace(environment_samples=0))
-    for own in parts:
-        program = shade_program(resolved, own, diffuse=only != "specular", emits=only is None)
+    for resolved_part in parts:
+        part, material = resolved_part.part, resolved_part.material
+        program = shade_program(
+            resolved, resolved_part, diffuse=only != "specular", emits=only is None
+        )
         if samples > 1 and "ALPHA_MASK" in program.features:
             program = replace(program, features=(*program.features, f"TO_COVERAGE {samples}"))
-        uniforms = part_uniforms(own.part, own.material)
-        sides = own.material.double_sided
-        draws.append(Draw(program, uniforms, own.part, own.material, double_sided=sides))
+        uniforms, sides = part_uniforms(part, material), material.double_sided
+        draws.append(Draw(program, uniforms, part, material, double_sided=sides))
     if refraction:
         draws = refraction.refracted(draws)
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)

@@ -10,7 +10,7 @@ from weakref import ref
 
 import numpy as np
 
-from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import BlendedPart, mask_features, unblended
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
@@ -71,7 +71,7 @@ def with_shadows(
     mesh = scene.mesh
     key = (
         *(ref(part) for part in mesh.parts),
-        *(_cut(each) for each in mesh.materials),
+        *(_cut(material) for material in mesh.materials),
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
@@ -83,8 +83,8 @@ def with_shadows(
         drawn,
         *_cones(spaces, texels, key),
         *(
-            replace(each, uniforms={**each.uniforms, **tiles}, key=each.key and (each.key, texels))
-            for each in passes
+            replace(step, uniforms={**step.uniforms, **tiles}, key=step.key and (step.key, texels))
+            for step in passes
         ),
     ]
 
@@ -124,10 +124,9 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
         for number, space in enumerate(spaces):
             # The pyramid with this slope along the axes contains the cone.
             fall = math.sqrt(2.0) / _BLOCKS / max(space.tan_radius, 1e-3)
-            area = number * _BLOCKS, 0, _BLOCKS, _BLOCKS
-            draws.append(
-                Draw(program, {"stride": stride, "left": area[0], "fall": fall}, area=area)
-            )
+            area = Area(number * _BLOCKS, 0, _BLOCKS, _BLOCKS)
+            uniforms = {"stride": stride, "left": area.left, "fall": fall}
+            draws.append(Draw(program, uniforms, area=area))
         steps.append(tuple(draws))
     passes = [
         Pass(
@@ -153,7 +152,7 @@ def _tops(count: int, key: Hashable) -> Pass:
         for size in _LEVELS:
             side = _BLOCKS // size
             values = {"left": number * _BLOCKS, "column": column, "size": size}
-            draws.append(Draw(program, values, area=(column, 0, side, side)))
+            draws.append(Draw(program, values, area=Area(column, 0, side, side)))
             column += side
     target = Target(size=(column, _BLOCKS), sampled=True, values="number")
     return Pass(SHADOW_TOPS, target, tuple(draws), key=key)
@@ -171,7 +170,7 @@ def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, .
         own = part_uniforms(part, material) if cut else {}
         for number, space in enumerate(spaces):
             uniforms = {**own, "to_light": space.matrix, "top": space.top}
-            area = number * texels, 0, texels, texels
+            area = Area(number * texels, 0, texels, texels)
             draws.append(Draw(program, uniforms, part, material if cut else None, area=area))
     return tuple(draws)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from facerender.drawing.passes import Draw, Pass, Target
@@ -14,10 +15,35 @@ from facerender.drawing.program import (
     surface_features,
 )
 from facerender.drawing.resolve import ResolvedScene
+from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
 if TYPE_CHECKING:
     from facerender.drawing.passes.refraction import Refraction
+
+
+def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
+    """Return the names of the images of a G-buffer in drawing order:
+
+    - position: position, index of the part plus 1
+    - normal: normal, m
+    - albedo: albedo, specular weight
+    - uv: texture coordinates, occlusion, and either facing (if a part scatters) or opacity (of a
+      layer)
+    - lobes: m of the second lobe and weight of the first lobe, if a part has two lobes
+    - emitted: emission, with the refracted light, if a part emits or refracts light
+    - layer: depth, and index of the triangle in drawing order, of a layer
+
+    layer : whether the G-buffer is one layer of a blended part
+    """
+    materials = scene.mesh.materials
+    optional = {
+        "lobes": any(material.two_lobes for material in materials),
+        "emitted": any(material.emits for material in materials),
+        "layer": layer,
+    }
+    names = [name for name, is_drawn in optional.items() if is_drawn]
+    return ("position", "normal", "albedo", "uv", *names)
 
 
 def surface_pass(
@@ -28,17 +54,7 @@ def surface_pass(
     blended_part: BlendedPart | None = None,
     refraction: Refraction | None = None,
 ) -> Pass:
-    """Return the pass that draws the G-buffer of a scene.
-
-    The pass draws these images, in this order:
-
-    - position, index of the part plus 1
-    - normal, m
-    - albedo, specular weight
-    - texture coordinates, occlusion, and either facing (if `scatters`) or opacity (of a layer)
-    - m of the second lobe and weight of the first lobe, if a part has two lobes
-    - emission, with the refracted light, if a part emits or refracts light
-    - depth, and index of the triangle in drawing order, if `blended_part` is given
+    """Return the pass that draws the G-buffer of a scene, see :func:`surface_images`.
 
     Parameters
     ----------
@@ -49,12 +65,10 @@ def surface_pass(
     refraction : refraction of the scene; None if no part refracts
     """
     scene, shading = resolved.scene, resolved.shading
-    two = any(material.two_lobes for material in scene.mesh.materials)
-    shines = any(material.emits for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    further = ("SCATTER",) * (scatters and blended_part is None)
-    further += (f"EMITTED {4 + two}",) * shines
-    further += (f"LAYER {4 + two + shines}",) * (blended_part is not None)
+    images = surface_images(scene, blended_part is not None)
+    further = ["SCATTER"] if scatters and blended_part is None else []
+    further += [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
     draws = [
         Draw(
             Program(
@@ -63,7 +77,7 @@ def surface_pass(
                     *surface_features(part, material, shading),
                     *("EMISSIVE",) * any(material.emissive),
                     # Every program must write all images of the pass, also for parts with one lobe.
-                    *("TWO_LOBES",) * (two and not material.two_lobes),
+                    *("TWO_LOBES",) * ("lobes" in images and not material.two_lobes),
                     *further,
                 ),
             ),
@@ -78,8 +92,8 @@ def surface_pass(
     if refraction:
         draws = refraction.refracted(draws)
     shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
-    target = Target(colors=4 + two + shines)
+    target = Target(colors=len(images))
     if blended_part is not None:  # two targets alternate, as each layer reads the previous one
-        target = Target(colors=target.colors + 1, sampled=True, number=blended_part.layer % 2)
+        target = replace(target, sampled=True, number=blended_part.layer % 2)
     drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn

@@ -75,7 +75,7 @@ def unblended(scene: Scene, values: Sequence[T]) -> tuple[T, ...]:
 
 
 def blended_area(scene: Scene, view: View, size: tuple[int, int]) -> Area:
-    """Return the bounds of all blended parts in an image; width or height is 0 if there are none.
+    """Return the bounds of all blended parts in an image; empty if there are none.
 
     size : width and height of the image
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import unblended
 from facerender.drawing.program import IN_ROW, Program, Uniforms, table_features
-from facerender.drawing.triangle_setup import around, triangle_setup_of
+from facerender.drawing.triangle_setup import NO_AREA, around, triangle_setup_of
 from facerender.scenes.mesh import Part, drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
@@ -65,7 +65,7 @@ class Visible:
     Attributes
     ----------
     first : value of the part's first triangle in the image, at least 1; the background has 0
-    area : bounds of the part in the image; if width or height is 0, the part is outside the image
+    area : bounds of the part in the image; empty if the part is outside the image
     front : indices of the triangles that can face the camera; None if back faces are drawn too
     """
 
@@ -112,7 +112,7 @@ class Visibility:
             area, front = setup.area(view, size), None
             if material.double_sided is False:
                 front = setup.facing(view.position)
-                area = area if len(front) else (0, 0, 0, 0)
+                area = area if len(front) else NO_AREA
             parts.append(Visible(part, first, area, front))
             first += len(part.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
@@ -138,7 +138,7 @@ class Visibility:
                 double_sided=each.front is None,
             )
             for each in self.parts
-            if all(each.area[2:])
+            if not each.area.empty
         )
         return Pass("visible", self.target, draws, uniforms={"view_projection": self.view.matrix})
 
@@ -149,7 +149,7 @@ class Visibility:
         draws: list[Draw] = []
         opaque = (draw for draw in drawn.draws if draw.depth != "blend")
         for number, (draw, part) in enumerate(zip(opaque, self.parts, strict=True)):
-            if all(part.area[2:]):
+            if not part.area.empty:
                 draws += self._shaded(draw, part, number / len(self.parts))
         return replace(
             drawn,

@@ -90,7 +90,7 @@ vec3 fr_lobe_fitted_coefficients(float m, int k) {
 //   formula:     max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
 //   inverse_m2:  1/m^2.
 //   error:       At most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward.
-float fr_lobe_fitted_within(float c, float m, float inverse_m2, int k) {
+float fr_lobe_fitted_with_inverse_m2(float c, float m, float inverse_m2, int k) {
     vec3 a = FR_FITTED_COEFFICIENTS(m, k);
     float v = FR_FITTED_VARIABLE(1.0 - c, inverse_m2, k);
     float p = clamp(1.0 + v * (a.x + v * (a.y + v * a.z)), 0.0, 1.0);
@@ -103,7 +103,7 @@ float fr_lobe_fitted_within(float c, float m, float inverse_m2, int k) {
 //   formula:  max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
 //   error:    At most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward.
 float fr_lobe_fitted(float c, float m, int k) {
-    return fr_lobe_fitted_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
+    return fr_lobe_fitted_with_inverse_m2(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
 }
 
 // Numerators of the polynomial coefficients in fr_lobe_fitted_fine.
@@ -147,7 +147,7 @@ vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
 //   formula:     max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
 //   inverse_m2:  1/m^2.
 //   error:       At most 0.04 % of the peak for both models.
-float fr_lobe_fitted_fine_within(float c, float m, float inverse_m2, int k) {
+float fr_lobe_fitted_fine_with_inverse_m2(float c, float m, float inverse_m2, int k) {
     vec4 a = FR_FITTED_FINE_COEFFICIENTS(m, k);
     float v = FR_FITTED_FINE_VARIABLE(1.0 - c, inverse_m2, k);
     float p = clamp(1.0 + v * (a.x + v * (a.y + v * (a.z + v * a.w))), 0.0, 1.0);
@@ -161,7 +161,7 @@ float fr_lobe_fitted_fine_within(float c, float m, float inverse_m2, int k) {
 //   formula:  max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
 //   error:    At most 0.04 % of the peak for both models.
 float fr_lobe_fitted_fine(float c, float m, int k) {
-    return fr_lobe_fitted_fine_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
+    return fr_lobe_fitted_fine_with_inverse_m2(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
 }
 
 #endif
