@@ -91,6 +91,7 @@ def test_material_is_solid_if_opacity_has_no_effect():
     assert not Material(alpha="blend", opacity=0.99).solid
 
 
+@pytest.mark.slow
 def test_transmission_scales_the_diffuse_term_and_the_coverage(single):
     """The highlight, the emission and the opacity do not depend on the transmission."""
     lights = {"lights": (parse_light("0,10"),), "ambient": 1.0}
@@ -265,6 +266,7 @@ def agrees(renderer, scene, shading=fr.Shading()):
     return frame, gbuffer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hair", ["mask", pytest.param("blend", marks=pytest.mark.slow)])
 def test_head_of_parts_agrees_with_float64(single, hair):
     scene = fr.Scene(parts_head(hair), fr.Camera(30.0), LIGHTS, background=None)
@@ -278,6 +280,7 @@ def test_head_of_parts_agrees_with_float64(single, hair):
     assert frame[..., 3].max() == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_head_of_parts_is_smooth_with_several_samples(backend, four_samples):
     scene = fr.Scene(parts_head(), fr.Camera(30.0), LIGHTS, background=(0.2, 0.3, 0.4))
     with fr.Renderer((160, 160), samples=4, backend=backend) as renderer:
@@ -451,6 +454,7 @@ def texels_of(name, gbuffer):
     }[name]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", MAPS)
 def test_maps_use_second_texture_coordinates(single, name):
     """A map with uv2 equals the same map on a part whose uv has those coordinates."""
@@ -538,6 +542,7 @@ def test_features_without_effect_are_not_compiled(head):
     assert not can_defer(fr.Scene(replace(head, materials=(holes,))), 16384)
 
 
+@pytest.mark.slow
 def test_blended_parts_are_composited_after_scattering(single):
     """The image with shells is the image without them, with the shells composited over it."""
     mesh = replace(parts_head(scattering="skin"), millimetres=1000.0)
@@ -560,6 +565,7 @@ def test_blended_parts_are_composited_after_scattering(single):
     assert np.abs(whole - single.render(scene, samples=16).linear).mean() < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scattering", [None, "skin"])
 def test_blended_parts_are_drawn_over_deferred_shading(
     backend, coarse_head, monkeypatch, scattering, four_samples
@@ -607,6 +613,7 @@ def test_the_explorer_omits_blended_parts():
     assert {material.alpha for material in shown.materials} == {"opaque"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("front", [{"alpha": "blend", "opacity": 0.5}, {"transmission": 1.0}])
 def test_a_plan_counts_errors_of_blended_parts(front):
     """Only the front part has a highlight, which the cheapest shading of the wall omits."""

@@ -150,6 +150,7 @@ def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layou
     assert (again["status"], again["drawn"], again["done"]) == (0, 0, 6)
 
 
+@pytest.mark.slow
 def test_batch_images_equal_those_of_a_renderer(table, draw, tmp_path):
     draw(table([{"id": "one", "image.size": 64, "camera.azimuth": -30, "material.m": 0.2}]), "out")
     mesh = fr.load_mesh().with_skin(m=0.2)
@@ -159,6 +160,7 @@ def test_batch_images_equal_those_of_a_renderer(table, draw, tmp_path):
     assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("measured_gain")
 def test_planned_scene_equals_that_of_render(table, draw, tmp_path):
     """The scene file of `facerender plan` is given by an option or by a job."""
@@ -358,6 +360,7 @@ job.load_mesh = load_or_die
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tries", "timeout"), [(1, 4), pytest.param(2, 8, marks=pytest.mark.slow)])
 def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, tries, timeout):
     (tmp_path / "garbage.glb").write_bytes(Random(1).randbytes(3000))
@@ -411,6 +414,7 @@ def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, trie
     assert (repaired["drawn"], repaired["failed"]) == (4, 7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kills", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_failed_jobs_and_ended_workers_are_named(table, small, tmp_path, monkeypatch, kills):
     """Four jobs of one mesh end their worker, and four meshes are missing."""
@@ -454,6 +458,7 @@ def test_failed_jobs_and_ended_workers_are_named(table, small, tmp_path, monkeyp
     assert again.stderr.splitlines() == found.stderr.splitlines()[2:]
 
 
+@pytest.mark.slow
 def test_worker_that_dies_at_its_start_is_replaced(table, draw, small, monkeypatch):
     started, killed = Supervisor._started, []
 
@@ -504,6 +509,7 @@ def test_data_of_interrupted_and_removed_jobs_is_deleted(
     assert len([*(tmp_path / "out/data").glob("*")]) == (3 if layout == "files" else 0)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("step", ["rename", "drop", "move", "put"])
 def test_coordinator_may_stop_at_any_write(table, draw, small, tmp_path, monkeypatch, step):
     """It is interrupted at the first, second, ... call of one storage operation."""
@@ -712,6 +718,7 @@ def check_one_line(found: dict[str, Any], place: Path, number: int) -> None:
     assert line.endswith(f"{DISK[number]}, and run the same command again")
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("number", "step"),
     [*((number, 9) for number in DISK), pytest.param(errno.ENOSPC, 1, marks=pytest.mark.slow)],
@@ -746,6 +753,7 @@ def test_disk_may_fail_at_any_write(table, draw, small, tmp_path, monkeypatch, n
     raise AssertionError("it never came to its end")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["files", pytest.param("shards", marks=pytest.mark.slow)])
 def test_disk_may_fail_at_any_write_of_a_worker(table, draw, small, tmp_path, monkeypatch, layout):
     (tmp_path / "site").mkdir()
@@ -847,6 +855,7 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
 # --- storage and readers of the results ---------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # leaves files open
 def test_webdataset_reads_shards(table, draw, small, tmp_path):
     webdataset = require_module("webdataset")
@@ -979,6 +988,7 @@ def test_a_cluster_draws_the_same_bytes(table, draw, small, tmp_path, cluster):
     assert tree(tmp_path / "there") == tree(tmp_path / "here")
 
 
+@pytest.mark.slow
 @pytest.mark.cluster
 @pytest.mark.smoke
 def test_a_cluster_of_this_process_draws_four_jobs(table, draw, small, tmp_path):
@@ -1004,6 +1014,7 @@ def test_without_a_scheduler(table, draw, monkeypatch):
 # --- chunks -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_chunks_hold_every_job_once_and_few_meshes():
     random = Random(3)
     given = [

@@ -406,6 +406,7 @@ def random_values(rows):
     ]
 
 
+@pytest.mark.slow
 def test_random_values_depend_on_seed_row_and_key_only():
     some = random_values(toml_rows(RANDOM.format(count=600, seed=3)))
     more = random_values(toml_rows(RANDOM.format(count=1100, seed=3)))
@@ -446,6 +447,7 @@ def test_rows_are_generated_lazily():
     assert [row.tables["image"]["size"][0] for row in rows] == [8, 9, 8]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "form",
     ["jsonl", *(pytest.param(form, marks=pytest.mark.memory) for form in ("csv", "toml", "py"))],

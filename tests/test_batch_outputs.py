@@ -78,6 +78,7 @@ def test_images_equal_those_that_frames_save(small, drawing, background, tmp_pat
         assert (files[name] == (tmp_path / name).read_bytes()) == (only not in numbers), name
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "how",
     [
@@ -258,6 +259,7 @@ CAMERAS = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "place"), [("orbit", lambda mesh: mesh), *((name, moved) for name in CAMERAS)]
 )
@@ -325,6 +327,7 @@ def test_the_frame_before_changes_only_motion(head, drawing):
 LENS = (-0.1, 0.05, 0.002, -0.001)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of webdataset
 @pytest.mark.parametrize("lens", [None, LENS], ids=["straight", "distorted"])
 def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch, lens):

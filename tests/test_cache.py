@@ -92,6 +92,7 @@ def textures_of_files(folder):
     return made
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "case",
     [
@@ -135,6 +136,7 @@ def test_regions_are_found_once(tmp_path, monkeypatch):
     assert find_regions(load(path).with_material(m=0.2))["head"] is not None
 
 
+@pytest.mark.slow
 def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(tmp_path, place):
     """Three processes run: without the cache, filling it, and reading from it."""
     code = (
@@ -156,6 +158,7 @@ def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(
     assert imported[2] == ""
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "options",
     [
@@ -185,6 +188,7 @@ def test_cached_meshes_repeat_warnings(tmp_path, reads):
     assert len(reads) == 1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("change", ["mesh", "mtl", "texture", "other texture", "removed", "name"])
 def test_a_changed_file_is_read_anew(change, tmp_path, reads):
     path = textured(tmp_path / "in")
@@ -230,6 +234,7 @@ def test_a_changed_map_is_read_anew(tmp_path, reads):
     assert len(reads) == 2
 
 
+@pytest.mark.slow
 def test_equal_files_with_different_textures_are_distinct(tmp_path):
     paths = [textured(tmp_path / name) for name in ("a", "b")]
     Image.new("RGB", (4, 4), (10, 10, 200)).save(next((tmp_path / "b").glob("*.jpg")), "PNG")
@@ -293,6 +298,7 @@ DAMAGE = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("how", DAMAGE)
 def test_damaged_entries_are_replaced(how, reads, place):
     plain = fr.load_mesh(MINI_HEAD)
@@ -329,6 +335,7 @@ for turn in range(40):
 """
 
 
+@pytest.mark.slow
 def test_writers_at_the_same_time_leave_whole_entries(place):
     writers = [subprocess.Popen([sys.executable, "-c", WRITE, str(seed)]) for seed in range(3)]
     assert [writer.wait() for writer in writers] == [0, 0, 0]
@@ -371,6 +378,7 @@ def test_invalid_size_limit_is_refused(mib, tmp_path, monkeypatch, capsys):
     assert_error(status, printed.out, printed.err, re.escape(f"FACERENDER_CACHE_MIB = {mib!r}"))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("option", ["--no-cache", "limit 0", "a file", "/dev/null", "closed"])
 def test_render_without_a_usable_cache(option, tmp_path, egl, monkeypatch, place, capsys):
     options = [option] if option == "--no-cache" else []

@@ -99,12 +99,14 @@ def wide(runs) -> Runs:
 # --- limits --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_equal_pairs_need_the_limits_of_rounding(equal):
     assert (equal.pairs, equal.limits, equal.needed) == (1, LEAST["linear"], {})
     assert equal.blind == []
     assert all(getattr(equal.limits, name) <= getattr(LIMITS["linear"], name) for name in NAMES)
 
 
+@pytest.mark.slow
 def test_limits_fit_the_worst_pair_with_a_margin(wide):
     wide.add("one", picture(), "mild.exr")
     wide.add("two", picture(1.002), "mild.exr")
@@ -121,6 +123,7 @@ def test_limits_fit_the_worst_pair_with_a_margin(wide):
     assert not compare(one, two, **tight).same
 
 
+@pytest.mark.slow
 def test_no_limit_is_wider_than_by_default_for_the_margin_alone(runs):
     runs.add("one", picture())
     runs.add("two", picture(1.003))
@@ -161,6 +164,7 @@ def test_limits_detect_the_stated_change_and_not_half_of_it(equal, name):
         assert (not result.changed_alike if name == "trend" else result.same) is same
 
 
+@pytest.mark.slow
 def test_masked_pixels_are_ignored(wide):
     a = picture()
     a[:, : SIDE // 2, :3] = 0.5
@@ -175,6 +179,7 @@ def test_masked_pixels_are_ignored(wide):
     assert found.sees["point"] < 0.1
 
 
+@pytest.mark.slow
 def test_images_of_8_bits_have_limits_of_their_own(wide):
     wide.add("one", picture(), "head.png")
     wide.add("two", picture(1.02), "head.png")
@@ -193,6 +198,7 @@ def test_images_of_8_bits_have_limits_of_their_own(wide):
         assert compare(one, other, **limits).same is same
 
 
+@pytest.mark.slow
 def test_limits_of_black_images(runs):
     for run in ("one", "two", "three"):
         runs.add(run, np.zeros((32, 32, 3), np.float32))
@@ -284,6 +290,7 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     return status, out, err
 
 
+@pytest.mark.slow
 def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     path = tmp_path / "limits.ini"
     status, out, err = run(capsys, "--calibrate", wide, "-o", path)
@@ -309,6 +316,7 @@ def test_limits_of_a_file_are_for_the_images_of_their_encoding(runs, tmp_path, c
         assert run(capsys, one, two, "--limits", path)[0] == status
 
 
+@pytest.mark.slow
 def test_json_warns_that_wider_limits_detect_less(wide, equal, capsys, tmp_path):
     status, out, _ = run(capsys, "--calibrate", wide, "--json")
     assert status == 0

@@ -210,6 +210,7 @@ def test_existing_image_is_replaced(cli: Cli) -> None:
     assert cli.render().shape == (48, 48, 3)
 
 
+@pytest.mark.slow
 def test_only(cli: Cli) -> None:
     whole = cli.render("--background", "0,0,0")
     for only in (each for each in ONLY if each != "motion"):  # motion needs the frame before
@@ -272,6 +273,7 @@ OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
 def test_options_equal_their_values_in_python(options: tuple[str, ...], cli: Cli) -> None:
     frame = fr.render(MINI_HEAD, size=(48, 48), **OPTIONS[options])
@@ -296,6 +298,7 @@ def test_material(cli: Cli) -> None:
     np.testing.assert_array_equal(image, fr.render(mesh, size=(48, 48)).srgb8())
 
 
+@pytest.mark.slow
 def test_masking(cli: Cli) -> None:
     view = ("--camera", "profile", "--only", "specular", "--ambient", "0")
     images = {}

@@ -96,6 +96,7 @@ def test_every_file_option_is_tested():
     assert len(OPTIONS) >= 25
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("command", "dest"), OPTIONS)
 def test_a_missing_file_is_reported_as_missing(command, dest, folder, capsys):
     for pattern in NAMES:
@@ -193,6 +194,7 @@ def test_explore_without_a_name(folder, capsys):
     assert capsys.readouterr().err == f"facerender: error: {message}\n"
 
 
+@pytest.mark.slow
 def test_render_several_views_without_a_name(folder, capsys):
     words = ["render", "--size", "16", "--camera", "turntable:2"]
     assert main(words) == 0

@@ -115,6 +115,7 @@ def python_error(raises: Raises, value: Any) -> str:
     return str(caught.value)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("command", "option"), OPTIONS, ids=IDS)
 def test_one_limit(command, option, folder, capsys):
     name = name_of(option)

@@ -47,6 +47,7 @@ def worst(target: Each, term: Term, f0: float, starts: int, steps: int) -> tuple
     return share, f"{term}, f0 = {f0}: {share:.3f} of the bound at {at}"
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("term", "f0"), VARIANTS, ids=str)
 def test_bounds_hold_from_the_worst_samples_on(evaluator, term, f0):
     share, description = worst(evaluator, term, f0, *FEW)

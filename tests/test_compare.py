@@ -105,6 +105,7 @@ def guesses(result) -> set[str]:
     }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_renders_fail_with_the_right_reason(room, setting, name):
     metric, likely = CAUGHT[name]
@@ -349,6 +350,7 @@ SMOOTH = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.25, 0.5])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_rounding_and_dithering_of_smooth_areas_pass(name, noise):

@@ -84,6 +84,7 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> tuple[
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_compare_needs_no_rendering_packages(images, alone):
     command = ["-c", COMMAND, "compare", "a.exr", "b.exr", "--report", "report.html", "--json"]
     status, output = run(command, images, alone)
@@ -98,6 +99,7 @@ def test_rendering_names_the_missing_package(images, alone):
     assert "No module named 'glcontext'" in output
 
 
+@pytest.mark.slow
 def test_plugin_needs_no_rendering_packages(images, alone):
     suite = images / "test_suite.py"
     suite.write_text(SUITE)

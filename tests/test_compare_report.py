@@ -324,6 +324,7 @@ def test_the_worst_places_are_enlarged(tmp_path: Path) -> None:
     assert buttons == {"72,56", "1,0"}
 
 
+@pytest.mark.slow
 def test_a_large_difference_is_reduced_and_loses_no_pixel(tmp_path: Path) -> None:
     a = np.full((1100, 900, 3), 0.4, dtype=np.float32)
     b = a.copy()
@@ -336,6 +337,7 @@ def test_a_large_difference_is_reduced_and_loses_no_pixel(tmp_path: Path) -> Non
     assert (tmp_path / "report.html").stat().st_size < 60_000
 
 
+@pytest.mark.slow
 def test_only_the_first_pairs_are_unfolded(tmp_path: Path) -> None:
     entries = [entry(Pair.of(str(i), image(), with_pixel(3.0))) for i in range(12)]
     write_report(tmp_path / "report.html", entries)
@@ -347,6 +349,7 @@ def test_only_the_first_pairs_are_unfolded(tmp_path: Path) -> None:
     assert [("open" in each) for each in folds] == [True] * 10 + [False] * 2
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("shape", [(400, 500), (363, 363), (30, 50)])
 def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
     a = np.full((*shape, 3), 100, dtype=np.uint8)

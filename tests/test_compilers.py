@@ -87,6 +87,7 @@ def test_costs_of_terms_equal_the_committed_table(name, model):
             assert cost(found, term) == pytest.approx(cost(expected, term), rel=0.15), term
 
 
+@pytest.mark.slow
 @COMPILER
 def test_cost_is_in_cycles_of_the_vector_alu(family):
     product, exponential = {"navi21": (2, 2), "vega10": (4, 16)}[family]

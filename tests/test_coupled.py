@@ -13,6 +13,7 @@ from tools.fits.albedo import albedo_integral
 COUPLED = fr.Shading(diffuse="coupled")
 
 
+@pytest.mark.slow
 def test_albedo_fit_is_slightly_above_the_integral():
     random = np.random.default_rng(1)
     cosines = random.random(80) ** 2 * 0.9996 + 4e-4
@@ -36,6 +37,7 @@ def test_albedo_integral_agrees_with_sampling(m):
     assert weight.mean() == pytest.approx(albedo_integral(0.6, m, 0.028), rel=0.01)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("second", [None, 0.12])
 @pytest.mark.parametrize("m", [0.05, 0.15, 0.3, 0.6, 1.0])
 def test_both_terms_conserve_energy(m, second):

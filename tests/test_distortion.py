@@ -275,6 +275,7 @@ def hits(mesh, origin, rays):
     return distance, number, cosine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lens",
     [STRONG, *(pytest.param(own, marks=pytest.mark.slow) for own in LENSES if own != STRONG)],
@@ -342,6 +343,7 @@ def levels(image, wanted):
     return 255.0 * np.abs(first - second).max(axis=-1)[wanted[..., 3] > 0.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", [TYPICAL, STRONG, PINCUSHION], ids=["typical", "strong", "pin"])
 def test_radiance_is_that_of_a_supersampled_image(mini, egl, drawing, lens):
     """A distorted image is as near to its reference as an image without distortion to its own."""
@@ -374,6 +376,7 @@ def whole():
     return fr.load_mesh()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("samples", [1, 4, 16])
 def test_slight_distortion_changes_no_pixel(drawing, whole, name, samples):
@@ -445,6 +448,7 @@ def test_terms_of_a_distorted_scene_without_lights(drawing, mini, lit):
         assert np.array_equal(drawing.render(scene, only=only).linear[..., 3], seen.part >= 0)
 
 
+@pytest.mark.slow
 def test_one_renderer_draws_all_lenses(egl, mini):
     cameras = [camera_of(mini, lens) for lens in (None, *LENSES)]
     with fr.Renderer(SIZE, samples=4, backend=egl) as renderer:

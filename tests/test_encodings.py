@@ -38,6 +38,7 @@ COMPRESSIONS = [  # compression of the EXR file, bits of its floats, attributes
 ]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("name", "bits", "header"), COMPRESSIONS)
 def test_noise_of_exr(frame, name, bits, header, tmp_path):
     kind = np.dtype(f"f{bits // 8}")

@@ -53,6 +53,7 @@ def test_module_is_not_imported_without_an_environment():
     assert not found.stdout.strip()
 
 
+@pytest.mark.slow
 def test_small_spot_equals_a_directional_light(small, head):
     """Position, brightness and rotation must agree."""
     wide = head.with_material(m=0.4, normal_map=None, occlusion_map=None)
@@ -69,6 +70,7 @@ def test_small_spot_equals_a_directional_light(small, head):
     assert np.corrcoef(both[0].ravel(), lit.ravel())[0, 1] > 0.97
 
 
+@pytest.mark.slow
 def test_uniform_environment_shows_the_albedo():
     even = fr.Panorama("even", np.full((8, 16, 3), 0.7))
     n = np.array([0.0, 0.6, 0.8])
@@ -106,6 +108,7 @@ def test_nine_coefficients_approximate_the_irradiance():
     assert error.max() < 0.13 * expected.mean()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("height", [64, 600])
 def test_map_keeps_the_energy_of_a_small_light(height):
     panorama = spot(-50.0, 42.0, height)
@@ -178,6 +181,7 @@ def faulty(folder, name):
     return str(folder / name)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "message"),
     [

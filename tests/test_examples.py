@@ -90,6 +90,7 @@ def check_sphere(path: Path) -> None:
     np.testing.assert_allclose(drawn / 255.0, expected, atol=0.7 / 255.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "package"),
     [

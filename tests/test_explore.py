@@ -262,6 +262,7 @@ def test_scenes_that_the_page_cannot_show_are_refused(tmp_path, capsys, words, m
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("words", "names"),
     [
@@ -1026,6 +1027,7 @@ def test_canvas_has_one_pixel_per_device_pixel(browser, address, size, ratio):
     assert off.max() <= 0.6
 
 
+@pytest.mark.slow
 def test_the_built_in_head_fits(tmp_path, capsys):
     assert main(["explore", "-o", str(tmp_path / "head.html")]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'head.html'}\n"
@@ -1051,6 +1053,7 @@ def test_invalid_output_is_refused_first(tmp_path, capsys, name, words):
     assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
 
 
+@pytest.mark.slow
 def test_maps_differ_by_less_than_a_level(head):
     for name, kind in (("albedo_map", "color"), ("normal_map", "normal"), ("property_map", "data")):
         texture = getattr(head.materials[0], name)

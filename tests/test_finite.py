@@ -35,6 +35,7 @@ def inputs() -> Inputs:
     return Random(0, FEW).inputs()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("group", GROUPS)
 def test_finite_and_not_negative(evaluator, inputs, group):
     """Of large groups only every seventh case runs; these contain every lobe."""

@@ -113,6 +113,7 @@ def lines_of(plan):
 # --- the choice ----------------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("budget", "within"), [("0", 1.0), ("0.01/255", 0.05)])
 def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, scene, cli):
     plan = fr.plan(scene, budget, within=within, renderer=drawing)
@@ -133,6 +134,7 @@ def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, s
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("budget", "within"),
     [(WIDE, 1.0), ("60/255", 0.8), pytest.param("20/255", 0.6, marks=pytest.mark.slow)],
@@ -155,6 +157,7 @@ def test_drawn_error_is_within_a_wide_budget(budget, within, drawing, egl, scene
     assert plan.error_map.max() == pytest.approx(worst, rel=1e-6)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("budget", "options"), [("4/255", {}), ("60/255", {}), ("10/255", {"within": 0.9})]
 )
@@ -179,6 +182,7 @@ def test_coarser_frames_are_over_the_budget(budget, options, drawing, scene, pla
     assert at_share <= plan.budget.limit
 
 
+@pytest.mark.slow
 def test_samples_fit_all_cameras(drawing, scene):
     """One sample is within the budget at one camera, but not at the other."""
     errors = {
@@ -201,6 +205,7 @@ def test_fewest_samples_within_the_budget_are_chosen(egl, scene):
             assert fr.plan(scene, budget, renderer=renderer).detail.samples == samples
 
 
+@pytest.mark.slow
 def test_per_pixel_shading_is_chosen_where_one_sample_fails(cli, drawing, scene):
     within = 0.95
     once = LevelOfDetail(4, None, shading_rate="pixel")
@@ -239,6 +244,7 @@ def test_per_pixel_shading_is_chosen_where_one_sample_fails(cli, drawing, scene)
         assert (own == image).all() == (each == "pixel")
 
 
+@pytest.mark.slow
 def test_per_pixel_shading_uses_the_samples_of_the_driver(egl, scene):
     """8 samples are reduced to 4; with one sample, the shading rate does not matter."""
     with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
@@ -290,6 +296,7 @@ def test_fragment_prices_leave_samples_and_triangles(cost, drawing, scene):
 # --- output --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     pinned = cli.folder / "pinned.toml"
     status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--scene", pinned)
@@ -460,6 +467,7 @@ def test_samples_and_triangles_are_explained(budget, drawing, scene, planned):
     assert lines["cost"].startswith(cost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("high", [0.996, 1.0, 1.3])
 def test_a_frame_without_a_measured_gain_becomes_the_full_frame(
     high, cli, drawing, scene, monkeypatch
@@ -549,6 +557,7 @@ def changed_to(shading, values):
     return own.replace(**lights) if lights else own
 
 
+@pytest.mark.slow
 def test_error_at_another_camera_is_an_example(drawing, scene, planned):
     plan = planned(WIDE)
     assert plan.elsewhere.camera == fr.Camera(45.0)
@@ -572,6 +581,7 @@ def test_ratio_compares_frames_of_the_same_round(monkeypatch):
 # --- antialiasing --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_more_samples_reduce_errors_at_the_silhouette(drawing, scene):
     measured = antialiasing(drawing, scene, (1, 4, 16, 64), repeats=2)
     assert [each.samples for each in measured if each.shading_rate == "pixel"] == [4]

@@ -32,6 +32,7 @@ def ends(mesh, region):
     return middle - region.height * mesh.radius, middle + region.height * mesh.radius
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", PEOPLE)
 def test_face_of_a_person_is_found(name):
     mesh = known(name)

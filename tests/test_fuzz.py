@@ -37,6 +37,7 @@ def named(name: str) -> Subject:
     return subject
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("inputs", [4, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
 def test_changed_files_are_read_or_refused(subject: Subject, inputs: int, tmp_path: Path) -> None:

@@ -96,6 +96,7 @@ def test_every_flattened_file_compiles_without_a_warning(target, tmp_path):
     )
 
 
+@pytest.mark.first_case
 @pytest.mark.compiler
 @pytest.mark.smoke
 @pytest.mark.parametrize("target", glsl.TARGETS)

@@ -660,6 +660,7 @@ def _(folder):
 ONCE = {test: name for name, test in reversed(CASES.items())}  # a test may cover several features
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("test", ONCE, ids=ONCE.values())
 def test_feature(test, tmp_path):
     test(tmp_path)

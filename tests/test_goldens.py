@@ -73,18 +73,21 @@ def agrees(facerender_snapshot) -> Compare:
     return check
 
 
+@pytest.mark.slow
 def test_eyes(small, agrees):
     """Default settings: soft shadows, refracting corneas, blended lashes and tear lines."""
     scene = fr.Scene(fr.load_mesh(), fr.Camera(frame="face", zoom=2.0))
     agrees(small.render(scene), "eyes", maps=True)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("shading", SHADINGS, ids=shading_name)
 def test_shadings(small, meshes, agrees, shading):
     frame = small.render(fr.Scene(meshes["bare"], CLOSE), shading, "specular")
     agrees(frame, f"bare-{shading_name(shading)}")
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])
 @pytest.mark.parametrize("lobe", SLOPES)
 def test_other_slopes(small, meshes, agrees, model, lobe):
@@ -93,6 +96,7 @@ def test_other_slopes(small, meshes, agrees, model, lobe):
     agrees(frame, f"mini-{model}-{lobe}-m{SLOPES[lobe]}")
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("mesh", ["head", "mini"])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_cameras(small, meshes, agrees, mesh, camera):
@@ -105,6 +109,7 @@ def test_meshes_in_ward(small, meshes, agrees, mesh):
     agrees(frame, f"{mesh}-ward-fitted", maps=mesh in ("head", "mini"))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("only", ONLY)
 def test_terms(small, meshes, agrees, only: Only):
     mesh = "head" if only == "albedo" else "bare"

@@ -104,6 +104,7 @@ def test_forked_child_draws_the_same(software, drawn):
     assert in_child(lambda: draw("auto")) == drawn[1]
 
 
+@pytest.mark.slow
 def test_a_child_draws_a_mesh_whose_maps_are_being_decoded(software, egl, tmp_path):
     texels = np.random.default_rng(0).integers(0, 256, (1024, 1024, 3), dtype=np.uint8)
     Image.fromarray(texels).save(tmp_path / "skin.png")
@@ -171,6 +172,7 @@ def test_a_gpu_is_refused_after_a_fork(drawn, monkeypatch, opened_by):
     assert in_child(draw) == REFUSED
 
 
+@pytest.mark.slow
 def test_child_after_the_parent_used_another_context(drawn):
     """The parent created a context of its own before it called facerender."""
     code = """
@@ -239,6 +241,7 @@ def test_threads_share_a_renderer(backend):
         np.testing.assert_array_equal(frame, wanted)
 
 
+@pytest.mark.slow
 def test_threads_draw_with_renderers_of_their_own(backend):
     mesh = fr.load_mesh(MINI_HEAD)
     expected = fr.render(mesh, size=(96, 96), backend=backend).linear
@@ -261,6 +264,7 @@ def drop(scene: fr.Scene, backend: Backend) -> None:
     fr.Renderer((64, 64), samples=1, backend=backend).render(scene)
 
 
+@pytest.mark.slow
 def test_dropped_renderers_free_their_memory(backend):
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     held = []
@@ -275,6 +279,7 @@ def test_dropped_renderers_free_their_memory(backend):
     assert held[2] - held[1] < 16  # without freeing, each took 12 MiB
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("write", [write_glb, write_textured_obj, write_ply, write_stl])
 def test_loaded_data_is_freed_with_its_mesh(
     write: Callable[[Path, Head], Path], tmp_path: Path
@@ -302,6 +307,7 @@ def test_loaded_data_is_freed_with_its_mesh(
         gc.enable()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("shading", [fr.Shading(), fr.Shading(m=0.3)], ids=["own m", "one m"])
 def test_dropped_meshes_are_freed(shading: fr.Shading, backend):
     """Their parts, maps and simplified meshes are freed, too, while the renderer exists."""
@@ -316,6 +322,7 @@ def test_dropped_meshes_are_freed(shading: fr.Shading, backend):
         assert [one() for one in known] == [None] * len(known)
 
 
+@pytest.mark.slow
 def test_renderer_may_be_dropped_while_another_draws(backend, monkeypatch):
     """The garbage collector may drop a renderer in any thread at any time."""
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
@@ -351,6 +358,7 @@ def test_dropped_guest_frees_its_objects_in_the_host_context(backend):
     host.release()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["raise SystemExit(3)", "import os; os.fork() or exit()"])
 def test_the_interpreter_ends_without_noise(egl, end):
     """At the end a renderer exists in a reference cycle, and maps are being decoded."""

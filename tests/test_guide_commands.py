@@ -114,6 +114,7 @@ def pages() -> list[object]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("egl")
 @pytest.mark.parametrize("page", pages())
 def test_commands_run_in_the_order_of_the_page(page, tmp_path):
@@ -152,6 +153,7 @@ def test_blocks_of_a_page_are_told_apart():
     assert files(page) == {"a.toml": "x = 1\n", "b.toml": "# b.toml\ny = 2\n"}
 
 
+@pytest.mark.slow
 def test_a_command_that_fails_is_seen(tmp_path):
     run(tmp_path, "facerender shaders path | cat > path\n")
     with pytest.raises(AssertionError, match="status 2: facerender render"):

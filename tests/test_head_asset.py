@@ -352,6 +352,7 @@ def visible(
     return [part[central], front[central]]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("elevation", [-40, 0, 40])
 @pytest.mark.parametrize("azimuth", [-45, 0, 45, 75])
 def test_no_ray_enters_the_head_beside_an_eye(head: Head, azimuth: int, elevation: int):
@@ -419,6 +420,7 @@ def test_left_and_right_shapes_are_mirrored(head: Head, part: str, left: str, ri
     assert np.percentile(difference, 90) < 0.25 * np.linalg.norm(moves, axis=1).max()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("weight", [0.0, 0.25, 0.5, 0.75, 1.0])
 def test_blinking_lids_do_not_enter_the_eyeball(eye: MeasuredEye, weight: float):
     blink = BLINKS[0] if eye.side > 0 else BLINKS[1]
@@ -443,6 +445,7 @@ def skin_faces(head: Head, eye: MeasuredEye) -> np.ndarray:
     return corners[(np.linalg.norm(at, axis=1) < 18) & (at[:, 2] > 0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elevation", [-25, 0, 25])
 @pytest.mark.parametrize("azimuth", [-25, 0, 40])
 def test_blink_closes_the_eye(head: Head, azimuth: int, elevation: int):
@@ -553,6 +556,7 @@ def test_inner_brows_go_up(head: Head):
         assert head.moves["head"][name][at_brow, 1].min() < -0.003
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", SHAPES["head"])
 def test_shapes_do_not_fold_the_skin(head: Head, name: str):
     """No face turns over or collapses. Creases and margins of the lids may fold."""

@@ -143,6 +143,7 @@ def test_completion_without_its_package_is_told(capsys, monkeypatch):
     assert err.startswith("facerender: error: completion needs the package shtab; pip install")
 
 
+@pytest.mark.slow
 def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
     code = (
         "import sys, facerender\n"

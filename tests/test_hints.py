@@ -188,6 +188,7 @@ def test_small_dull_parts_give_no_hint():
     assert hints.faint(fr.Mesh.of("two", [*head.parts, small], [dull, *head.materials]))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("scale", "remedy"),
     [
@@ -217,6 +218,7 @@ def test_a_unit_beyond_the_limits_is_not_proposed(tmp_path, capsys, renderer):
         renderer.render(fr.Scene(fr.load_mesh(path).with_skin(scattering="skin")))
 
 
+@pytest.mark.slow
 def test_renderer_warns_once_for_each_mesh(renderer):
     mesh = fr.load_mesh(flip_v=True)
     with pytest.warns(fr.FacerenderWarning, match="probably upside down"):
@@ -237,6 +239,7 @@ def test_highlights_that_a_user_sets_give_no_warning(renderer, tmp_path):
         renderer.render(fr.Scene(mesh))
 
 
+@pytest.mark.slow
 def test_render_and_info_print_hints(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("FACERENDER_CACHE_MIB", "100")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -251,6 +254,7 @@ def test_render_and_info_print_hints(tmp_path, capsys, monkeypatch):
     assert "--ks 1" in json.loads(capsys.readouterr().out)["hints"][0]
 
 
+@pytest.mark.slow
 def test_shadows_without_lights(tmp_path, capsys):
     image = str(tmp_path / "a.png")
     command = ["render", str(MINI_HEAD), "--size", "32", "-o", image, "--shadows"]
@@ -264,6 +268,7 @@ def test_shadows_without_lights(tmp_path, capsys):
         assert ("give --occlusion or a --light" in capsys.readouterr().err) is warned
 
 
+@pytest.mark.slow
 def test_every_record_of_a_batch_has_the_hints_of_its_mesh(table, draw, tmp_path):  # noqa: F811
     path = write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl")
     (tmp_path / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")

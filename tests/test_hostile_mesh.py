@@ -391,6 +391,7 @@ def test_files_converted_as_text_are_named(how, tmp_path):
         assert text.endswith("in Git, add '*.bin binary' to .gitattributes")
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("length", [100, 65536, 300_000, -4000, -100, -8, -1])
 def test_truncated_files_were_not_converted(length, tmp_path):
     data = HEAD.read_bytes()
@@ -730,6 +731,7 @@ def test_special_files_are_not_read(what, place, tmp_path):
 # --- cache ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_invalid_cache_entry_is_ignored(cache_folder):
     """The entry has a valid checksum, but not the content that this version writes."""
     expected = fr.load_mesh(MINI_HEAD, cache=True).bounds

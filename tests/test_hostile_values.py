@@ -346,6 +346,7 @@ HIDDEN = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("samples", [1, 4])
 def test_image_without_the_mesh_warns_with_the_reason(samples, recwarn):
     with fr.Renderer((64, 48), samples=samples) as renderer:
@@ -406,6 +407,7 @@ def ends(head: fr.Mesh) -> dict[str, tuple[dict[str, Any], dict[str, Any], dict[
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "samples"),
     [(MINI_HEAD, 4), *(pytest.param(None, n, marks=pytest.mark.slow) for n in (1, 4))],

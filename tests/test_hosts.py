@@ -34,6 +34,7 @@ def test_choices_give_different_images(expected):
     np.testing.assert_array_equal(every, defaults)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "host",
     [each if each == HERE else pytest.param(each, marks=pytest.mark.compiler) for each in HOSTS],

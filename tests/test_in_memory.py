@@ -62,6 +62,7 @@ def scene_of(path):
 # --- files in memory -----------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("write", [None, write_ply, write_stl, write_textured_obj])
 def test_bytes_and_open_files_equal_their_file(write, tmp_path):
     path = MINI_HEAD
@@ -248,6 +249,7 @@ def test_maps_may_be_arrays_images_and_textures():
         fr.load_mesh(MINI_HEAD, albedo=5)  # type: ignore[arg-type]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "make",
     [

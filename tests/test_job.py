@@ -93,6 +93,7 @@ def test_scene_files_hold_all_terms(head, tmp_path):
     assert loaded["environment"] == job.environment
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", ["defaults", "everything"])
 def test_job_from_json_draws_the_same_bits(name, egl, head):
     job = replace(JOBS[name], image=fr.ImageSettings((48, 32), 1, float_albedo=True))
@@ -105,6 +106,7 @@ def test_job_from_json_draws_the_same_bits(name, egl, head):
     np.testing.assert_array_equal(*images)
 
 
+@pytest.mark.slow
 def test_pickled_scene_draws_the_same_bits(renderer, tmp_path):
     """A second process without the caches of this one draws the same bits, too."""
     mesh = fr.load_mesh(files.MINI_HEAD)

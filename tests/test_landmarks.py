@@ -354,6 +354,7 @@ def test_hollows_and_slopes(renderer):
 # --- batch ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_records_of_a_batch(skull, renderer, tmp_path):
     (number,) = nearest(skull, nose_of(skull)).vertices[:, 0].tolist()
     (other,) = nearest(skull, nose_of(skull) * (1, 1, -1)).vertices[:, 0].tolist()

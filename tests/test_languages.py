@@ -93,6 +93,7 @@ def test_functions_agree_with_float64(target):
     check({name: case for cases in groups for name, case in cases.items()}, target)
 
 
+@pytest.mark.slow
 @pytest.mark.vulkan
 @pytest.mark.smoke
 @pytest.mark.parametrize("target", TRANSLATED, indirect=True)
@@ -141,6 +142,7 @@ def test_every_file_and_choice_compiles_as_metal():
     metal_drawn([fr.shader_source(name, "msl", lobe=lobe, m=m) for name, lobe, m in TEXTS], [])
 
 
+@pytest.mark.slow
 @pytest.mark.compiler
 @pytest.mark.smoke
 def test_metal_draws_the_same_as_opengl(egl):
@@ -220,6 +222,7 @@ def test_untranslatable_glsl_is_refused(text, message, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", UNTRANSLATED)
 def test_files_with_samplers_are_for_glsl(name):
     """The message names file and function, and quotes no source text."""

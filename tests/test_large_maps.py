@@ -87,6 +87,7 @@ def test_textures_of_textures_can_be_coarse():
     np.testing.assert_array_equal(coarse.levels("data").result()[0], finest)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("camera", "texels"), [*zip(VIEWS, (512, 2048, 512), strict=True)])
 def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels):
     """Each mip level has its own colour, which shows the levels that the driver reads."""
@@ -123,6 +124,7 @@ def test_hidden_triangles_do_not_require_finer_levels():
         assert levels_to_spare(mesh, part, part.uv, (1024, 1024), view, SIZE) == expected
 
 
+@pytest.mark.first_case
 @pytest.mark.usefixtures("small_is_large")
 @pytest.mark.parametrize(("camera", "samples"), [*zip(VIEWS, (1, 4, 1), strict=True)])
 def test_images_hardly_change(detailed, camera, samples):

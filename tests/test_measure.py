@@ -148,6 +148,7 @@ def test_json_of_samples_has_the_shading_rate():
     assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, per-pixel shading"]
 
 
+@pytest.mark.slow
 def test_parts_of_skin_have_costs_and_errors(coarse_head, egl):
     head = coarse_head
     scene = fr.Scene(head, fr.Camera(-35.0))
@@ -216,6 +217,7 @@ def quickest(quicker, monkeypatch):
     monkeypatch.setattr(rendering, "ratios", lambda draws, repeats: ratios(draws, 1))
 
 
+@pytest.mark.slow
 def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -275,6 +277,7 @@ def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
     assert images["exact"].largest < 1e-4 < images["d16"].largest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", ["quickest", pytest.param("quicker", marks=pytest.mark.slow)])
 def test_command_writes_everything(speed, egl, tmp_path, capsys, monkeypatch, request):
     request.getfixturevalue(speed)

@@ -95,6 +95,7 @@ def assert_sound(mesh):
 # --- formats -------------------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("write", "suffix"),
     [
@@ -124,6 +125,7 @@ def test_suffix_in_capitals(tmp_path):
     assert fr.load_mesh(files.write_ply(tmp_path / "MINI.PLY", mini_head())).name == "MINI.PLY"
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
 def test_obj_from_windows(encoding, tmp_path, control, draw, monkeypatch):
     monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # not a dependency
@@ -216,6 +218,7 @@ def with_bad_vertices(head):
     return head.with_positions(positions)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("write", "suffix"), [(files.write_textured_obj, ".obj"), (files.write_glb, ".glb")]
 )
@@ -260,6 +263,7 @@ def test_face_whose_area_rounds_to_zero(end, tmp_path):
     assert len(mesh.parts[0].faces) == 1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1e3, 1e6), (1e-6, 0.0), (1e12, 0.0)], ids=["mm", "micrometre", "huge"]
 )
@@ -291,6 +295,7 @@ def test_a_long_path_in_any_order_is_one_component():
     assert not joined(np.stack([path[:-1], path[1:]], axis=1), len(path)).any()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("every", "warning"),
     [
@@ -531,6 +536,7 @@ def palette():
     return image
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "image", "tolerance"),
     [
@@ -557,6 +563,7 @@ def test_grey_image(tmp_path, draw):
     assert np.ptp(albedo[..., 0][albedo[..., 3] > 0]) > 0.1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("mode", ["RGB", "L"])
 def test_image_of_16_bits(mode, tmp_path, draw):
     image = mini_head().image.convert(mode)
@@ -842,6 +849,7 @@ AWKWARD = {
 }
 
 
+@pytest.mark.slow
 def test_awkward_files(awkward, draw):
     found = (each for each in awkward.glob("*/*") if each.suffix in (".glb", ".obj", ".ply"))
     paths = {path.relative_to(awkward).as_posix(): path for path in found}

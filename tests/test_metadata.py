@@ -70,6 +70,7 @@ def test_metadata_lists_every_parameter_once(renderer, mesh):
     }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("key", "change"),
     [

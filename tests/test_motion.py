@@ -108,6 +108,7 @@ def test_motion_warps_one_frame_into_the_next(skull, drawing):
     assert np.median(error) < 0.1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("place", [lambda mesh: mesh, moved_away], ids=["near", "far"])
 def test_static_surfaces_have_no_motion(skull, drawing, place):
     mesh = place(skull)

@@ -71,6 +71,7 @@ def goldens(studio, tmp_path_factory) -> tuple[Path, Path]:
     return plain, ranged
 
 
+@pytest.mark.slow
 def test_shifts_surround_the_centre(goldens):
     places = np.array(SHIFTS)
     assert np.hypot(*places.T).max() == pytest.approx(FARTHEST, rel=1e-4)
@@ -92,6 +93,7 @@ def test_coverage_of_a_drawn_shift_is_explained(studio, goldens):
     assert compare(goldens[1], image).coverage == 0.0
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("value", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize("seed", range(2))
 def test_wrong_pixels_fail(goldens, value, seed):
@@ -147,6 +149,7 @@ def test_range_is_rounded_outwards_within_half_floats():
     assert not np.isnan([least, most]).any()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("ranged", [False, True])
 @pytest.mark.parametrize(
     ("scale", "limits", "bits"),
@@ -164,6 +167,7 @@ def test_golden_is_rounded_by_a_part_of_the_limits(tmp_path, ranged, scale, limi
     assert check("a", values, tmp_path / "a.exr", **limits).failure == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("studio", [1], indirect=True)
 def test_draw_is_called_only_when_a_golden_is_written(studio, goldens, tmp_path):
     before = studio.calls
@@ -175,6 +179,7 @@ def test_draw_is_called_only_when_a_golden_is_written(studio, goldens, tmp_path)
     assert studio.calls == before + 1 + len(SHIFTS)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("studio", [1], indirect=True)
 @pytest.mark.parametrize(
     ("factor", "size", "message"),

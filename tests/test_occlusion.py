@@ -120,6 +120,7 @@ VARIANTS = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("deferred", [False, True])
 def test_every_pixel_agrees_with_float64(egl, baked, name, deferred, monkeypatch):
@@ -165,6 +166,7 @@ def test_occlusion_is_compiled_only_if_present(bare, baked):
         assert ("in_occlusion" in fixed_attributes(part)) == on
 
 
+@pytest.mark.slow
 def test_parts_with_occlusion_maps_are_not_baked(head, ring):
     with pytest.warns(fr.FacerenderWarning, match=r"head\.glb has occlusion maps for all"):
         assert fr.with_occlusion(head) is head
@@ -180,6 +182,7 @@ def test_parts_with_occlusion_maps_are_not_baked(head, ring):
     assert unused.parts[0].occlusion is not None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("measured_gain")
 def test_simplified_meshes_and_plans_keep_occlusion(baked, bare, egl):
     level = fr.simplified(baked, 2000)
@@ -251,6 +254,7 @@ def test_unused_vertices_are_ignored(bare, baked):
     np.testing.assert_array_equal(own.occlusion[-3:], 1.0)
 
 
+@pytest.mark.slow
 def test_render_with_occlusion(tmp_path, capsys, egl, baked, cache_folder, monkeypatch):
     place = cache_folder / "occlusion"
     (tmp_path / "out").mkdir()

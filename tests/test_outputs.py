@@ -199,6 +199,7 @@ def test_the_longest_name(tmp_path, egl):
     assert os.listdir(tmp_path) == [path.name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("a.png", 32), ("a.exr", 4)])
 def test_full_disk_keeps_the_old_file(name, size, tmp_path, egl):
     (tmp_path / name).write_bytes(b"old")
@@ -258,6 +259,7 @@ def test_full_standard_output(arguments):
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_both_streams_full(tmp_path, egl):
     with open("/dev/full", "w") as full:
         arguments = ("render", MINI_HEAD, *SMALL, "-o", tmp_path / "a.png")
@@ -267,6 +269,7 @@ def test_both_streams_full(tmp_path, egl):
         written.load()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_closed_streams(closed, tmp_path, egl):
     """An opened file must not get the descriptor of a closed stream."""
@@ -290,6 +293,7 @@ def test_closed_pipe_ends_with_sigpipe():
     assert (done.returncode, done.stderr) == (141, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}])
 def test_unencodable_characters_in_paths(encoding, tmp_path, egl):
     path = tmp_path / "Gesicht ä\udcff.png"
@@ -440,6 +444,7 @@ def test_progress_bar_appears_only_on_terminals(stream, quiet, monkeypatch):
         assert reported == ""
 
 
+@pytest.mark.slow
 def test_plan_reports_its_progress(egl):
     reported = []
     with fr.Renderer((24, 24), samples=1, backend=egl) as renderer:
@@ -452,6 +457,7 @@ def test_plan_reports_its_progress(egl):
     assert shares == sorted(shares)
 
 
+@pytest.mark.slow
 def test_commands_print_no_progress_without_a_terminal(inputs, capsys, egl):
     (inputs / "a").mkdir()
     for name in ("0.png", "1.png"):
@@ -475,6 +481,7 @@ def test_quiet_keeps_warnings_and_errors(inputs, capsys, egl):
     assert "facerender: error: " in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_batch_prints_its_progress_unless_quiet(tmp_path, capsys, egl):
     jobs = tmp_path / "jobs.jsonl"
     jobs.write_text(json.dumps({"mesh": str(MINI_HEAD), "image.size": 32}) + "\n")

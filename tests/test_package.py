@@ -52,6 +52,7 @@ def test_import_graph_has_no_cycle_and_no_wrong_arrow():
     assert arrows["terms"] == {"errors"}
 
 
+@pytest.mark.slow
 def test_wrong_imports_are_reported(tmp_path):
     folder = tmp_path / "facerender"
     shutil.copytree(ROOT / "facerender", folder, ignore=shutil.ignore_patterns("*.json", "*.pyc"))
@@ -98,6 +99,7 @@ def test_all_copyright_lines_name_the_authors_of_the_metadata():
         assert f"the {author['name']}" in (ROOT / path).read_text(encoding="utf-8"), path
 
 
+@pytest.mark.slow
 def test_modules_without_opengl_do_not_import_it():
     command = [sys.executable, "-c", IMPORT_EACH, ROOT / "facerender"]
     done = subprocess.run(
@@ -171,6 +173,7 @@ assert main(["render", "-o", "head.png"]) == 2  # OpenGL is absent
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", ["win32", pytest.param("darwin", marks=pytest.mark.slow)])
 def test_parts_without_opengl_work_elsewhere(system, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -334,6 +337,7 @@ def run_away(code, site, folder):
     subprocess.run([sys.executable, "-c", start + code], check=True, cwd=folder, env=environment)
 
 
+@pytest.mark.slow
 @pytest.mark.smoke
 @pytest.mark.wheel
 def test_wheel_imports_and_has_its_data(wheel, tmp_path):

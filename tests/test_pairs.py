@@ -66,6 +66,7 @@ def room(request, egl) -> Iterator[Room]:
     room.renderer.release()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("change", [*BROKEN, *HARMLESS])
 def test_comparison_judges_the_pairs_correctly(suite, scene, change):
     folder, pairs = suite

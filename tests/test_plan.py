@@ -135,6 +135,7 @@ def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1
     return plans
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "budgets", "kinds"),
     [
@@ -157,12 +158,14 @@ def test_no_fitting_candidate_is_cheaper(name, budgets, kinds, small, subject):
     assert any(plan.shading.frontal_lights for plan in plans) == name.startswith("frontal")
 
 
+@pytest.mark.slow
 def test_plans_fit_all_cameras(small, subject, monkeypatch):
     monkeypatch.setattr(search, "_SPREAD", 1)  # with few test pixels, many candidates remain
     monkeypatch.setattr(search, "_WORST", 1)
     planned([small], subject("constant m"), ["1/255"], cameras=turntable(count=3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "budgets", "within", "cameras"),
     [
@@ -185,6 +188,7 @@ def test_no_candidate_that_fits_a_fraction_of_pixels_is_cheaper(
     assert any(plan.error.maximum > plan.budget.limit for plan in plans)  # otherwise all pixels fit
 
 
+@pytest.mark.slow
 def test_plans_fit_all_sizes(small, egl, subject):
     at = subject("point light")
     with fr.Renderer((24, 18), samples=1, backend=egl) as other:
@@ -240,6 +244,7 @@ def test_every_term_is_a_candidate(bare):
         assert factors == set(product(fresnel, ("v-cavity", "kelemen", "none")))
 
 
+@pytest.mark.slow
 def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
     rough = fr.Scene(head.with_material(m=0.9))
     constants = Constants(0.3, 0.9, (2, 0, 1), (1, 2, 0))
@@ -260,6 +265,7 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
     assert all(each.normal_map and each.ambient for each in lean)
 
 
+@pytest.mark.slow
 def test_lights_are_ordered_by_their_contribution(small, subject):
     scene = subject("frontal, three").scene
     scene = replace(scene, lights=(*PLAIN_THREE, replace(PLAIN["front"], irradiance=9.0)))
@@ -282,6 +288,7 @@ def test_unlit_pixels_do_not_matter(small, subject):
     assert plan.shading.specular_lights == (0,)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("budget", ["0", "0 flip", "0.01/255", "1e-9%"])
 def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
     if "flip" in str(budget):
@@ -331,6 +338,7 @@ def test_errors_in_multisampled_images_count(egl, subject, monkeypatch):
     assert flawed.tried < 10  # a term that failed once is not tried again
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("more", [0, 1])
 def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypatch):
     """The number of pixels that may exceed the budget follows from the covered pixels."""
@@ -365,6 +373,7 @@ def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypa
 # --- errors --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("budget", "material", "lights", "exposure"),
     [
@@ -490,6 +499,7 @@ def test_default_lights_have_names(head):
     assert _words(replace(scene, lights=lights), fr.Shading(), ["shadows"]) == "of light 0, rim"
 
 
+@pytest.mark.slow
 def test_every_decision_has_a_line(plans):
     for plan in plans:
         names = [each.name for each in plan.decisions]
@@ -540,6 +550,7 @@ def test_decisions_have_the_values_that_differ(plans):
     assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
 
 
+@pytest.mark.slow
 def test_decisions_state_their_error_and_saving(plans, small):
     for plan in plans:
         prices = load_prices("auto", plan.scene, [], software=True)
@@ -571,6 +582,7 @@ def test_decisions_state_their_error_and_saving(plans, small):
                 assert limit < each.error == pytest.approx(min(errors(others)), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_rejected_choices_are_explained_in_flip(small, subject):
     require_module("flip_evaluator")
     at = subject("frontal")
@@ -643,6 +655,7 @@ USED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "language",
     [each if each == "wgsl" else pytest.param(each, marks=COMPILER) for each in LANGUAGES],

@@ -116,6 +116,7 @@ def planned(monkeypatch, framed, cli):
 # --- plan ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_text_output(plan):
     out = plan("--budget", "1/255")
     assert out == expected("1/255").explain() + "\n"
@@ -137,6 +138,7 @@ def test_json(plan):
     assert "GCN5 (vega10)" in found["cost"]["source"]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("target", [None, "330", "es300", "vulkan"])
 def test_emit(target, plan, cli):
     """tests/test_plan.py compiles the shaders."""
@@ -146,6 +148,7 @@ def test_emit(target, plan, cli):
     assert cli.written == ["lean.glsl"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", ["1/255", "40/255", "0"])
 def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
     pinned = cli.folder / "pinned.toml"
@@ -171,6 +174,7 @@ def test_a_pinned_scene_holds_a_g_power(plan, cli):
     assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
 
 
+@pytest.mark.slow
 def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
     pinned = cli.folder / "pinned.toml"
     arguments = (MINI_HEAD, "--light", KEY, "--size", "24..32", "--samples", "4")
@@ -203,6 +207,7 @@ def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
     assert not planned_anew["warnings"]
 
 
+@pytest.mark.slow
 def test_from_a_scene_file(plan, cli, tmp_path):
     (tmp_path / "scene.toml").write_text(
         f"lights = ['{KEY}']\n[camera]\nazimuth = 35\n[material]\nm = 0.2\n"
@@ -218,6 +223,7 @@ def test_from_a_scene_file(plan, cli, tmp_path):
     assert out == expected("2/255", mesh=mesh, full=full).explain() + "\n"
 
 
+@pytest.mark.slow
 def test_a_message_announces_long_plans_where_no_bar_is_shown(cli, framed, monkeypatch):
     def slow(*_, progress, **options):
         for step in ("views", "prices"):
@@ -235,6 +241,7 @@ def test_a_message_announces_long_plans_where_no_bar_is_shown(cli, framed, monke
     assert cli.run(*words)[2] == ""
 
 
+@pytest.mark.slow
 def test_cameras(plan, tmp_path, monkeypatch):
     """tests/test_plan.py checks that plans fit all cameras."""
     path = tmp_path / "path.toml"
@@ -283,6 +290,7 @@ def test_range_of_sizes(text, sizes):
     assert parse_sizes(text) == sizes
 
 
+@pytest.mark.slow
 def test_plan_fits_all_sizes_of_a_range(plan):
     arguments = (MINI_HEAD, *SMALL[2:], "--size", "24..48")
     out = plan("--budget", "1/255", mesh=arguments)
@@ -290,12 +298,14 @@ def test_plan_fits_all_sizes_of_a_range(plan):
     assert " 1 camera, 24 x 24, 34 x 34, 48 x 48 pixels; no guarantee for other cam" in out
 
 
+@pytest.mark.slow
 def test_within_a_fraction_of_the_pixels(plan):
     out = plan("--budget", "1/255", "--within", "95%")
     assert out == expected("1/255", within=0.95).explain() + "\n"
     assert " 1/255 for 95 % of the pixels, of which rounding may use" in out.splitlines()[0]
 
 
+@pytest.mark.slow
 def test_error_map(plan, cli):
     plan("--budget", "2/255", "--error-map", cli.folder / "error.png", "--camera", "30")
     found = expected("2/255", fr.Camera(30.0))
@@ -419,6 +429,7 @@ def test_options_that_conflict_with_a_pinned_shading(line, options, cli, tmp_pat
     cli.fail_to_render(message, "--scene", scene, *options)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("shading", ["", "m = 0.3043"])
 def test_a_planned_scene_accepts_only_the_m_of_its_plan(shading, cli, tmp_path):
     """The plan's shading may have a constant m; this makes no difference."""
@@ -487,6 +498,7 @@ def test_render_within_a_budget(cli, framed):
     assert cli.written == ["head.png"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("budget", "within"), [("2/255", ()), ("1/255", ("--within", "95%"))])
 def test_render_within_a_budget_as_json(budget, within, cli):
     """The budget applies to every pixel or to a fraction of the pixels."""
@@ -532,6 +544,7 @@ def test_plans_are_cached(cli, planned, framed, cache):
     np.testing.assert_array_equal(again, image)
 
 
+@pytest.mark.slow
 def test_changed_input_causes_a_new_plan(cli, planned, tmp_path):
     shoot(cli)
     shoot(cli, mesh=shutil.copy(MINI_HEAD, tmp_path / "other.glb"))
@@ -562,6 +575,7 @@ def test_irrelevant_options_reuse_the_plan(cli, planned):
     assert len(planned) == 1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "content",
     [

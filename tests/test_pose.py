@@ -157,6 +157,7 @@ class TestWithPositions:
 
 
 class TestDrawing:
+    @pytest.mark.first_case
     @pytest.mark.parametrize("deferred", [True, False])
     def test_a_pose_is_drawn_like_a_mesh_with_these_positions(
         self, head, egl, deferred, monkeypatch
@@ -189,6 +190,7 @@ class TestDrawing:
         np.testing.assert_allclose(followed[:, :3], still[:, :3], atol=1e-12)
         np.testing.assert_allclose(followed[:, 3], still[:, 3] - still[:, :3] @ step, atol=1e-9)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("frame", ["all", "face"])
     def test_crown_and_ears_stay_while_the_jaw_opens(self, egl, frame):
         """The mask above the mouth is the same in every pixel."""

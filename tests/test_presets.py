@@ -310,6 +310,7 @@ def test_presets_of_ict_facekit(ict):
     assert None not in found.values()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuth", [0.0, -35.0])
 def test_no_shell_hides_the_iris_and_no_card_is_black(ict, azimuth):
     camera = fr.Camera(azimuth, frame="face", target=(3.2, 3.6, 9.4), zoom=6.0)

@@ -54,6 +54,7 @@ def bare(head):
     return head.with_material(normal_map=None)
 
 
+@pytest.mark.slow
 def test_every_candidate_has_a_price(head, bare):
     """One table is enough, since all tables list the same terms; see below."""
     for mesh, full in (
@@ -240,6 +241,7 @@ def test_measured_prices_include_the_shared_part(egl, bare, monkeypatch):
         assert prices_of_term == (shared[0] + i, shared[1] + i)
 
 
+@pytest.mark.slow
 def test_measured_prices_serve_a_whole_plan(egl, bare, tmp_path, monkeypatch):
     """A constant m may allow lobes whose domain does not contain all slopes of the map."""
     wanted_terms = []

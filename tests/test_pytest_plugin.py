@@ -338,6 +338,7 @@ def test_update_missing_keeps_different_goldens(recorded):
     assert recorded.value() == pytest.approx(0.6)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("readable", [True, False])
 def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch, readable):
     recorded_on, this = "llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe"
@@ -412,6 +413,7 @@ Path.write_bytes = half
 """
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("end", [signal.SIGKILL, KeyboardInterrupt(), OSError(28)], ids=repr)
 def test_interrupted_update_leaves_the_old_golden(recorded, monkeypatch, end):
     before = recorded.golden().read_bytes()
@@ -488,6 +490,7 @@ def test_plugin_has_every_limit():
     assert get_args(Driver) == pytest_plugin.DRIVERS
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "before"),
     [
@@ -511,6 +514,7 @@ def test_pytest_and_compare_read_the_same_limits(recorded, name, before):
     assert recorded.passes(f"-c{path}") == [True, True, False]
 
 
+@pytest.mark.slow
 def test_driver_of_images_that_name_none(recorded):
     """Only images of another driver may have this noise."""
     noisy = "image() * (1.0 + 2e-3 * np.random.default_rng(1).normal(size=(32, 32, 1)))"
@@ -594,6 +598,7 @@ SELECTIONS = [
 ]
 
 
+@pytest.mark.slow
 def test_unused_goldens_need_a_complete_module(unused):
     for selection, judged in SELECTIONS:
         run = unused.run_apart if "-n2" in selection else unused.run
@@ -603,6 +608,7 @@ def test_unused_goldens_need_a_complete_module(unused):
         assert result.ret == status, selection
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "tests",
     [
@@ -714,6 +720,7 @@ def test_options_are_in_the_help(suites):
         assert f"--facerender-{name}" in output
 
 
+@pytest.mark.slow
 def test_workers_write_separate_and_shared_goldens(suites):
     suites.write(
         "@pytest.mark.parametrize('p', range(8))\n"

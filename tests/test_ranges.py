@@ -78,6 +78,7 @@ def test_constructors_accept_exactly_the_range(kind, name):
             of(kind, name, wrong)
 
 
+@pytest.mark.slow
 def test_one_number_is_width_and_height():
     assert fr.ImageSettings(256).size == fr.ImageSettings(np.int64(256)).size == (256, 256)
     assert scene_value("image", {"size": 256}) == {"size": 256}

@@ -106,6 +106,7 @@ def transparent(backend: Backend) -> Iterator[fr.Renderer]:
         yield renderer
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("mesh", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("scene_of", "shading"),
@@ -290,6 +291,7 @@ CASES = [*cases()]
 NAMES = [getattr(case.scene, "func", case.scene).__name__ for case, _ in CASES]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("case", "deferred"), CASES, ids=[f"{name}-{i}" for i, name in enumerate(NAMES)]
 )
@@ -356,6 +358,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
     return replace(scene, lights=(), environment=fr.Environment(studio()), background=(0.0,) * 3)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("scene_of", "full", "budgets", "values", "texts"),
     [

@@ -26,6 +26,7 @@ def single(backend):
         yield renderer
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("azimuth", "straight"), [(0.0, 0.05), (30.0, 0.08), (50.0, 0.16), (-45.0, 0.14)]
 )
@@ -55,6 +56,7 @@ def agrees(renderer, scene, shading=fr.Shading(), bound=1e-4):
     return frame, gbuffer
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "change",
     [
@@ -108,6 +110,7 @@ def test_surfaces_in_front_of_the_cornea_are_not_behind_it(single):
     np.testing.assert_allclose(one.emission[own], two.emission[own], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_every_effect_agrees_with_float64(single):
     studio = fr.load_environment(fr.EnvironmentFile("studio"))
     mesh = eye(ks=1.0)
@@ -125,6 +128,7 @@ def test_every_effect_agrees_with_float64(single):
     assert np.abs(four - frame).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_forward_deferred_and_per_pixel_shading_agree(backend, monkeypatch):
     scene = fr.Scene(eye(ks=1.0), camera(35.0), LIGHTS)
     assert can_defer(scene, 16384)
@@ -179,6 +183,7 @@ def test_maps_are_reused_until_the_scene_changes(single, monkeypatch):
         assert drawn.count("refraction_map") == count, changes
 
 
+@pytest.mark.slow
 def test_nothing_behind_shows_the_background(single):
     mesh = eye()
     alone = Mesh.of("lens", mesh.parts[CLEAR:], mesh.materials[CLEAR:])
@@ -242,6 +247,7 @@ def test_the_explorer_omits_refracting_parts():
     assert len(drawable(eye()).parts) == 2
 
 
+@pytest.mark.slow
 def test_maps_follow_the_order_of_the_lights():
     """Terms of single lights reorder the lights, and with them the shadow maps."""
     camera = fr.Camera(-35, target=(0.03, 0.02, 0.1), zoom=5.0)

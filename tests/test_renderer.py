@@ -62,6 +62,7 @@ def transparent(backend: Backend) -> Iterator[fr.Renderer]:
         yield renderer
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("light", range(5))
 def test_specular_layers_agree_with_float64(renderer, head, light):
     scene = mixed(head)
@@ -107,6 +108,7 @@ def test_simplified_scenes_and_materials(head):
     assert simplify(scene, fr.Shading("ward", "d8")) is scene
 
 
+@pytest.mark.slow
 def test_simplified_meshes_and_their_maps_are_cached(egl, monkeypatch):
     make, made = mips._CHAINS["data"], []
     monkeypatch.setitem(mips._CHAINS, "data", lambda image: made.append(image) or make(image))
@@ -219,6 +221,7 @@ def drivers() -> Iterator[list[fr.Renderer]]:
         renderer.release()
 
 
+@pytest.mark.first_case
 @pytest.mark.osmesa
 @pytest.mark.smoke
 @pytest.mark.parametrize("name", PASSES)
@@ -465,6 +468,7 @@ def test_images_are_reproducible(egl, head):
         np.testing.assert_array_equal(renderer.render(scene).linear, first)
 
 
+@pytest.mark.slow
 @pytest.mark.osmesa
 @pytest.mark.smoke
 def test_renderers_side_by_side(egl, head):
@@ -671,6 +675,7 @@ def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> ImageData
     return read_image(folder / "head.exr")
 
 
+@pytest.mark.slow
 def test_window_system_context_draws_the_same_image(egl, display, tmp_path):
     image = drawn_elsewhere(tmp_path, "native", DISPLAY=display)
     assert compare(fr.render(MINI_HEAD, size=(96, 96), backend=egl), image, block=1e-3)
@@ -820,6 +825,7 @@ def test_slope_of_a_map_outside_the_domain_is_refused(renderer, head):
     assert np.isfinite(renderer.render(fr.Scene(wide), fr.Shading()).linear).all()
 
 
+@pytest.mark.slow
 def test_render_mesh_is_optional(egl):
     frame = fr.render(fr.load_mesh(), m=0.25, size=(64, 48), samples=1, backend=egl)
     assert frame.linear.shape == (48, 64, 4)

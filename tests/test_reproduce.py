@@ -34,6 +34,7 @@ def errors() -> list[claims.Claim]:
     return claims.error_claims()
 
 
+@pytest.mark.slow
 def test_error_of_d16_is_small_only_near_slope_0_2(errors):
     relative, absolute, unclamped = errors
     assert relative.values["0.2"] == pytest.approx(1.13, abs=0.005)

@@ -625,6 +625,7 @@ def assert_pose(mesh, file, weights, clip, at):
         np.testing.assert_allclose(part.normals, normals, atol=1e-6)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_poses_follow_the_specification(sample):
     file = sample()
@@ -1119,6 +1120,7 @@ def test_parts_that_do_not_move_have_no_rig():
     assert fr.load_mesh(files.MINI_HEAD).parts[0].rig is None
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_rigs_survive_the_cache(sample, tmp_path, cache_folder):
     path = tmp_path / "a.glb"

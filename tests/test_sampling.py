@@ -57,6 +57,7 @@ def chi_square(light: np.ndarray, model: str, m: float, v: np.ndarray, fine: int
     return float(gammaincc(0.5 * (counted.sum() - 1), 0.5 * statistic))  # chi-squared distribution
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("model", "m", "degrees"), CASES)
 def test_sampled_directions_have_the_stated_density(model, m, degrees):
     v = eye_at(degrees)

@@ -193,6 +193,7 @@ def test_unresolved_scattering_is_skipped(renderer, head):
     np.testing.assert_array_equal(renderer.render(scene).linear, renderer.render(scene, OFF).linear)
 
 
+@pytest.mark.slow
 def test_module_is_not_imported_without_scattering():
     code = (
         "import sys, facerender as fr\n"

@@ -34,6 +34,7 @@ def renderer(egl):
 
 
 # Bounds of the mean error, relative to the light that arrives.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("radius", "bound", "distance"),
     [
@@ -58,6 +59,7 @@ def test_shadows_agree_with_ray_tracing(renderer, name, radius, bound, distance,
     assert found.without > 4.0 * found.mean
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "bound"), [("all", 0.06), ("face", 0.08)])
 def test_hard_shadow_of_the_chin_has_a_smooth_edge(egl, head, frame, bound):
     """The bound is half of the error of bilinear filtering with an offset of 2.5 texels."""
@@ -99,6 +101,7 @@ def test_terminator_does_not_show_the_triangles(egl, radius):
     assert seen.min() > 0.9
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("radius", [4.0, 10.0])
 @pytest.mark.parametrize("azimuth", [-90.0, 0.0, 90.0])
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])

@@ -94,6 +94,7 @@ def test_a_cavity_that_faces_outwards_keeps_both_sides():
     assert two_sides(fr.Mesh.of("nested", parts, [fr.Material()] * 2)) == [True, False]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(100.0, 30.0), BELOW], ids=str)
 def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, monkeypatch):
@@ -118,6 +119,7 @@ def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, 
     assert counts[1] == len(mesh.parts[0].faces)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("deferred", [True, False])
 def test_back_faces_are_drawn_only_with_two_sides(egl, deferred, monkeypatch):
     name = "facerender.drawing.renderer.deferred_is_cheaper"

@@ -95,6 +95,7 @@ def test_skin_of_the_built_in_head(whole):
 # --- factors --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_interface_changes_the_skin_only(whole, tmp_path, capsys):
     """The command line, a scene file, a job, a batch and Python draw the same image."""
     expected = fr.Scene(whole.with_skin(m=0.15), fr.Camera(frame="face"))

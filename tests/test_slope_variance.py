@@ -188,6 +188,7 @@ def test_prepared_maps_hold_the_levels(tmp_path, capsys):
     assert "unknown texture format '.png'; give .ktx2" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("strength", "m"),
     [

@@ -39,6 +39,7 @@ def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
         yield remote
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("group", GROUPS)
 def test_functions_agree_with_float64(target, group):
     cases = cases_of(group)
@@ -49,6 +50,7 @@ def test_functions_agree_with_float64(target, group):
         pytest.fail("\n".join(messages), pytrace=False)
 
 
+@pytest.mark.slow
 def test_every_function_is_tested():
     defined = {name for path in FILES for name in functions(path.read_text())}
     expressions = [case.expression for group in GROUPS for case in cases_of(group).values()]

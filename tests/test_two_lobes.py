@@ -26,6 +26,7 @@ def grey(level: int) -> Texture:
     return Texture(lambda: Image.new("L", (4, 4), level), f"grey {level}")
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("off", [{"second_slope": 0.5}, {"lobe_weight": 0.5}])
 def test_unused_second_lobe_is_not_compiled(renderer, head, off):
     def programs(mesh):
@@ -117,6 +118,7 @@ def test_cycles_on_rdna2():
     assert cost["two"].inverse_throughput <= 1.3 * cost["one"].inverse_throughput
 
 
+@pytest.mark.slow
 def test_second_lobe_has_a_price(head):
     lights = fr.Scene(head).lights
     one, two = (fr.Scene(each, lights=lights) for each in (head, head.with_material(**SKIN)))

@@ -92,6 +92,7 @@ CAMERAS: dict[str, tuple[str, dict[str, fr.Camera]]] = {  # options; the camera 
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("case", CAMERAS)
 def test_cameras(run: Run, drawn, case: str):
     options, cameras = CAMERAS[case]
@@ -102,6 +103,7 @@ def test_cameras(run: Run, drawn, case: str):
         assert np.array_equal(pixels(name), drawn(camera))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("pattern", "names"),
     [
@@ -296,6 +298,7 @@ def test_failures_of_ffmpeg_are_reported(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_a_broken_pipe_to_ffmpeg_does_not_end_the_command(run: Run, tmp_path: Path):
     """The command normally lets SIGPIPE end the process."""
     command = [sys.executable, "-m", "facerender", "render", str(MINI_HEAD), "--size", "256"]
@@ -338,6 +341,7 @@ def test_failed_animation_leaves_no_file(tmp_path: Path, suffix: str, images, me
 # --- standard output -----------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
 def test_standard_output_contains_only_the_image(
     kind: Any, capfdbinary: pytest.CaptureFixture[bytes]

@@ -89,6 +89,7 @@ def assert_same(deferred, drawn, share=0.999, steps=1.0):
     assert error[~covered].max(initial=0.0) == 0.0
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize(
     ("mesh", "azimuth"),
@@ -104,6 +105,7 @@ def test_heads_agree(both, request, samples, mesh, azimuth):
     assert_same(*both(scene, (512, 384), samples))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("camera", "size"),
     [
@@ -123,6 +125,7 @@ def test_unusual_cameras_agree(both, camera, size):
         assert_same(deferred, drawn, 0.99)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("smooth", [False, True])
 def test_creases_and_parts_are_antialiased(both, samples, smooth):
@@ -280,6 +283,7 @@ def test_per_pixel_shading_shades_every_part(rates):
     assert (np.abs(one - full) > 1e-2).any()
 
 
+@pytest.mark.slow
 def test_per_pixel_shading_of_a_head(rates, head):
     one, full = rates(fr.Scene(head, fr.Camera(-35.0), PLAIN_THREE, background=None), (1024, 1024))
     assert (one != full).any()
@@ -287,6 +291,7 @@ def test_per_pixel_shading_of_a_head(rates, head):
     assert_same(one, full, 0.999, 16.0)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])
 def test_per_pixel_shading_falls_back_to_per_sample(rates, head, samples, brightness):
     one, full = rates(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
@@ -300,6 +305,7 @@ def test_per_pixel_shading_does_not_depend_on_deferring(rates, head, monkeypatch
     np.testing.assert_array_equal(rates(scene)[0], one)
 
 
+@pytest.mark.slow
 def test_choice_of_deferred_shading(head):
     scene = fr.Scene(head)
     llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"
@@ -316,6 +322,7 @@ def test_meshes_too_large_for_deferring_are_drawn_forward(head):
     assert not visibility.can_defer(fr.Scene(head), too_few)
 
 
+@pytest.mark.slow
 def test_areas_contain_the_covered_pixels(head, egl):
     for camera in (fr.Camera(40.0), fr.Camera(zoom=3.0), fr.Camera(elevation=80.0)):
         scene = fr.Scene(head, camera)

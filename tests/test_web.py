@@ -97,6 +97,7 @@ def installed(package: Path, tmp_path_factory) -> Path:
     return folder / "node_modules/facerender-shaders"
 
 
+@pytest.mark.slow
 @pytest.mark.smoke
 def test_exports_are_complete_flat_sources(installed):
     code = 'import * as all from "facerender-shaders"; console.log(JSON.stringify(all))'
