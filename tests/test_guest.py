@@ -398,7 +398,7 @@ def test_cached_programs_are_bounded(egl, monkeypatch):
                 renderer.render(scene)
         assert len(resources.programs) <= 4 + each
         drawn = {array for own in resources.geometries.values() for array in own.arrays}
-        assert drawn | resources.screens.keys() <= set(resources.programs.values())
+        assert drawn | resources.screen_arrays.keys() <= set(resources.programs.values())
         count = len(made)
         np.testing.assert_array_equal(renderer.render(scene).linear, expected)
         assert len(made) == count, "what is in use was compiled anew"
