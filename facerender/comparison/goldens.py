@@ -136,8 +136,10 @@ def check(
         except InputError as error:
             failure = str(error)
     place = golden
-    if not failure and exists:
-        recorded = pair.reference.metadata.get("GL_RENDERER", "") if pair.reference else None
+    if not failure and exists and pair.reference is None:
+        failure = "" if updates.force else pair.error
+    elif not failure and pair.reference is not None:
+        recorded = pair.reference.metadata.get("GL_RENDERER", "")
         if recorded != renderer and updates.alternative and renderer:
             place = own
         if recorded != renderer and place == golden and not updates.force:
@@ -150,7 +152,7 @@ def check(
     return GoldenResult(image, pair, golden, written=place)
 
 
-def _of_another(name: str, recorded: str | None, renderer: str) -> str:
+def _of_another(name: str, recorded: str, renderer: str) -> str:
     return (
         f"{name} was recorded on {recorded or UNKNOWN}, this is {renderer or UNKNOWN}: "
         "--facerender-force overwrites it, --facerender-alternative writes another golden for this "
