@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import tempfile
 import zlib
 from collections.abc import Generator, Mapping
@@ -191,7 +192,10 @@ class Snapshot:
         self._record(result, golden)
         if result.failure:
             actual = self._save_actual(result)
-            raise AssertionError(f"{result.failure}\n  golden {result.golden}\n  actual {actual}")
+            remedy = "" if _updates(config).differing else _remedy(node.nodeid, result)
+            raise AssertionError(
+                f"{result.failure}\n  golden {result.golden}\n  actual {actual}{remedy}"
+            )
 
     def _record(self, result: GoldenResult, golden: Path) -> None:
         """Record a check for the session, and write the check's report entry to a file."""
@@ -227,6 +231,18 @@ class Snapshot:
         except (OSError, InputError) as error:
             return f"not written: {error}"
         return str(actual)
+
+
+def _remedy(test: str, result: GoldenResult) -> str:
+    """Return a line with the options that accept a changed image; "" if there is no golden."""
+    if result.pair.reference is None:
+        return ""
+    found = result.pair.comparison
+    names = {"slivers": "point"}
+    failed = [names.get(each, each) for each in found.failed] if found is not None else []
+    wider = ", ".join(f"{each}=..." for each in dict.fromkeys(failed) if each in LIMITS)
+    text = f"\n  if intended: pytest {shlex.quote(test)} --facerender-update"
+    return f"{text}, or a wider limit: check(image, {wider})" if wider else text
 
 
 def _name_of(node: pytest.Item) -> str:

@@ -108,7 +108,14 @@ def test_missing_golden_fails_and_names_the_option(suites, options):
     suites.write(ONE.format(value=0.5))
     result = suites.run(*options, failed=1)
     result.stdout.fnmatch_lines(["*test_head has no golden: --facerender-update-missing writes it"])
+    result.stdout.no_fnmatch_line("*if intended*")
     assert suites.goldens() == []
+
+
+def test_report_of_a_missing_golden(suites):
+    suites.write(ONE.format(value=0.5))
+    suites.run("--facerender-report=page", failed=1)
+    assert "<li>no golden yet</li>" in (suites.path / "page/index.html").read_text()
 
 
 def test_golden_is_stored_next_to_the_test_with_metadata(suites):
@@ -154,10 +161,12 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
     result = recorded.run("--basetemp=out", failed=1)
     result.stdout.fnmatch_lines(
         [
-            "*AssertionError: test_head differs from its golden: 1024 pixels differ * by up to "
-            "0.09*, limit 0.005: looks like *",
+            "*AssertionError: test_head differs from its golden: point: 1024 pixels differ * by up to "
+            "0.09*, limit 0.005: perhaps *",
             f"*golden {recorded.golden()}",
             "*actual *out/facerender0/goldens/test_suite/test_head.exr",
+            "*if intended: pytest test_suite.py::test_head --facerender-update, or a wider limit: "
+            "check(image, point=..., block=...)",
             "test_suite.py:*: AssertionError",  # a line of the suite, not of the plugin
         ]
     )
@@ -202,7 +211,7 @@ def test_coverage_limit(suites):
 NONE = {
     "image(np.nan)": "*the image holds 3072 NaN and 0 infinite values*",
     "image()[..., 0]": "*the image is grey: give RGB",
-    "image().astype(np.uint8)": "*the image is 8-bit, which is too coarse for a golden*",
+    "image().astype(np.uint8)": "*8-bit, which is too coarse for a golden*facerender compare",
     "image(), block=-1.0": "*limit block = -1.0 is outside*",
     "image(), mask=np.ones((3, 3))": "*the mask is 3 x 3*",
 }

@@ -38,8 +38,8 @@ from facerender.comparison.neighbourhoods import (
     shrunk,
 )
 from facerender.comparison.result import LIMITS, Comparison, Limits
-from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite, size_of
-from facerender.comparison.verdict import reasons_of
+from facerender.comparison.sources import Comparable, alike, as_image, check_finite, size_of
+from facerender.comparison.verdict import changes_of, reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, shown, warn
 from facerender.images.decode import MAX_BYTES
@@ -92,8 +92,7 @@ def compare(
     """
     if not (isinstance(driver, str) and driver in get_args(Driver)):
         raise InputError(f"unknown driver {shown(driver)}; known: {', '.join(get_args(Driver))}")
-    a, b = as_image(reference, "A"), as_image(image, "B")
-    check_alike(a, b)
+    a, b = alike(as_image(reference, "A"), as_image(image, "B"))
     check_finite(a)
     check_finite(b)
     if jpegs := [each.name for each in (a, b) if each.jpeg]:
@@ -118,12 +117,13 @@ def compare(
     size = a.pixels.shape[1], a.pixels.shape[0]
     counted = size[0] * size[1] if counts is None else int(counts.sum())
     result = _result(a.encoding, size, counted, limits, strip, statistics)
+    result = replace(result, metadata=changes_of(a.metadata, b.metadata))
     displayed = tuple(
         source if isinstance(source, Frame) else image
         for source, image in ((reference, a), (image, b))
     )
-    reasons = reasons_of(result, strip.over, statistics, (a, b))
-    return replace(result, reasons=reasons, images=displayed)
+    reasons, cause = reasons_of(result, strip.over, statistics, (a, b))
+    return replace(result, reasons=reasons, cause=cause, images=displayed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +243,7 @@ def _result(
         shift=statistics.shift,
         coverage=strip.faded / (size[0] * size[1]),
         largest=strip.largest,
+        largest_at=strip.largest_at,
         mean=strip.total / counted,
     )
 
@@ -260,6 +261,7 @@ class _Strip:
     holes : number of dark pixels with bright neighbours in the other image
     faded : number of pixels whose coverage changed
     largest, total : maximum and sum of the pixels' absolute differences, in the worst channel
+    largest_at : position of the maximum
     """
 
     sums: BlockSums
@@ -271,6 +273,7 @@ class _Strip:
     faded: int
     largest: float
     total: float
+    largest_at: tuple[int, int]
 
     @classmethod
     def of_all(cls, a: ImageData, b: ImageData, counts: Mask | None, limits: Limits) -> _Strip:
@@ -283,13 +286,15 @@ class _Strip:
 
         with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
             strips = list(pool.map(strip, range(0, height, tall)))
+        farthest = max(strips, key=lambda each: each.largest)
         return replace(
             max(strips, key=lambda each: each.worst),
             sums=BlockSums.joined([each.sums for each in strips]),
             over=np.concatenate([each.over for each in strips]),
             holes=sum(each.holes for each in strips),
             faded=sum(each.faded for each in strips),
-            largest=max(each.largest for each in strips),
+            largest=farthest.largest,
+            largest_at=farthest.largest_at,
             total=sum(each.total for each in strips),
         )
 
@@ -327,7 +332,8 @@ class _Strip:
         worst = abs(value[row, column]) if worst > limits.point else worst
         inside = shrunk(full & counted, 0 if whole and counts is None else MARGIN)
         faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
-        apart = nearby.difference(color_a[own], color_b[own])[counted[own]]
+        apart = nearby.difference(color_a[own], color_b[own]) * counted[own]
+        down, right = np.unravel_index(apart.argmax(), apart.shape)
         return cls(
             BlockSums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
             over.astype(np.int8),
@@ -336,8 +342,9 @@ class _Strip:
             (int(column), rows.start + int(row)),
             int((black & unexplained)[own].sum()),
             faded,
-            float(apart.max(initial=0.0)),
+            float(apart[down, right]),
             float(apart.sum(dtype=np.float64)),
+            (int(right), rows.start + int(down)),
         )
 
 

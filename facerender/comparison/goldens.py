@@ -122,6 +122,8 @@ def check(
     golden = own if os.path.isfile(own) else golden
     exists = os.path.isfile(golden)  # checked before reading: another process may write the file
     pair = Pair.of(name, golden, image, **options)
+    if not exists and pair.reference is None:
+        pair = replace(pair, error="no golden yet")
     if pair.status == 0:
         return GoldenResult(image, pair, golden)
     exists = exists or pair.reference is not None
@@ -165,7 +167,7 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     if image.encoding != "linear":
         raise InputError(
             f"{image.name} is 8-bit, which is too coarse for a golden: give a Frame, floats or an "
-            "EXR file"
+            "EXR file, or compare folders of PNG files with facerender compare"
         )
     if image.pixels.shape[2] < 3:
         raise InputError(f"{image.name} is grey: give RGB")

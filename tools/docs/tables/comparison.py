@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.pairs.verdicts import FACERENDER, FORMATS, OWN, UNNAMED, Summary, read_summary
 from facerender.comparison.checks import CHECKS
-from facerender.comparison.result import FOREIGN, LIMITS
+from facerender.comparison.result import FOREIGN, HOLES, LIMITS
 from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.scenes import Group
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
@@ -76,8 +76,11 @@ def limits() -> dict[str, str]:
         check = CHECKS[name]
         amounts = [check.amount(getattr(LIMITS[kind], name), kind) for kind in LIMITS]
         checks.append([f"`{name}`", *amounts, check.quantity, finds])
-    quantity, unit, _ = CHECKS["slivers"]
-    checks.insert(1, ["`slivers`", unit, unit, quantity, "as point, at edges"])
+    for place, name, limit, finds in (
+        (1, "slivers", CHECKS["slivers"].unit, "as point, at edges"),
+        (2, "holes", CHECKS["holes"].amount(HOLES, "linear"), "missing pixels and triangles"),
+    ):
+        checks.insert(place, [f"`{name}`", limit, limit, CHECKS[name].quantity, finds])
     head = ["check", "limit, linear", "limit, 8-bit", "limited quantity", "finds"]
     return {
         "checks": markdown_table(head, checks),
