@@ -161,8 +161,8 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
     result = recorded.run("--basetemp=out", failed=1)
     result.stdout.fnmatch_lines(
         [
-            "*AssertionError: test_head differs from its golden: point: 1024 pixels differ * by up to "
-            "0.09*, limit 0.005: perhaps *",
+            "*AssertionError: test_head differs from its golden: point: 1024 pixels differ * by up "
+            "to 0.09*, limit 0.005: perhaps *",
             f"*golden {recorded.golden()}",
             "*actual *out/facerender0/goldens/test_suite/test_head.exr",
             "*if intended: pytest test_suite.py::test_head --facerender-update, or a wider limit: "

@@ -29,7 +29,7 @@ THRESHOLDS = (
 FINDS = {
     "point": "fireflies, missing pixels, false highlights",
     "block": "another lobe, weight, exposure or light",
-    "trend": "as block, for small changes in many blocks",
+    "trend": "small changes of many blocks in one direction, such as 0.3 % more light",
     "grain": "noise, values with fewer bits",
     "texture": "blur, other maps",
     "coverage": "another mesh or camera",
@@ -77,7 +77,7 @@ def limits() -> dict[str, str]:
         amounts = [check.amount(getattr(LIMITS[kind], name), kind) for kind in LIMITS]
         checks.append([f"`{name}`", *amounts, check.quantity, finds])
     for place, name, limit, finds in (
-        (1, "slivers", CHECKS["slivers"].unit, "as point, at edges"),
+        (1, "slivers", "50 pixels and 1 in 10,000", "as point, at edges"),
         (2, "holes", CHECKS["holes"].amount(HOLES, "linear"), "missing pixels and triangles"),
     ):
         checks.insert(place, [f"`{name}`", limit, limit, CHECKS[name].quantity, finds])
