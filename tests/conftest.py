@@ -34,10 +34,16 @@ os.environ["FACERENDER_CACHE_MIB"] = "0"  # disables the cache: tests read their
 
 @pytest.hookimpl(tryfirst=True)  # the markers must exist before -m selects tests
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark each test that uses the browser."""
+    """Mark each test that uses the browser, and all but the first of the cases of a test."""
+    begun = set()
     for item in items:
         if isinstance(item, pytest.Function) and "browser" in item.fixturenames:
             item.add_marker("browser")
+        if item.get_closest_marker("first_case"):
+            test = item.nodeid.partition("[")[0]
+            if test in begun:
+                item.add_marker("slow")
+            begun.add(test)
 
 
 @cache

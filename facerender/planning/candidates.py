@@ -86,7 +86,7 @@ def candidates(
     ----------
     full : the shading that counts as exact; it has the exact lobe
     fits : function that returns whether a shading with one change is within the budget. It is
-        called for each change but those of lights' highlights, lobes, Fresnel and masking terms.
+        called for each change, except changes of highlights, lobes, Fresnel and masking terms.
         Only changes that fit are combined with other changes, which limits their number
     """
     lit = [light for light in constants.faintest if full.of(light)]

@@ -26,6 +26,8 @@ from facerender.shading import Shading
 
 # Decisions whose saving is stated as a fraction of the whole cost, not of the specular cost.
 _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
+# Decisions that change slopes; lobes other than the exact one are fitted to the slopes.
+_SLOPES = {"slope", "normal map"}
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def _unchanged(
         with_decisions(shading, each, names)
         for each in choice.refused
         if name in changed(each, choice.full)
-        and (names != SINGLE or shading.term.lobe == "exact")  # other lobes are fitted to a slope
+        and (shading.term.lobe == "exact" or not _SLOPES.intersection(names))
     ]
     others = [
         each

@@ -96,7 +96,8 @@ class Plan:
     scene : the scene of the plan
     shading : the chosen shading, for :meth:`facerender.Renderer.render`
     full : the full shading, which the chosen shading replaces
-    error, cost, decisions : see :class:`Error`, :class:`Cost` and :class:`Decision`
+    error, cost : see :class:`Error` and :class:`Cost`
+    decisions : changes of the plan, and changes that would exceed the budget
     budget : the parsed budget
     cameras : the cameras at which errors were measured
     sizes : width and height in pixels of the measured images, for every camera
@@ -146,14 +147,13 @@ class Plan:
         reserve = f"{part} {self.budget.text(rounding)}"
         given_up = self.cost.measured is not None and not self.cost.saves
         exact = self.shading == self.full and not given_up
-        # Changes that fit, but save nothing, would look like changes that the search has missed.
-        explained = [d for d in self.decisions if not given_up or d.error > limit]
+        fits = "fits" if self.cost.measured is None else "fits and shortens the frame"
         lines = {
             "budget": f"{self.budget.text(limit)}{fraction}, {reserve}",
             "basis": self._basis(),
             **({"elsewhere": self._elsewhere(self.elsewhere)} if self.elsewhere else {}),
-            **({d.name: d.text for d in explained} if limit > rounding else {}),
-            **({"shading": "exact: nothing cheaper fits"} if exact else {}),
+            **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
+            **({"shading": f"exact: nothing cheaper {fits}"} if exact else {}),
             "error": self._error(),
             "cost": str(self.cost),
         }
@@ -250,9 +250,11 @@ class Plan:
 
     def _elsewhere(self, other: Elsewhere) -> str:
         text, fraction = self.budget.text, self.budget.fraction
-        within = f", {fraction} within {text(other.within)}" if self.budget.within < 1.0 else ""
+        within = (
+            f"{fraction} within {text(other.within)}, up to " if self.budget.within < 1.0 else ""
+        )
         return (
-            f"{text(other.maximum)} as rendered at azimuth {other.camera.azimuth:g}{within}: plan "
+            f"{within}{text(other.maximum)} as rendered at azimuth {other.camera.azimuth:g}: plan "
             "with all cameras and sizes, and each pose on its own"
         )
 
@@ -424,6 +426,7 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     if framed:
         progress("frames", 0.0)
         choice.frames = measured_frames(choice, framed)
+        shading = choice.without_idle_changes(shading, witnesses.accepts)
         if (shading, framed.detail) != (choice.full, framed.finest):
             measured = relative_time(choice.full, shading, framed)
             if not saves(measured):
@@ -444,7 +447,8 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         full=choice.full,
         error=error,
         cost=choice.measured_cost(shading, measured) if framed else choice.cost(shading),
-        decisions=tuple(made),
+        # Changes that fit, but save nothing, would look like changes that the search has missed.
+        decisions=tuple(each for each in made if each.changed or each.error > task.budget.limit),
         budget=choice.budget,
         cameras=task.cameras,
         sizes=tuple(dict.fromkeys(sizes)),

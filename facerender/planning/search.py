@@ -29,7 +29,9 @@ from facerender.planning.candidates import (
     Constants,
     candidates,
     changed,
+    groups,
     shadowed,
+    with_decisions,
     with_lights,
 )
 from facerender.planning.views import DrawnViews, ScatteredLight, Viewpoint
@@ -45,6 +47,8 @@ Float = NDArray[np.float64]
 # A small region has up to _SPREAD random pixels, and the worst pixels of an image. The number of
 # worst pixels is _WORST plus the number of pixels that may exceed the budget.
 _SPREAD, _WORST = 256, 64
+# Below this fraction of a fragment's price, a saving does not shorten the frame measurably.
+_IDLE = 0.02
 _REGIONS = 8  # largest number of small regions, each of which caches up to about 100 MB
 _KEPT = 2**18  # largest product of a region's number of pixels and number of cached terms
 # Largest number of cached environment layers per cached term: most terms share one such layer.
@@ -210,6 +214,19 @@ class Choice:
             if each is self.full or fits(each):
                 return each
         return self.full
+
+    def without_idle_changes(self, shading: Shading, fits: Callable[[Shading], bool]) -> Shading:
+        """Return a shading without the changes that together save less than _IDLE of the price."""
+        kept = shading
+        made = groups(shading, self.full)
+        for name in reversed(made):  # the lobe before the slope, since g-powers are fitted to it
+            if "slope" in made[name] and kept.term.lobe != "exact":
+                continue
+            reverted = with_decisions(kept, self.full, made[name])
+            added = self.total(reverted) - self.total(shading)
+            if added < _IDLE * self.total(self.full) and fits(reverted):
+                kept = reverted
+        return kept
 
 
 class Witnesses:
