@@ -283,7 +283,7 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
 def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     path = tmp_path / "limits.ini"
     status, out, err = run(capsys, "--calibrate", wide)
-    assert "1 pairs of linear images are too few" in err
+    assert "pairs of linear images: 1, too few" in err
     assert run(capsys, "--calibrate", wide, "-o", path)[:2] == (0, "")
     assert (status, path.read_text()) == (0, out)
     assert "an exposure change of 1 %; wider than the default 0.005, since two/head.exr" in err

@@ -205,8 +205,8 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     for each in found:
         if each.pairs < ENOUGH:
             warn(
-                f"{each.pairs} pairs of {each.encoding} images are too few to cover the variation "
-                f"of your renders: give at least {ENOUGH}"
+                f"pairs of {each.encoding} images: {each.pairs}, too few to cover the variation of "
+                f"your renders; give at least {ENOUGH}"
             )
         for text in each.blind:
             warn(text)
