@@ -294,7 +294,7 @@ def named(a: ImageData, b: ImageData) -> str:
     if result.same:
         height, width = a.pixels.shape[:2]
         return NAMES[cause_of(Changed.between(a, b, strips(height, width)))]
-    return NAMES[result.reasons[0].split("looks like ")[1].split(" (")[0]]
+    return NAMES[result.reasons[0].split("perhaps ")[1].split(" (")[0]]
 
 
 def rows(half: str) -> Iterator[dict[str, str]]:

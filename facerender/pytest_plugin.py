@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import tempfile
 import zlib
 from collections.abc import Generator, Mapping
@@ -33,6 +34,7 @@ LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
 
 _WRITTEN = pytest.StashKey[set[Path]]()  # goldens written in this session
 _CHECKS = pytest.StashKey[list[dict[str, str]]]()
+_OWNERS = pytest.StashKey[dict[str, str]]()  # ids of the tests that own goldens, keyed by path
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -74,12 +76,13 @@ def pytest_configure(config: pytest.Config) -> None:
         folder = (config.invocation_params.dir if given_here else config.rootpath) / report
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            if not hasattr(config, "workerinput"):
+                for old in folder.glob("actual/**/*.exr"):
+                    old.unlink()
         except OSError as error:
-            raise pytest.UsageError(f"cannot make {folder}: {error.strerror}") from None
+            raise pytest.UsageError(f"cannot write {folder}: {error.strerror}") from None
         config.option.facerender_report = str(folder)  # workers may have another current folder
-        if not hasattr(config, "workerinput"):
-            for old in folder.glob("actual/*.exr"):
-                old.unlink()
     config.pluginmanager.register(_Session(config), "facerender-session")
 
 
@@ -132,12 +135,12 @@ class Snapshot:
     ) -> None:
         """Compare an image with its golden; fail if they differ or the golden is missing.
 
-        The golden is goldens/MODULE/NAME.exr in the directory of the test file.
+        The golden is goldens/MODULE/TEST-PARAMETERS-NAME.exr in the directory of the test file.
 
         Parameters
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
-        name : name of the golden; default: the test's name with class and parameters
+        name : name of this image; a test needs it for each image but one
         mask : see :func:`facerender.compare`
         limits : see :func:`facerender.compare`; default: the values in the ini file
         metadata : metadata for the golden in addition to the frame's, for example GL_RENDERER for
@@ -150,7 +153,7 @@ class Snapshot:
         Raises
         ------
         AssertionError : the image fails; the message has the reasons and the files
-        InputError : the image is not linear float, or its name was used before in this test
+        InputError : the image is not linear float, or another image has the same golden
         """
         __tracebackhide__ = True
         from facerender import InputError
@@ -159,15 +162,22 @@ class Snapshot:
         node, config = self._request.node, self._request.config
         if unknown := sorted(limits.keys() - {*LIMITS}):
             raise TypeError(f"{unknown[0]} is not a limit: give {', '.join(LIMITS)}")
-        safe = _file_name(name or _name_of(node))
+        safe = _file_name(f"{_name_of(node)}-{name}" if name else _name_of(node))
         if safe in self._names:
             raise InputError(f"{safe} was checked before in this test: give each image a new name")
         self._names.add(safe)
+        golden = _goldens(self._request.path) / f"{safe}.exr"
+        owner = _owners(self._request.session).setdefault(str(golden).casefold(), node.nodeid)
+        if owner != node.nodeid:
+            raise InputError(
+                f"{safe}.exr is also the golden of {owner}, at least on disks that ignore case: "
+                "rename a parameter or an image"
+            )
         written = config.stash.setdefault(_WRITTEN, set())
         result = check(
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
-            _goldens(self._request.path) / f"{safe}.exr",
+            golden,
             _updates(config),
             written,
             metadata=metadata,
@@ -179,15 +189,17 @@ class Snapshot:
         )
         if result.written:
             written.add(result.written)
-        self._record(result, f"{safe}.exr")
+        self._record(result, golden)
         if result.failure:
             actual = self._save_actual(result)
-            raise AssertionError(f"{result.failure}\n  golden {result.golden}\n  actual {actual}")
+            remedy = "" if _updates(config).differing else _remedy(node.nodeid, result)
+            raise AssertionError(
+                f"{result.failure}\n  golden {result.golden}\n  actual {actual}{remedy}"
+            )
 
-    def _record(self, result: GoldenResult, file: str) -> None:
+    def _record(self, result: GoldenResult, golden: Path) -> None:
         """Record a check for the session, and write the check's report entry to a file."""
         node, report = self._request.node, _setting(self._request.config, "report")
-        golden = _goldens(self._request.path) / file
         record = {"golden": str(golden), "written": str(result.written or ""), "entry": ""}
         node.stash.setdefault(_CHECKS, []).append(record)
         if report:
@@ -198,7 +210,10 @@ class Snapshot:
                 json.dump(asdict(entry(result.pair)), file_object)
 
     def _save_actual(self, result: GoldenResult) -> str:
-        """Write an image that failed; return its path, or the reason why it was not written."""
+        """Write an image that failed; return its path, or the reason why it was not written.
+
+        The path in the folder is the golden's path in pytest's root directory.
+        """
         from facerender import InputError
         from facerender.images.exr import save_exr
 
@@ -206,19 +221,47 @@ class Snapshot:
             folder = Path(report) / "actual"
         else:
             folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
-        actual = folder / f"{_file_name(result.pair.name.replace('::', '-'))}.exr"
+        root = self._request.config.rootpath
+        golden = result.golden
+        inside = golden.is_relative_to(root)
+        actual = folder / (golden.relative_to(root) if inside else golden.name)
         try:
-            folder.mkdir(exist_ok=True)
+            actual.parent.mkdir(parents=True, exist_ok=True)
             save_exr(actual, result.image.pixels, result.image.metadata)
         except (OSError, InputError) as error:
             return f"not written: {error}"
         return str(actual)
 
 
+def _remedy(test: str, result: GoldenResult) -> str:
+    """Return a line with the options that accept a changed image; "" if there is no golden."""
+    if result.pair.reference is None:
+        return ""
+    found = result.pair.comparison
+    names = {"slivers": "point"}
+    failed = [names.get(each, each) for each in found.failed] if found is not None else []
+    wider = ", ".join(f"{each}=..." for each in dict.fromkeys(failed) if each in LIMITS)
+    text = f"\n  if intended: pytest {shlex.quote(test)} --facerender-update"
+    return f"{text}, or a wider limit: check(image, {wider})" if wider else text
+
+
 def _name_of(node: pytest.Item) -> str:
     """Return the name of a test as CLASS.test-PARAMETERS."""
     names = [part.name for part in node.listchain() if isinstance(part, pytest.Class | pytest.Item)]
     return re.sub(r"\[(.*)\]$", r"-\1", ".".join(names))
+
+
+def _owners(session: pytest.Session) -> dict[str, str]:
+    """Return the ids of the tests that own goldens, keyed by the goldens' paths in lower case.
+
+    Each xdist worker collects all tests, so all workers find the same owners of unnamed images.
+    """
+    if _OWNERS not in session.stash:
+        owners = session.stash[_OWNERS] = {}
+        for item in session.items:
+            golden = _goldens(item.path) / f"{_file_name(_name_of(item))}.exr"
+            owners.setdefault(str(golden).casefold(), item.nodeid)
+    return session.stash[_OWNERS]
 
 
 def _file_name(name: str) -> str:

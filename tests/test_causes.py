@@ -75,7 +75,7 @@ CHANGED = {  # change: reference, image, cause
 def test_first_reason_names_the_cause(name):
     reference, image, cause = CHANGED[name]
     result = compare(reference, image, driver="same")
-    assert result.reasons[0].split("looks like ")[1].split(" (")[0] == cause, str(result)
+    assert result.reasons[0].split("perhaps ")[1].split(" (")[0] == cause, str(result)
 
 
 def test_few_wrong_pixels_are_a_reason_after_a_change_of_the_whole_image():
@@ -84,21 +84,55 @@ def test_few_wrong_pixels_are_a_reason_after_a_change_of_the_whole_image():
     image, alone = drawn(spot=0.95 * SPOT), PLAIN.copy()
     image[places] = alone[places] = 0.0
     first, second = compare(PLAIN, image).reasons
-    assert f"looks like {LOBE}" in first
-    assert second.endswith("looks like missing pixels")
-    assert compare(PLAIN, alone).reasons[0].endswith("looks like missing pixels")
+    assert f"perhaps {LOBE}" in first
+    assert second.endswith("perhaps missing pixels")
+    assert compare(PLAIN, alone).reasons[0].endswith("perhaps missing pixels")
 
 
-def test_changed_metadata_stand_in_the_first_reason():
+def metadata_text(one: dict[str, str], other: dict[str, str], gain: float = 1.01) -> str:
+    """Compare two images with these metadata."""
+    a, b = image_from_array(PLAIN, "A"), image_from_array(np.float32(gain) * PLAIN, "B")
+    return str(compare(replace(a, metadata=one), replace(b, metadata=other)))
+
+
+def test_changed_metadata_stand_in_the_first_reason_instead_of_a_cause():
     """Long values are cut, and at most three entries are listed."""
-    a, b = image_from_array(PLAIN, "A"), image_from_array(np.float32(1.01) * PLAIN, "B")
     one = {"m": "0.3", "ks": "1", "f0": "0.028", "lobe": "exact", "size": "8", "only": "here"}
     other = {"m": "0.33", "ks": "2", "f0": "0.04", "lobe": "d" * 99, "size": "8"}
-    result = compare(replace(a, metadata=one), replace(b, metadata={**one, "m": "0.33"}))
-    assert result.reasons[0].endswith(") (metadata: m 0.3 -> 0.33)")
-    assert compare(replace(a, metadata=one), replace(a, metadata=other)).same
-    result = compare(replace(a, metadata=one), replace(b, metadata=other))
-    assert "(metadata: m 0.3 -> 0.33, ks 1 -> 2, f0 0.028 -> 0.04, 1 more)" in str(result)
+    text = metadata_text(one, {**one, "m": "0.33"})
+    assert text.endswith(" blocks (gain 1.01) (metadata: m 0.3 -> 0.33)")
+    assert "(metadata: m 0.3 -> 0.33, ks 1 -> 2, f0 0.028 -> 0.04, 1 more)" in metadata_text(
+        one, other
+    )
+    assert "perhaps" in metadata_text({"facerender": "1"}, {"facerender": "2"})
+
+
+LIGHT_0 = "Light(azimuth=-50, elevation=42, irradiance=(3.0, 3.0, 3.0))"
+
+
+@pytest.mark.parametrize(
+    ("key", "one", "other", "text"),
+    [
+        ("light 0", LIGHT_0, LIGHT_0.replace("3.0", "3.06"), "light 0 irradiance 3.0 -> 3.06"),
+        ("light 0", LIGHT_0, LIGHT_0.replace("-50", "-51"), "light 0 azimuth -50 -> -51"),
+        ("camera", "Camera(zoom=1)", "Camera(zoom=1, frame='face')", "frame default -> 'face'"),
+        ("background", "(0.1, 0.2, 0.3)", "(0.1, 0.2, 0.4)", "(0.1, 0.2, 0.3) -> (0.1, 0.2, 0.4)"),
+        (
+            "mesh",
+            "a.glb, 9279 vertices, 17684 triangles, radius 5.5, CRC-32 11803573",
+            "a.glb, 9279 vertices, 8000 triangles, radius 5.5, CRC-32 0a",
+            "mesh 17684 triangles, CRC-32 11803573 -> 8000 triangles, CRC-32 0a",
+        ),
+    ],
+)
+def test_only_fields_that_differ_are_listed(key, one, other, text):
+    assert f"{text})" in metadata_text({key: one}, {key: other})
+
+
+def test_changed_metadata_of_equal_images():
+    one = {"samples": "4", "GL_RENDERER": "a"}
+    assert metadata_text(one, {**one, "samples": "1"}, 1.0) == "same (metadata: samples 4 -> 1)"
+    assert metadata_text(one, {**one, "GL_RENDERER": "b"}, 1.0) == "same"
 
 
 def test_strips_of_large_images_include_the_given_rows():

@@ -21,6 +21,7 @@ from PIL import Image, PngImagePlugin
 
 import facerender as fr
 from facerender.comparison.causes import CODEC, EXPOSURE, LOBE, TEXTURE
+from facerender.comparison.checks import CHECKS
 from facerender.comparison.compare import Pair, compare, pairs_of
 from facerender.comparison.result import LIMITS
 from facerender.images.exr import save_exr
@@ -100,7 +101,7 @@ def room(setting, egl, request: pytest.FixtureRequest) -> Iterator[Room]:
 
 def guesses(result) -> set[str]:
     return {
-        reason.split("looks like ")[1].split(" (gain")[0].split(" (shift")[0]
+        reason.split("perhaps ")[1].split(" (gain")[0].split(" (shift")[0]
         for reason in result.reasons
     }
 
@@ -122,7 +123,7 @@ def test_place_of_false_highlights_and_another_camera(room):
     assert result.blocks == 0
     result = compare(room.golden, room.draw(view=room.moved((5.0, 5.0))))
     assert result.coverage > 0.005
-    assert result.reasons[-1].endswith("limit 0.5 %: looks like another mesh or camera")
+    assert result.reasons[-1].endswith("limit 0.5 %: perhaps another mesh or camera")
 
 
 # --- harmless differences ------------------------------------------------------------------------
@@ -241,7 +242,9 @@ def test_few_slivers_of_light_may_come_and_go_at_edges(places, by, same):
     assert result.same == same
     if by == 0.3 and not same:
         assert (result.point <= LIMITS["linear"].point, result.points) == (True, 0)
-        assert re.match(r"\d\d pixels differ like slivers at edges, limit 50: ", str(result))
+        assert re.match(
+            r"slivers: \d\d pixels differ like slivers at edges, limit 50: ", str(result)
+        )
 
 
 def rough(by: float) -> np.ndarray:
@@ -254,18 +257,83 @@ def softened(image: np.ndarray) -> np.ndarray:
     return 0.98 * image + 0.01 * (np.roll(image, 1, axis=1) + np.roll(image, -1, axis=1))
 
 
+def test_failed_checks_are_named():
+    a = np.ones((64, 64, 4), dtype=np.float32)
+    less = edited(a, (np.s_[:32, :, 3], "=", 0.2))
+    shade = edited(plain(), (np.s_[30, 20:50:10, :3], "*", 0.1))
+    dark = edited(plain(0.004), (BLACK, "=", 0.0))
+    sliver = edited(plain(), (np.s_[8, 8:-8, :3], "+", 0.3), (np.s_[-9, 8:-8, :3], "+", 0.3))
+    for one, other, failed in (
+        (a, less, ("holes", "coverage")),
+        (a, 1.003 * a, ("trend",)),
+        (a, 1.01 * a, ("block",)),
+        (plain(), shade, ("point",)),
+        (plain(0.004), dark, ("holes",)),
+        (plain(), sliver, ("slivers",)),
+        (rough(0.0), rough(0.002), ("grain",)),
+        (a, a, ()),
+    ):
+        result = compare(one, other, driver="same")
+        assert result.failed == failed, str(result)
+        assert {*failed} <= CHECKS.keys()
+        assert result.as_dict()["failed"] == failed
+
+
+def test_mean_and_gain_of_an_exact_factor(room):
+    """Its part that a displacement explains is not subtracted from the printed mean and gain."""
+    golden = room.golden
+    result = compare(golden, edited(golden, (RGB, "*", 1.02)))
+    assert ": mean +2 %, limit 0.5 %" in str(result)
+    assert f"perhaps {EXPOSURE} (gain 1.02)" in str(result)
+    assert "gain" not in str(compare(*BROKEN["ks -3 %"](room)))
+
+
+def test_place_of_the_largest_difference():
+    image = edited(plain(), ((20, 30), "+", 1e-3))
+    result = compare(plain(), image)
+    assert (result.same, result.largest_at) == (True, (30, 20))
+    mask = np.ones((64, 64))
+    mask[20, 30] = 0
+    assert compare(plain(), image, mask=mask).largest == 0.0
+
+
+def test_samples_of_two_drivers_are_the_cause():
+    """Drivers place several samples of a pixel differently."""
+    one, other = (from_driver(name, plain()) for name in ("llvmpipe", "softpipe"))
+    moved = edited(plain(), *((np.s_[8, x, :3], "+", 0.9) for x in range(10, 40, 6)))
+    for samples, cause in (("4", True), ("1", False)):
+        own = one.metadata | {"samples": samples}, other.metadata | {"samples": samples}
+        result = compare(
+            replace(one, metadata=own[0]), replace(other, metadata=own[1], pixels=moved)
+        )
+        assert ("differently: compare with one sample" in str(result)) is cause, str(result)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint8])
+def test_an_alpha_of_1_everywhere_is_no_difference(kind):
+    full = 255 if kind is np.uint8 else 1
+    rgb = np.full((40, 40, 3), 100 if kind is np.uint8 else 0.4, dtype=kind)
+    rgba = np.dstack([rgb, np.full((40, 40), full, dtype=kind)])
+    assert compare(rgb, rgba).same
+    assert compare(rgba, rgb).same
+    assert not fr.difference(rgb, rgba).linear[..., :3].any()
+    rgba[3, 3, 3] = 0
+    with pytest.raises(fr.InputError, match="A has 3 channels, B has 4 channels: save both with"):
+        compare(rgb, rgba)
+
+
 SUBTLE = [  # changes that no pixel or block shows: image, reference, beginning of the reason
-    (rough(0.002), rough(0.0), r"grain \+0\.\d+ %, limit 0\.09 %: looks like another texture, "),
-    (rough(0.0), rough(0.002), r"grain -0\.\d+ %, limit 0\.09 %: looks like another texture, "),
+    (rough(0.002), rough(0.0), r"grain \+0\.\d+ %, limit 0\.09 %: perhaps another texture, "),
+    (rough(0.0), rough(0.002), r"grain -0\.\d+ %, limit 0\.09 %: perhaps another texture, "),
     (
         softened(rough(0.1)),
         rough(0.1),
-        r"texture -\d\.\d %, limit 1 %: looks like another texture, ",
+        r"texture -\d\.\d %, limit 1 %: perhaps another texture, ",
     ),
     (
         rough(0.1),
         softened(rough(0.1)),
-        r"texture \+\d\.\d %, limit 1 %: looks like another texture, ",
+        r"texture \+\d\.\d %, limit 1 %: perhaps another texture, ",
     ),
 ]
 
@@ -375,7 +443,7 @@ def test_exposure_of_textured_skin_in_8_bits_fails(room):
 def test_black_pixels_within_the_point_limit_are_counted():
     reference = plain(0.004)
     image = edited(reference, (BLACK, "=", 0.0))
-    reason = "3 pixels have less than a quarter of their neighbours' light or no coverage, limit 2"
+    reason = "holes: 3 pixels have less than a quarter of their neighbours' light or no coverage"
     assert str(compare(reference, image)).startswith(reason)
     image[20, 30] = reference[20, 30]
     assert compare(reference, image).same
@@ -390,7 +458,7 @@ def test_uncovered_pixels_inside_the_mesh_are_counted(order):
     at_edge[8, 20:24] = 0.0
     inside[30, 20:24] = 0.0
     assert compare(reference, at_edge).same
-    reason = "4 pixels have less than a quarter of their neighbours' light or no coverage, limit 2"
+    reason = "holes: 4 pixels have less than a quarter of their neighbours' light or no coverage"
     assert str(compare(*(reference, inside)[::order])).startswith(reason)
     inside[30, 20:22] = reference[30, 20:22]
     assert compare(reference, inside).same
@@ -469,10 +537,10 @@ def test_8_bit_images_are_compared_in_levels():
     image = np.full((64, 64, 3), 100, dtype=np.uint8)
     result = compare(image, edited(image, ((30, 40), "+", np.uint8(9))))
     assert (result.encoding, result.point, result.limits) == ("srgb8", 9.0, LIMITS["srgb8"])
-    assert str(result).startswith("1 pixel differs from the surroundings in the other image by up ")
+    assert str(result).startswith("point: 1 pixel differs from the surroundings in the other image")
     assert "to 9 of 255, worst at (40, 30), limit 3: " in str(result)
     assert str(compare(image, image + np.uint8(2))).startswith(
-        "block at (0, 0): mean +2 of 255, limit 1, exceeded by 16 of 16 blocks: looks like "
+        "block at (0, 0): mean +2 of 255, limit 1, exceeded by 16 of 16 blocks: perhaps "
     )
     transparent = np.full((64, 64, 4), (100, 100, 100, 0), dtype=np.uint8)
     assert compare(transparent, edited(transparent, (RGB, "=", 255))).same
@@ -520,9 +588,9 @@ def test_exit_status_and_output(cli, exr, tmp_path):
     status, out, err = cli.run("compare", exr, tmp_path / "other.exr")
     assert (status, err) == (1, "")
     assert out == (
-        "other.exr: 2304 pixels differ from the surroundings in the other image by up to 0.008, "
-        "worst at (10, 10), limit 0.005: looks like another exposure; block at (16, 0): mean +5 %, "
-        "limit 0.5 %, exceeded by 12 of 12 blocks: looks like another exposure (gain 1.05)\n"
+        "other.exr: point: 2304 pixels differ from the surroundings in the other image by up to "
+        "0.008, worst at (10, 10), limit 0.005: perhaps another exposure; block at (16, 0): mean "
+        "+5 %, limit 0.5 %, exceeded by 12 of 12 blocks: perhaps another exposure (gain 1.05)\n"
     )
     assert cli.run("compare", exr, tmp_path / "other.exr", "--block", "0.06")[0] == 1
 
@@ -573,8 +641,8 @@ def test_folders(cli, tmp_path):
     pairs = {pair["name"]: pair for pair in json.loads(out)["pairs"]}
     assert list(pairs) == ["deep/other.exr", "new.exr", "same.exr"]
     assert pairs["deep/other.exr"]["same"] is False
-    assert "no such file" in pairs["new.exr"]["error"]
-    assert "no such file" in pairs["same.exr"]["error"]
+    assert pairs["new.exr"]["error"] == f"new.exr is only in {tmp_path / 'b'}"
+    assert pairs["same.exr"]["error"] == f"same.exr is only in {tmp_path / 'a'}"
 
 
 PEAK = """
@@ -760,6 +828,10 @@ UNLIKE = {  # two images that cannot be compared, and the error
     "channels": (
         *(plain(), plain()[RGB]),
         r"a\.exr has 4 channels, .*b\.exr has 3 channels: save both with alpha",
+    ),
+    "grey": (
+        *(GREY_8, GREY_8[..., 0]),
+        r"a\.png has 3 channels, .*b\.png has 1 channels: save both as RGB",
     ),
     "colour space": (
         *(GREY_8, with_gamma),

@@ -177,6 +177,14 @@ def test_values_and_limits_have_units_and_a_meaning(parsed: Page) -> None:
         assert text.count("may be at most") == len(CHECKS)
 
 
+def test_equal_pairs_have_a_line_with_the_largest_difference(tmp_path: Path, parsed: Page) -> None:
+    assert "All pixels are equal." in parsed.text[at("equal.exr")]
+    other = image()
+    other[AT[1], AT[0], 0] += 1e-3
+    text = page_of(tmp_path, image(), other).text["pair-0"]
+    assert f"Largest difference of a pixel: 0.001 radiance at {AT}." in text
+
+
 def test_limit_of_slivers(tmp_path: Path) -> None:
     """The limit is a whole number of pixels, and its sentence explains the number."""
     a = np.full((100, 100, 3), 0.5, dtype=np.float32)

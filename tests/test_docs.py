@@ -5,11 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from pkgutil import iter_modules
 
-import numpy as np
 import pytest
 
-from benchmarks.comparison import failed_checks
-from facerender.comparison.compare import compare
 from tools.docs import tables
 from tools.docs.__main__ import main
 from tools.docs.blocks import BlockError, blocks_of, fill, found, pages, stale
@@ -102,13 +99,3 @@ def test_a_mark_without_a_block_or_an_end_is_refused(tmp_path, capsys, page, fau
     (tmp_path / "README.md").write_text(page)
     assert main(["--check"], tmp_path) == 1
     assert capsys.readouterr().err.startswith(f"README.md: {fault}")
-
-
-def test_failed_checks_are_named():
-    a = np.ones((64, 64, 4), dtype=np.float32)
-    less = a.copy()
-    less[:32, :, 3] = 0.2
-    assert failed_checks(compare(a, less)) == ["point", "coverage"]
-    assert failed_checks(compare(a, 1.003 * a)) == ["trend"]
-    assert failed_checks(compare(a, 1.01 * a)) == ["block"]
-    assert failed_checks(compare(a, a)) == []

@@ -298,7 +298,7 @@ def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, fai
         text=True,
     )
     assert result.returncode == bool(failed), result.stdout
-    assert len(re.findall("^E .*looks like another slope", result.stdout, re.MULTILINE)) == failed
+    assert len(re.findall("^E .*perhaps another slope", result.stdout, re.MULTILINE)) == failed
     assert (tmp_path / "copy/report/index.html").is_file()
 
 

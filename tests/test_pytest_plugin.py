@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import re
+import shutil
 import signal
 from pathlib import Path
 from typing import get_args
@@ -70,6 +72,11 @@ class Suites:
     def golden(self, name: str = "test_head", module: str = "test_suite") -> Path:
         return self.path / "goldens" / module / f"{name}.exr"
 
+    def share(self, count: int) -> None:
+        """Copy the golden of test_head to the tests test_0, test_1, ..."""
+        for number in range(count):
+            shutil.copy(self.golden(), self.golden(f"test_{number}"))
+
     def goldens(self) -> list[str]:
         return sorted(path.name for path in self.path.glob("goldens/*/*"))
 
@@ -101,7 +108,14 @@ def test_missing_golden_fails_and_names_the_option(suites, options):
     suites.write(ONE.format(value=0.5))
     result = suites.run(*options, failed=1)
     result.stdout.fnmatch_lines(["*test_head has no golden: --facerender-update-missing writes it"])
+    result.stdout.no_fnmatch_line("*if intended*")
     assert suites.goldens() == []
+
+
+def test_report_of_a_missing_golden(suites):
+    suites.write(ONE.format(value=0.5))
+    suites.run("--facerender-report=page", failed=1)
+    assert "<li>no golden yet</li>" in (suites.path / "page/index.html").read_text()
 
 
 def test_golden_is_stored_next_to_the_test_with_metadata(suites):
@@ -147,14 +161,16 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
     result = recorded.run("--basetemp=out", failed=1)
     result.stdout.fnmatch_lines(
         [
-            "*AssertionError: test_head differs from its golden: 1024 pixels differ * by up to "
-            "0.09*, limit 0.005: looks like *",
+            "*AssertionError: test_head differs from its golden: point: 1024 pixels differ * by up "
+            "to 0.09*, limit 0.005: perhaps *",
             f"*golden {recorded.golden()}",
-            "*actual *out/facerender0/test_suite.py-test_head.exr",
+            "*actual *out/facerender0/goldens/test_suite/test_head.exr",
+            "*if intended: pytest test_suite.py::test_head --facerender-update, or a wider limit: "
+            "check(image, point=..., block=...)",
             "test_suite.py:*: AssertionError",  # a line of the suite, not of the plugin
         ]
     )
-    actual = read_image(recorded.path / "out/facerender0/test_suite.py-test_head.exr")
+    actual = read_image(recorded.path / "out/facerender0/goldens/test_suite/test_head.exr")
     assert actual.pixels[0, 0] == pytest.approx(0.6)
     assert recorded.value() == 0.5
 
@@ -173,10 +189,11 @@ LIMITS = [
 def test_limits_are_options_of_check(recorded):
     recorded.write(
         "".join(
-            f"def test_{i}(snapshot): snapshot(image({value}), 'test_head', {options})\n"
+            f"def test_{i}(snapshot): snapshot(image({value}), {options})\n"
             for i, (value, options, _) in enumerate(LIMITS)
         )
     )
+    recorded.share(len(LIMITS))
     assert recorded.passes() == [passes for *_, passes in LIMITS]
 
 
@@ -194,7 +211,7 @@ def test_coverage_limit(suites):
 NONE = {
     "image(np.nan)": "*the image holds 3072 NaN and 0 infinite values*",
     "image()[..., 0]": "*the image is grey: give RGB",
-    "image().astype(np.uint8)": "*the image is 8-bit, which is too coarse for a golden*",
+    "image().astype(np.uint8)": "*8-bit, which is too coarse for a golden*facerender compare",
     "image(), block=-1.0": "*limit block = -1.0 is outside*",
     "image(), mask=np.ones((3, 3))": "*the mask is 3 x 3*",
 }
@@ -250,7 +267,8 @@ def test_names_of_goldens(suites):
     suites.run("--facerender-update-missing", passed=10)
     suites.run(passed=10)
     assert suites.goldens() == [
-        *("..%2Ftwo.exr", "TestA.test_same.exr", "TestB.test_same.exr", "one.exr"),
+        *("TestA.test_same.exr", "TestB.test_same.exr"),
+        *("test_named-..%2Ftwo.exr", "test_named-one.exr"),
         *("test_p-%5Cxfc.exr", "test_p-...exr", "test_p-0.5.exr", "test_p-a%2Fb.exr"),
         *("test_p-a%5Bb%5D.exr", "test_p-a-b.exr", "test_p-x%40y.exr"),
     ]
@@ -267,27 +285,53 @@ def test_long_names_are_shortened_and_stay_distinct(suites):
     assert max(map(len, names)) < 200
 
 
-@pytest.mark.parametrize(
-    ("tests", "message", "passed"),
-    [
-        (
-            "def test_a(snapshot): snapshot(image(0.1), 'test_head')\n"
-            "def test_b(snapshot): snapshot(image(0.2), 'test_head')\n",
-            "*test_head.exr was just written for another image: give*",
-            1,
-        ),
-        (
-            "def test_head(snapshot):\n    snapshot(image(0.1))\n    snapshot(image(0.2))\n",
-            "*test_head was checked before in this test: give each image*",
-            0,
-        ),
-    ],
-)
-def test_names_must_be_unique(suites, tests, message, passed):
-    suites.write(tests)
-    result = suites.run("--facerender-update", passed=passed, failed=1)
-    result.stdout.fnmatch_lines([message])
+def test_names_must_be_unique(suites):
+    suites.write("def test_head(snapshot):\n    snapshot(image(0.1))\n    snapshot(image(0.2))\n")
+    result = suites.run("--facerender-update", failed=1)
+    result.stdout.fnmatch_lines(["*test_head was checked before in this test: give each image*"])
     assert suites.value() == pytest.approx(0.1)
+
+
+SHARED = """
+@pytest.mark.parametrize("p", ["front", "side"])
+def test_view(snapshot, p): snapshot(image(0.1 if p == "front" else 0.2), "again")
+def test_other(snapshot): snapshot(image(0.3), "again")
+"""
+
+
+@pytest.mark.parametrize("extra", [(), pytest.param(("-n", "2"), marks=pytest.mark.slow)])
+def test_equal_names_in_two_tests_are_two_goldens(suites, extra):
+    suites.write(SHARED)
+    run = suites.run_apart if extra else suites.run
+    run(*extra, "--facerender-update-missing").assert_outcomes(passed=3)
+    names = ["test_other-again", "test_view-front-again", "test_view-side-again"]
+    assert suites.goldens() == [f"{name}.exr" for name in names]
+    assert [suites.value(name) for name in names] == pytest.approx([0.3, 0.1, 0.2])
+    run(*extra).assert_outcomes(passed=3)
+
+
+TWICE = {  # tests, and a test whose golden is also the golden of a later test
+    "case": (
+        "@pytest.mark.parametrize('p', ['A', 'a'])\ndef test_p(snapshot, p): snapshot(image())\n",
+        "test_p[[]A]",
+    ),
+    "name": (
+        "@pytest.mark.parametrize('p', ['x-y', 'x'])\n"
+        "def test_p(snapshot, p): snapshot(image(), None if '-' in p else 'y')\n",
+        "test_p[[]x-y]",
+    ),
+}
+
+
+@pytest.mark.parametrize("extra", [(), pytest.param(("-n", "2"), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("case", TWICE)
+def test_goldens_of_two_tests_in_one_file_are_refused(suites, case, extra):
+    tests, owner = TWICE[case]
+    suites.write(tests)
+    run = suites.run_apart if extra else suites.run
+    result = run(*extra, "--facerender-update-missing")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines([f"*.exr is also the golden of test_suite.py::{owner}, at least*"])
 
 
 def test_golden_folder_that_cannot_be_created(suites):
@@ -338,14 +382,9 @@ def test_update_missing_keeps_different_goldens(recorded):
     assert recorded.value() == pytest.approx(0.6)
 
 
-@pytest.mark.first_case
-@pytest.mark.parametrize("readable", [True, False])
-def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch, readable):
+def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch):
     recorded_on, this = "llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe"
     monkeypatch.setenv("RENDERER", this)
-    if not readable:
-        recorded_on = "an unknown renderer"
-        recorded.golden().write_text("version https://git-lfs.github.com/spec/v1\n")
     before = recorded.golden().read_bytes()
     recorded.write(ONE.format(value=0.6))
     result = recorded.run("--facerender-update", failed=1)
@@ -359,6 +398,19 @@ def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch, re
     recorded.run("--facerender-update", "--facerender-force", passed=1)
     assert recorded.value() == pytest.approx(0.6)
     assert recorded.goldens() == ["test_head.exr"]
+
+
+@pytest.mark.parametrize("extra", [(), ("--facerender-alternative",)])
+def test_update_refuses_an_unreadable_golden(recorded, extra):
+    recorded.golden().write_text("version https://git-lfs.github.com/spec/v1\n")
+    before = recorded.golden().read_bytes()
+    for options in ((), ("--facerender-update", *extra)):
+        result = recorded.run(*options, failed=1)
+        result.stdout.fnmatch_lines(["*test_head.exr is a Git LFS pointer; fetch it with git lfs*"])
+    assert recorded.golden().read_bytes() == before
+    assert recorded.goldens() == ["test_head.exr"]
+    recorded.run("--facerender-update", "--facerender-force", passed=1)
+    assert recorded.value() == 0.5
 
 
 def test_alternative_for_another_renderer(recorded, monkeypatch):
@@ -449,7 +501,7 @@ def test_interrupted_update_leaves_the_old_golden(recorded, monkeypatch, end):
     [
         ("", ["--facerender-force"], "--facerender-force needs --facerender-up*"),
         ("", ["--facerender-alternative"], "--facerender-alternative needs --facerender-up*"),
-        ("", ["--facerender-report=file/page"], "cannot make */file/page: Not a directory"),
+        ("", ["--facerender-report=file/page"], "cannot write */file/page: Not a directory"),
         ("facerender_unused = never", [], "facerender_unused: give one of ignore, list, fail"),
         ("facerender_shift = far", [], "facerender_shift = far: give a number"),
     ],
@@ -508,9 +560,8 @@ def test_pytest_and_compare_read_the_same_limits(recorded, name, before):
     path.write_text(before + "\n".join(rows))
     assert read_limits(path)["linear"]["block"] == 0.03
     values = enumerate((0.5, 0.51, 0.52))  # 0.51 differs from 0.5 by 2 %
-    recorded.write(
-        "".join(f"def test_{i}(snapshot): snapshot(image({v}), 'test_head')\n" for i, v in values)
-    )
+    recorded.write("".join(f"def test_{i}(snapshot): snapshot(image({v}))\n" for i, v in values))
+    recorded.share(3)
     assert recorded.passes(f"-c{path}") == [True, True, False]
 
 
@@ -633,7 +684,7 @@ def test_unused_goldens_need_passed_tests(unused, tests):
 def test_goldens_of_a_removed_module_are_unused(unused):
     (unused.path / "test_one.py").unlink()
     result = unused.run("--facerender-unused=list")
-    names = ("b", "old", "test_a")
+    names = ("TestB.test_b-b", "old", "test_a")
     assert found(result) == [f"unused: goldens/test_one/{name}.exr" for name in names] + BOTH[1:]
 
 
@@ -647,7 +698,8 @@ def test_report_has_every_image_and_failed_ones_as_exr(recorded, extra):
         + "@pytest.mark.parametrize('p', [1, 2, 3])\n"
         + "def test_many(snapshot, p): snapshot(image(0.5), 'head')\n"
     )
-    save_exr(recorded.golden("head"), np.full((32, 32, 3), 0.5, np.float32), {})
+    for p in (1, 2, 3):
+        shutil.copy(recorded.golden(), recorded.golden(f"test_many-{p}-head"))
     run = recorded.run_apart if extra else recorded.run
     result = run(*extra, "--facerender-report", "new/page")
     result.assert_outcomes(passed=3, failed=1)
@@ -656,10 +708,38 @@ def test_report_has_every_image_and_failed_ones_as_exr(recorded, extra):
     names = ("test_head", *(f"test_many[{p}] head" for p in (1, 2, 3)))
     assert [f"test_suite.py::{name}" in page for name in names] == [True] * 4
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.*"))
-    assert files == ["actual/test_suite.py-test_head.exr", "index.html"]
-    result.stdout.fnmatch_lines(
-        [f"*actual {folder}/actual/test_suite.py-test_head.exr", f"report: {folder}/index.html"]
-    )
+    actual = "actual/goldens/test_suite/test_head.exr"
+    assert files == [actual, "index.html"]
+    result.stdout.fnmatch_lines([f"*actual {folder}/{actual}", f"report: {folder}/index.html"])
+
+
+def test_actual_images_replace_goldens_by_a_copy(recorded):
+    """The folder of failed images has the structure of pytest's root directory."""
+    inner = recorded.pytester.mkpydir("inner")
+    (inner / "test_deep.py").write_text(SUITE + ONE.format(value=0.7))
+    recorded.write(ONE.format(value=0.6))
+    recorded.run("--facerender-report=page", failed=2)
+    shutil.copytree(recorded.path / "page/actual", recorded.path, dirs_exist_ok=True)
+    recorded.run(passed=2)
+    assert recorded.value() == pytest.approx(0.6)
+
+
+def test_report_in_a_folder_without_write_permission(recorded, monkeypatch):
+    """The error is one line before the first test, also if the folder has an old report."""
+    recorded.write(ONE.format(value=0.6))
+    recorded.run("--facerender-report=page", failed=1)
+
+    def refuse(*arguments: object, **options: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    for part in ("pathlib.Path.unlink", "tempfile.TemporaryFile"):
+        with monkeypatch.context() as patched:
+            patched.setattr(part, refuse)
+            result = recorded.run("--facerender-report=page")
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        assert re.fullmatch(
+            r"ERROR: cannot write .*page: Read-only file system\n*", result.stderr.str()
+        )
 
 
 def test_report_has_the_last_of_several_runs_of_a_test(suites):
@@ -721,17 +801,17 @@ def test_options_are_in_the_help(suites):
 
 
 @pytest.mark.slow
-def test_workers_write_separate_and_shared_goldens(suites):
+def test_workers_write_goldens(suites):
     suites.write(
         "@pytest.mark.parametrize('p', range(8))\n"
         "def test_many(snapshot, p):\n"
         "    snapshot(image(p / 8))\n"
-        "    snapshot(image(), 'shared')\n"
+        "    snapshot(image(), 'second')\n"
     )
     result = suites.run_apart("-n", "2", "--facerender-update-missing")
     result.assert_outcomes(passed=8)
-    assert len(suites.goldens()) == 9
-    assert sum(line.startswith("written: ") for line in result.outlines) == 9
+    assert len(suites.goldens()) == 16
+    assert sum(line.startswith("written: ") for line in result.outlines) == 16
     options = ("--facerender-unused=fail", "--facerender-report=page")
     assert suites.run_apart("-n", "2", *options).ret == pytest.ExitCode.OK
     page = (suites.path / "page/index.html").read_text()

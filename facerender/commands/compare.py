@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +126,10 @@ def run(options: argparse.Namespace) -> int:
         for number, name in enumerate(names):
             progress(all_pairs, number / len(names))
             pair = Pair.of(*name, mask=mask, **limits)
+            present = [os.path.lexists(path) for path in name[1:]]
+            if os.path.isdir(options.a) and not all(present):
+                folder = options.a if present[0] else options.b
+                pair = replace(pair, error=f"{pair.name} is only in {folder}")
             status = max(status, pair.status)
             results.append(pair.as_dict())
             if options.report:
@@ -182,7 +186,7 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
 
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
-    from facerender.comparison.calibration import calibration_of, runs_of, text_of
+    from facerender.comparison.calibration import ENOUGH, calibration_of, runs_of, text_of
 
     limits = (each.name for each in fields(Limits))
     for name in ("a", *limits, "limits", "same_driver", "heatmap", "sheet", "report"):
@@ -199,10 +203,17 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     with progress_bar(options) as progress:
         found = calibration_of(pairs, mask, progress)
     for each in found:
+        if each.pairs < ENOUGH:
+            warn(
+                f"pairs of {each.encoding} images: {each.pairs}, too few to cover the variation of "
+                f"your renders; give at least {ENOUGH}"
+            )
         for text in each.blind:
             warn(text)
     text = text_of(options.output or "pytest.ini", {each.encoding: each.noted for each in found})
-    print_result(json.dumps([each.as_dict() for each in found], indent=2) if options.json else text)
     if options.output:
         write_text(options.output, f"{text}\n")
+    if options.json or not options.output:
+        result = json.dumps([each.as_dict() for each in found], indent=2)
+        print_result(result if options.json else text)
     return 0

@@ -369,11 +369,14 @@ class BlockStatistics:
 
     @property
     def gain(self) -> float:
-        """Brightness that the changed blocks gained: fraction of the reference, or 8-bit levels."""
-        change, across, down, level = self.sums.channels[:, :, self.changed].sum(axis=(0, 2))
+        """Brightness that the changed blocks gained: fraction of the reference, or 8-bit levels.
+
+        It includes the effect of a displacement, since a gain can look like a displacement.
+        """
+        change, _, _, level = self.sums.channels[:, :, self.changed].sum(axis=(0, 2))
         if self.scale is SRGB8:
             level = len(self.sums.channels) * self._weight[self.changed].sum()
-        return float(self._settled(change, across, down) / max(level, 1e-12))
+        return float(change / max(level, 1e-12))
 
     @cached_property
     def trend(self) -> float:

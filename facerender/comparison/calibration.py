@@ -1,7 +1,7 @@
 """Calibration: find limits for another renderer from pairs of images that must pass.
 
-Each limit is the smallest value with which every pair passes, times MARGIN. No limit is narrower
-than rounding requires. Bisection also finds the smallest change that each limit detects: changes
+Each limit is the default or, if a pair needs a wider limit, the smallest value with which every
+pair passes, times MARGIN. Bisection also finds the smallest change that each limit detects: changes
 are applied to image B of a few pairs, and the other limits are disabled.
 
 Limits are stored in pytest's ini file or pyproject.toml, for the pytest plugin and ``facerender
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from configparser import Error as IniError
 from configparser import RawConfigParser
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -40,12 +40,7 @@ NAMES = tuple(each.name for each in fields(Limits))
 PREFIX = "facerender_"
 _MOST = 1 << 20  # largest size of a file of limits, in bytes
 MARGIN = 1.5
-# Smallest limits: narrower limits would fail images that differ by rounding to half floats or 8-bit
-# levels, or by a movement of the camera or the samples by 0.1 pixels.
-LEAST: dict[Encoding, Limits] = {
-    "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=2e-3, shift=0.15),
-    "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=2e-3, shift=0.15),
-}
+ENOUGH = 5  # fewer pairs hardly show how much images vary
 # Text for the change that each limit must detect; the amount follows it. The two pixels of "point"
 # are adjacent and lie in a smooth area.
 CHANGES = {
@@ -81,8 +76,7 @@ class Calibration:
     pairs : number of compared pairs
     limits : limits that all pairs pass
     least : the same limits without the margin
-    needed : the pair that needs each limit, keyed by the limit's name; limits that no pair
-        needs are absent
+    needed : the pair that needs each limit, keyed by the limit's name; default limits are absent
     sees : smallest amount of each of :data:`CHANGES` that its limit detects in all altered pairs,
         keyed by the limit's name; infinite if it detects none. The unit is radiance or 8-bit levels
         for point, otherwise a fraction. The amounts for coverage and shift are the limits
@@ -110,12 +104,12 @@ class Calibration:
 
     @property
     def blind(self) -> list[str]:
-        """Warnings about limits that do not detect the change in :data:`STATED`."""
+        """Warnings about wider limits that do not detect the change in :data:`STATED`."""
         return [
             f"limit {name} = {getattr(self.limits, name):g} does not detect {CHANGES[name]} "
             f"{self._amount(name, by)}{self._why(name)}"
             for name, by in STATED[self.encoding].items()
-            if self.sees[name] > by
+            if name in self.needed and self.sees[name] > by
         ]
 
     def as_dict(self) -> dict[str, Any]:
@@ -185,7 +179,7 @@ def calibration_of(
         result = compare(a, b, mask=mask, **_OPEN)
         if not result.same:
             raise InputError(f"{name} differs with any limits: {result}; remove this pair")
-        same = by_encoding.setdefault(result.encoding, _Pairs(LEAST[result.encoding]))
+        same = by_encoding.setdefault(result.encoding, _Pairs(LIMITS[result.encoding]))
         same.paths.append(paths)
         needed = _needed(a, b, same.least, mask)
         same.least = replace(same.least, **needed)
@@ -205,7 +199,8 @@ class _Pairs:
 def _calibration(
     encoding: Encoding, pairs: _Pairs, mask: NDArray[Any] | None, progress: Progress
 ) -> Calibration:
-    limits = _with_margin(pairs.least, pairs.needed, LIMITS[encoding])
+    wide = {each: _rounded(MARGIN * getattr(pairs.least, each)) for each in pairs.needed}
+    limits = replace(pairs.least, **wide)
     sees = {"coverage": limits.coverage, "shift": limits.shift}
     altered = pairs.paths[:ALTERED]
     for number, paths in enumerate(altered):
@@ -253,17 +248,6 @@ def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) ->
         middle = math.sqrt(low * high)
         low, high = (low, middle) if holds(middle) else (middle, high)
     return high
-
-
-def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limits:
-    """Multiply the limits that pairs need by MARGIN. A product exceeds the default only if the
-    default is too narrow for a pair."""
-    limits = {}
-    for name in needed:
-        limit, default = getattr(least, name), getattr(defaults, name)
-        wide = _rounded(MARGIN * limit)
-        limits[name] = min(wide, default) if limit <= default else wide
-    return replace(least, **limits)
 
 
 def _rounded(limit: float) -> float:

@@ -44,6 +44,10 @@ CHECKS = {
         "number of pixels over the limit of point, including slivers at edges",
         "pixels (50 and 1 in 10,000)",
     ),
+    "holes": Check(
+        "number of pixels with less than a quarter of their neighbours' light or no coverage",
+        "pixels",
+    ),
     "block": Check("change of the mean of a block of 16 x 16 pixels", "% of this mean", "levels"),
     "trend": Check("mean product of adjacent blocks' changes in units of the standard errors"),
     "grain": Check("noise added or lost between adjacent pixels", "% of a pixel's level", "levels"),

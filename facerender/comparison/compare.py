@@ -44,8 +44,8 @@ from facerender.comparison.neighbourhoods import (
     shrunk,
 )
 from facerender.comparison.result import LIMITS, Comparison, Limits
-from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite, size_of
-from facerender.comparison.verdict import reasons_of
+from facerender.comparison.sources import Comparable, alike, as_image, check_finite, size_of
+from facerender.comparison.verdict import changes_of, reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, warn
 from facerender.images.decode import MAX_BYTES
@@ -96,8 +96,7 @@ def compare(
         is not finite; the mask has another size or is 0 everywhere; a limit or driver is invalid
     """
     check_known("driver", driver, get_args(Driver))
-    a, b = as_image(reference, "A"), as_image(image, "B")
-    check_alike(a, b)
+    a, b = alike(as_image(reference, "A"), as_image(image, "B"))
     check_finite(a)
     check_finite(b)
     if jpegs := [data.name for data in (a, b) if data.jpeg]:
@@ -122,12 +121,13 @@ def compare(
     size = a.pixels.shape[1], a.pixels.shape[0]
     counted = size[0] * size[1] if counts is None else int(counts.sum())
     result = _result(a.encoding, size, counted, limits, strip, statistics)
+    result = replace(result, metadata=changes_of(a.metadata, b.metadata))
     displayed = tuple(
         source if isinstance(source, Frame) else image
         for source, image in ((reference, a), (image, b))
     )
-    reasons = reasons_of(result, strip.over, statistics, (a, b))
-    return replace(result, reasons=reasons, images=displayed)
+    reasons, cause = reasons_of(result, strip.over, statistics, (a, b))
+    return replace(result, reasons=reasons, cause=cause, images=displayed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,6 +247,7 @@ def _result(
         shift=statistics.shift,
         coverage=strip.faded / (size[0] * size[1]),
         largest=strip.largest,
+        largest_at=strip.largest_at,
         mean=strip.total / counted,
     )
 
@@ -264,6 +265,7 @@ class _Strip:
     holes : number of dark pixels with bright neighbours in the other image
     faded : number of pixels whose coverage changed
     largest, total : maximum and sum of the pixels' absolute differences, in the worst channel
+    largest_at : position of the maximum
     """
 
     sums: BlockSums
@@ -275,6 +277,7 @@ class _Strip:
     faded: int
     largest: float
     total: float
+    largest_at: tuple[int, int]
 
     @classmethod
     def of_all(cls, a: ImageData, b: ImageData, counts: Mask | None, limits: Limits) -> _Strip:
@@ -287,13 +290,15 @@ class _Strip:
 
         with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
             strips = list(pool.map(strip, range(0, height, tall)))
+        farthest = max(strips, key=lambda each: each.largest)
         return replace(
             max(strips, key=lambda each: each.worst),
             sums=BlockSums.joined([each.sums for each in strips]),
             over=np.concatenate([each.over for each in strips]),
             holes=sum(each.holes for each in strips),
             faded=sum(each.faded for each in strips),
-            largest=max(each.largest for each in strips),
+            largest=farthest.largest,
+            largest_at=farthest.largest_at,
             total=sum(each.total for each in strips),
         )
 
@@ -332,7 +337,8 @@ class _Strip:
         worst = abs(value[row, column]) if worst > limits.point else worst
         inside = shrunk(full & counted, 0 if all_full and counts is None else MARGIN)
         faded = 0 if all_full else _faded(alpha_a, alpha_b, uncovered, inner)
-        apart = difference(color_a[inner], color_b[inner])[counted[inner]]
+        apart = difference(color_a[inner], color_b[inner]) * counted[inner]
+        down, right = np.unravel_index(apart.argmax(), apart.shape)
         return cls(
             BlockSums.of(color_a, color_b, inside, inner, SCALES[a.encoding]),
             classes.astype(np.int8),
@@ -341,8 +347,9 @@ class _Strip:
             (int(column), rows.start + int(row)),
             int((black & unexplained)[inner].sum()),
             faded,
-            float(apart.max(initial=0.0)),
+            float(apart[down, right]),
             float(apart.sum(dtype=np.float64)),
+            (int(right), rows.start + int(down)),
         )
 
 

@@ -122,6 +122,8 @@ def check(
     golden = of_renderer if os.path.isfile(of_renderer) else golden
     exists = os.path.isfile(golden)  # checked before reading: another process may write the file
     pair = Pair.of(name, golden, image, **options)
+    if not exists and pair.reference is None:
+        pair = replace(pair, error="no golden yet")
     if pair.status == 0:
         return GoldenResult(image, pair, golden)
     exists = exists or pair.reference is not None
@@ -136,8 +138,10 @@ def check(
         except InputError as error:
             failure = str(error)
     place = golden
-    if not failure and exists:
-        recorded = pair.reference.metadata.get("GL_RENDERER", "") if pair.reference else None
+    if not failure and exists and pair.reference is None:
+        failure = "" if updates.force else pair.error
+    elif not failure and pair.reference is not None:
+        recorded = pair.reference.metadata.get("GL_RENDERER", "")
         if recorded != renderer and updates.alternative and renderer:
             place = of_renderer
         if recorded != renderer and place == golden and not updates.force:
@@ -150,7 +154,7 @@ def check(
     return GoldenResult(image, pair, golden, written=place)
 
 
-def _of_another(name: str, recorded: str | None, renderer: str) -> str:
+def _of_another(name: str, recorded: str, renderer: str) -> str:
     return (
         f"{name} was recorded on {recorded or UNKNOWN}, this is {renderer or UNKNOWN}: "
         "--facerender-force overwrites it, --facerender-alternative writes another golden for this "
@@ -163,7 +167,7 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     if image.encoding != "linear":
         raise InputError(
             f"{image.name} is 8-bit, which is too coarse for a golden: give a Frame, floats or an "
-            "EXR file"
+            "EXR file, or compare folders of PNG files with facerender compare"
         )
     if image.pixels.shape[2] < 3:
         raise InputError(f"{image.name} is grey: give RGB")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import visualization
-from facerender.comparison.sources import Comparable, as_image, check_alike, check_finite
+from facerender.comparison.sources import Comparable, alike, as_image, check_finite
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range, shown
 from facerender.images.image import ImageData
@@ -57,8 +57,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     """
     if gain is not None:
         check_range("gain", gain, *GAINS)
-    a, b = as_image(reference, "A"), as_image(image, "B")
-    check_alike(a, b)
+    a, b = alike(as_image(reference, "A"), as_image(image, "B"))
     for each in (a, b):
         check_finite(each)
     signed = visualization.signed_difference(a, b)

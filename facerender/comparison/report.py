@@ -16,7 +16,7 @@ from facerender.comparison import visualization
 from facerender.comparison.blocks import BLOCK
 from facerender.comparison.checks import CHECKS
 from facerender.comparison.compare import Pair
-from facerender.comparison.result import BLUR, SURE, Comparison
+from facerender.comparison.result import BLUR, HOLES, SURE, Comparison
 from facerender.errors import InputError
 from facerender.images.image import Encoding, ImageData
 from facerender.page.document import document, image_source, row, table
@@ -167,7 +167,7 @@ def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bo
     checks = "" if pair.comparison is None else _check_table(pair.comparison)
     if pair.status == 0 and pair.reference:
         source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
-        images = f"<p>{_image(source, 'the image')}</p>"
+        images = f"<p>{_image(source, 'the image')}</p>{_largest(pair)}"
     else:
         images = _viewer(pair, displayed, large)
     items = "".join(f"<li>{escape(reason)}</li>" for reason in _reasons(pair))
@@ -176,6 +176,15 @@ def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bo
         f'{_verdict(pair)}</h2></summary><div id="pair-{INDEX}"><ul class="reasons">{items}</ul>'
         f'{images}<div class="tables">{_facts(pair)}{checks}</div></div></details>'
     )
+
+
+def _largest(pair: Pair) -> str:
+    """Return a line with the largest difference of two images and its place."""
+    result = pair.comparison
+    if result is None or not result.largest:
+        return "<p>All pixels are equal.</p>"
+    amount = CHECKS["point"].amount(result.largest, result.encoding)
+    return f"<p>Largest difference of a pixel: {amount} at {result.largest_at}.</p>"
 
 
 def _verdict(pair: Pair) -> str:
@@ -197,6 +206,7 @@ def _check_table(result: Comparison) -> str:
     for name, value, limit in (
         ("point", abs(result.point), limits.point),
         ("slivers", result.slight, int(result.sliver_limit)),
+        ("holes", result.holes, HOLES),
         ("block", abs(result.block), limits.block),
         ("trend", max(result.trend, 0.0) * (result.z_score > SURE), factor * limits.trend),
         ("grain", result.grain, factor * limits.grain),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from html import escape
 from typing import Any
@@ -18,6 +18,10 @@ BLUR = 1.5  # factor on the limits of grain and texture if B has less of these t
 # At most _SLIGHT + _SLIGHT_FRACTION * (number of pixels) pixels may be slivers.
 _SLIGHT = 50
 _SLIGHT_FRACTION = 1e-4
+HOLES = 2  # largest number of holes that passes, since cracks and hairs cause some
+# Metadata that a change of the scene or of the settings does not change.
+DRIVER_KEYS = ("GL_RENDERER", "GL_VERSION", "facerender")
+_FACTS = 3  # largest number of changes of the metadata in a text
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,11 @@ class Comparison:
 
     Attributes
     ----------
-    reasons : reasons of a difference, as text; empty if the images are the same
+    reasons : reasons of a difference, as text; empty if the images are the same. A reason starts
+        with the name of its check
+    cause : "metadata" if the scene's metadata changed, else the likely cause; "" if the images are
+        the same
+    metadata : reference's and image's text of all metadata that changed, keyed by name
     encoding : "linear" or "srgb8"; it determines the units, see :class:`Limits`
     limits : the limits of the checks
     foreign : whether another driver drew the image, or may have drawn it. Drivers filter 8-bit
@@ -93,6 +101,7 @@ class Comparison:
     shift : displacement of the image to the right and down, in pixels
     coverage : fraction of the pixels whose coverage changed; 0 without an alpha channel
     largest, mean : largest and mean absolute difference of any channel, for information only
+    largest_at : position of the largest difference
     images : the two images, which stay in memory as long as the result: notebooks display them
     """
 
@@ -119,12 +128,37 @@ class Comparison:
     coverage: float
     largest: float
     mean: float
+    largest_at: tuple[int, int] = (0, 0)
+    cause: str = ""
+    metadata: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     images: Sequence[Any] = field(default=(), repr=False, compare=False)
 
     @property
     def same(self) -> bool:
         """Whether every check passed."""
         return not self.reasons
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the checks that the reasons report."""
+        return tuple(each.split()[0].rstrip(":") for each in self.reasons)
+
+    @property
+    def scene_changed(self) -> bool:
+        """Whether metadata of the scene or of the settings changed."""
+        return not self.metadata.keys() <= {*DRIVER_KEYS}
+
+    @property
+    def facts(self) -> str:
+        """The changed metadata as text, without the driver's if the scene's changed; "" if there is
+        no change."""
+        changed = [
+            f"{key} {' -> '.join(values)}"
+            for key, values in self.metadata.items()
+            if not (self.scene_changed and key in DRIVER_KEYS)
+        ]
+        more = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
+        return f" (metadata: {', '.join(changed[:_FACTS] + more)})" if changed else ""
 
     @property
     def limit_factor(self) -> float:
@@ -150,7 +184,8 @@ class Comparison:
         names = [each.name for each in fields(self) if each.name not in ("limits", "images")]
         metrics = {name: getattr(self, name) for name in names}
         factor = {"limit_factor": self.limit_factor}
-        return {"same": self.same, **metrics, "limits": asdict(self.limits), **factor}
+        verdict = {"same": self.same, "failed": self.failed}
+        return {**verdict, **metrics, "limits": asdict(self.limits), **factor}
 
     def _repr_html_(self) -> str:
         """Return the verdict, and A, B and their difference, which notebooks display."""
@@ -168,4 +203,5 @@ class Comparison:
     def __str__(self) -> str:
         foreign = ", with wider limits for another driver" * (self.foreign and self.largest > 0.0)
         unjudged = "" if self.blocks_judged else ", but no block has enough pixels to be checked"
-        return "; ".join(self.reasons) or f"same{foreign}{unjudged}"
+        facts = self.facts * self.scene_changed
+        return "; ".join(self.reasons) or f"same{foreign}{unjudged}{facts}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -38,8 +39,14 @@ def as_image(source: Comparable, name: str) -> ImageData:
     return image_from_array(np.asarray(source), name)
 
 
-def check_alike(a: ImageData, b: ImageData) -> None:
-    """Raise InputError if sizes, channels, encodings or colour spaces of two images differ."""
+def alike(a: ImageData, b: ImageData) -> tuple[ImageData, ImageData]:
+    """Return two images with equal channels: without an alpha that only one has and that is 1
+    everywhere.
+
+    Raises
+    ------
+    InputError : sizes, channels, encodings or colour spaces differ
+    """
     if a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(
             f"{a.name} is {size_of(a.pixels)}, {b.name} is {size_of(b.pixels)} pixels: render both "
@@ -52,11 +59,24 @@ def check_alike(a: ImageData, b: ImageData) -> None:
             "one encoding"
         )
     if a.pixels.shape[2] != b.pixels.shape[2]:
+        a, b = map(_without_opaque_alpha, (a, b))
+    if a.pixels.shape[2] != b.pixels.shape[2]:
         counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
-        raise InputError(f"{', '.join(counts)}: save both with alpha, or both without")
+        grey = len({x.pixels.shape[2] > 2 for x in (a, b)}) > 1
+        remedy = "save both as RGB" if grey else "save both with alpha, or both without"
+        raise InputError(f"{', '.join(counts)}: {remedy}")
     if a.color_space != b.color_space:
         spaces = (f"{x.name} is in colour space {x.color_space or '(unnamed)'}" for x in (a, b))
         raise InputError(f"{', '.join(spaces)}: convert one")
+    return a, b
+
+
+def _without_opaque_alpha(image: ImageData) -> ImageData:
+    """Return an image without its alpha, if this is 1 everywhere."""
+    full = 255 if image.encoding == "srgb8" else 1
+    channels = image.pixels.shape[2]
+    opaque = channels % 2 == 0 and bool((image.pixels[..., -1] == full).all())
+    return replace(image, pixels=image.pixels[..., :-1]) if opaque else image
 
 
 def check_finite(image: ImageData) -> None:

@@ -1,17 +1,28 @@
-"""Reasons of a difference as text: the failed check, its metric and limit, and a likely cause. The
-first reason has the cause that explains most of the change."""
+"""Reasons of a difference as text: the failed check, its metric and limit, and a likely cause.
+
+The first reason has the cause that explains most of the change. Changed metadata replace a cause.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.blocks import BLOCK, BlockStatistics, block_sums, cell_sums
+from facerender.comparison.blocks import BLOCK, FLOOR, BlockStatistics, block_sums, cell_sums
 from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
-from facerender.comparison.neighbourhoods import EDGE, ROUGH, SLIVER, SMOOTH, Mask, filtered
-from facerender.comparison.result import BLUR, Comparison
+from facerender.comparison.neighbourhoods import (
+    EDGE,
+    FULL,
+    ROUGH,
+    SLIVER,
+    SMOOTH,
+    Mask,
+    filtered,
+)
+from facerender.comparison.result import BLUR, HOLES, Comparison
 from facerender.images.image import ImageData
 
 # Largest unexplained difference of a single pixel, keyed by the class of the pixel.
@@ -22,10 +33,11 @@ _LONE = {
 _WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
 _BRIGHTER = 5e-5  # smallest gain that is reported
 _SHIFTED = 0.01  # smallest shift that is reported, in pixels
-_HOLES = 2  # largest number of holes that passes, since cracks and hairs cause some
 _LONELY = 0.02  # largest squared change of the pixels around a pixel fault, relative to the fault's
-_FACTS = 3  # largest number of reported changes of the metadata
-_LONG = 40  # longer values of the metadata are cut to this number of characters
+_LONG = 60  # longer values of the metadata are cut to this number of characters
+_SEPARATOR = re.compile(r"[;,] (?![^(]*\))")  # of the entries of a metadata value, such as a mesh's
+_FIELD = re.compile(r"(\w+)=((?:\([^()]*\)|'[^']*'|[^,()])+)")  # of a value such as Light(m=1)
+SAMPLES = "drivers that place samples differently: compare with one sample"
 
 
 def reasons_of(
@@ -33,66 +45,97 @@ def reasons_of(
     over: NDArray[np.int8],
     statistics: BlockStatistics,
     images: tuple[ImageData, ImageData],
-) -> tuple[str, ...]:
-    """Return the reasons of a difference, with likely causes.
+) -> tuple[tuple[str, ...], str]:
+    """Return the reasons of a difference, and its likely cause, or "metadata".
 
     over : (H, W), class of each pixel that exceeds the point limit: SLIVER, SMOOTH, ROUGH or EDGE,
         negative if the pixel is too dark. Other pixels: 0
     images : reference and image, whose pixels and metadata reveal the cause
     """
     wrong = _wrong(result, over)
-    blocks = [*_of_blocks(result)]
-    holes = not wrong.any() and result.holes > _HOLES
+    blocks = [*_of_blocks(result, images)]
+    holes = not wrong.any() and result.holes > HOLES
     others = [] if wrong.any() or blocks or holes else [*_subtle(result)][:1]
     uncovered = result.coverage > result.limits.coverage
     if not (wrong.any() or blocks or holes or others or uncovered):
-        return ()
+        return (), ""
     height, width = over.shape
     rows = strips(height, width, result.point_at[1], result.block_at[1])
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
-    reasons = [f"{block}: looks like {cause}{_estimate(result, cause)}" for block in blocks]
-    reasons += [f"{other}: looks like {cause}" for other in others]
+    if _samples_differ(result, images) and (
+        uncovered or "texture" in str(others) or (wrong.any() and _at_edge(over[wrong]))
+    ):
+        cause = SAMPLES
+
+    def because(likely: str) -> str:
+        known = result.scene_changed and likely == cause
+        return "" if known else f": perhaps {likely}"
+
+    reasons = [f"{block}{because(cause)}{_estimate(result, cause)}" for block in blocks]
+    reasons += [f"{other}{because(cause)}" for other in others]
+    fault = ""
     if wrong.any():
         seen = np.concatenate([wrong[strip] for strip in rows])
         most = change.share(seen) > 0.5
         fault = _fault(result, over, wrong) if most or _lonely(change, seen) else ""
-        if fault == "false highlights" and cause in (LIGHT, EXPOSURE):
+        if cause == SAMPLES or (fault == "false highlights" and cause in (LIGHT, EXPOSURE)):
             fault = ""
         if fault and blocks and _explained(result, wrong, statistics):
-            reasons = [f"{block}: looks like {fault}{_estimate(result, fault)}" for block in blocks]
-        text = f"{_pixels(result, over[wrong])}: looks like {fault or cause}"
+            reasons = [f"{block}{because(fault)}{_estimate(result, fault)}" for block in blocks]
+        text = f"{_pixels(result, over[wrong])}{because(fault or cause)}"
         reasons.insert(0 if most else len(reasons), text)
     elif holes:
+        fault = "" if cause == GEOMETRY else "missing pixels"
         reasons.append(
-            f"{result.holes} pixels have less than a quarter of their neighbours' light or no "
-            f"coverage, limit {_HOLES}: looks like "
-            f"{cause if cause == GEOMETRY else 'missing pixels'}"
+            f"holes: {result.holes} pixels have less than a quarter of their neighbours' light or "
+            f"no coverage, limit {HOLES}{because(fault or cause)}"
         )
     if uncovered:
         reasons.append(
             f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
-            f"{100.0 * result.limits.coverage:g} %: looks like {GEOMETRY}"
+            f"{100.0 * result.limits.coverage:g} %{because(cause)}"
         )
-    facts = _facts(*(image.metadata for image in images))
-    return (f"{reasons[0]}{facts}", *reasons[1:])
+    first = f"{reasons[0]}{result.facts}"
+    named = fault if fault and f"perhaps {fault}" in first else cause
+    return (first, *reasons[1:]), "metadata" if result.scene_changed else named
 
 
-def _facts(one: Mapping[str, str], other: Mapping[str, str]) -> str:
-    """Return the changed entries of the metadata as text."""
-    changed = [
-        f"{key} {_apart(one[key], other[key])} -> {_apart(other[key], one[key])}"
-        for key in one
-        if other.get(key, one[key]) != one[key]
-    ]
-    more = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
-    return f" (metadata: {', '.join(changed[:_FACTS] + more)})" if changed else ""
+def changes_of(one: Mapping[str, str], other: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return both texts of all metadata that changed, keyed by name and, for a value such as
+    Light(azimuth=1), also by the name of the changed field."""
+    found = {}
+    for key in one:
+        if other.get(key, one[key]) == one[key]:
+            continue
+        fields = [dict(_FIELD.findall(each)) for each in (one[key], other[key])]
+        kinds = {each.partition("(")[0] for each in (one[key], other[key])}
+        if len(kinds) > 1 or not all(fields):
+            found[key] = _apart(one[key], other[key]), _apart(other[key], one[key])
+            continue
+        for name in dict.fromkeys([*fields[0], *fields[1]]):
+            values = [_plain(each.get(name, "default")) for each in fields]
+            if values[0] != values[1]:
+                found[f"{key} {name}"] = values[0], values[1]
+    return found
+
+
+def _plain(value: str) -> str:
+    """Return one number in place of three equal ones."""
+    return re.sub(r"^\((\S+), \1, \1\)$", r"\1", value)[:_LONG]
 
 
 def _apart(value: str, other: str) -> str:
     """Return the beginning of a value, without the entries that another value has too."""
-    entries = other.split("; ")
-    return "; ".join(each for each in value.split("; ") if each not in entries)[:_LONG]
+    entries = _SEPARATOR.split(other)
+    apart = ", ".join(each for each in _SEPARATOR.split(value) if each not in entries)
+    return apart[:_LONG] or "none"
+
+
+def _samples_differ(result: Comparison, images: tuple[ImageData, ImageData]) -> bool:
+    """Return whether two drivers drew several samples, whose places then differ."""
+    several = all(image.metadata.get("samples", "1") != "1" for image in images)
+    return several and "GL_RENDERER" in result.metadata
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
@@ -112,31 +155,50 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     """Describe the wrong pixels; ``over`` has their classes, see :func:`reasons_of`."""
     pixels = f"{len(over)} pixel{' differs' if len(over) == 1 else 's differ'}"
     if (np.abs(over) == SLIVER).any():
-        return f"{pixels} like slivers at edges, limit {result.sliver_limit:.0f}"
+        return f"slivers: {pixels} like slivers at edges, limit {result.sliver_limit:.0f}"
     point = abs(result.point)
     by = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
     at_edge = " at edges" if _at_edge(over) else ""
     return (
-        f"{pixels} from the surroundings in the other image by up to {by}{at_edge}, worst at "
-        f"{result.point_at}, limit {result.limits.point:g}"
+        f"point: {pixels} from the surroundings in the other image by up to {by}{at_edge}, worst "
+        f"at {result.point_at}, limit {result.limits.point:g}"
     )
 
 
-def _of_blocks(result: Comparison) -> Iterator[str]:
+def _of_blocks(result: Comparison, images: tuple[ImageData, ImageData]) -> Iterator[str]:
     """Describe the blocks over the block limit, or else the trend over its limit."""
-    factor, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
+    relative = result.encoding == "linear"
+    factor, unit = (100.0, " %") if relative else (1.0, " of 255")
     if result.blocks:
-        mean = f"{_signed(factor * result.block)}{unit or ' of 255'}"
+        plain = _mean_change(result, images)
+        mean = f"{_signed(factor * plain)}{unit}"
+        if abs(plain) <= result.limits.block:
+            mean += f", or {_signed(factor * result.block)}{unit} without edges and displacement"
         yield (
             f"block at {result.block_at}: mean {mean}, limit "
-            f"{factor * result.limits.block:g}{unit}, "
+            f"{factor * result.limits.block:g}{unit * relative}, "
             f"exceeded by {result.blocks} of {result.blocks_judged} blocks"
         )
     elif result.changed_alike:
         yield (
-            f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
-            f"{result.limit_factor * result.limits.trend:g}"
+            f"trend {result.trend:.2g}, limit {result.limit_factor * result.limits.trend:g}: "
+            "neighbouring blocks changed alike"
         )
+
+
+def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> float:
+    """Return the change of the mean of the worst block's covered pixels, in the worst channel: a
+    fraction of the mean, or 8-bit levels."""
+    x, y = result.block_at
+    parts = [image.rows(slice(y, y + BLOCK)) for image in images]
+    full = np.minimum(*(alpha[:, x : x + BLOCK] for _, alpha in parts)) >= FULL
+    one, other = (
+        color[:, x : x + BLOCK][full].mean(axis=0, dtype=np.float64) for color, _ in parts
+    )
+    change = other - one
+    if result.encoding == "linear":
+        change /= np.maximum(np.abs(one), FLOOR)
+    return float(max(change, key=abs))
 
 
 def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> bool:
@@ -187,8 +249,9 @@ def _at_edge(over: NDArray[np.int8]) -> bool:
 
 
 def _estimate(result: Comparison, cause: str) -> str:
-    """Return the image's gain as text, and its shift if the mesh or the camera may have changed."""
-    brighter = result.encoding == "linear" and abs(result.gain) > _BRIGHTER
+    """Return the image's gain as text if one factor explains the change, and its shift if the mesh
+    or the camera may have changed."""
+    brighter = result.encoding == "linear" and cause == EXPOSURE and abs(result.gain) > _BRIGHTER
     gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
     displaced = cause == GEOMETRY and max(abs(x), abs(y)) > _SHIFTED

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.pairs.verdicts import FACERENDER, FORMATS, OWN, UNNAMED, Summary, read_summary
 from facerender.comparison.checks import CHECKS
-from facerender.comparison.result import FOREIGN, LIMITS
+from facerender.comparison.result import FOREIGN, HOLES, LIMITS
 from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.scenes import Group
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
@@ -29,7 +29,7 @@ THRESHOLDS = (
 FINDS = {
     "point": "fireflies, missing pixels, false highlights",
     "block": "another lobe, weight, exposure or light",
-    "trend": "as block, for small changes in many blocks",
+    "trend": "small changes of many blocks in one direction, such as 0.3 % more light",
     "grain": "noise, values with fewer bits",
     "texture": "blur, other maps",
     "coverage": "another mesh or camera",
@@ -76,8 +76,11 @@ def limits() -> dict[str, str]:
         check = CHECKS[name]
         amounts = [check.amount(getattr(LIMITS[kind], name), kind) for kind in LIMITS]
         checks.append([f"`{name}`", *amounts, check.quantity, finds])
-    quantity, unit, _ = CHECKS["slivers"]
-    checks.insert(1, ["`slivers`", unit, unit, quantity, "as point, at edges"])
+    for place, name, limit, finds in (
+        (1, "slivers", "50 pixels and 1 in 10,000", "as point, at edges"),
+        (2, "holes", CHECKS["holes"].amount(HOLES, "linear"), "missing pixels and triangles"),
+    ):
+        checks.insert(place, [f"`{name}`", limit, limit, CHECKS[name].quantity, finds])
     head = ["check", "limit, linear", "limit, 8-bit", "limited quantity", "finds"]
     return {
         "checks": markdown_table(head, checks),
