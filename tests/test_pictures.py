@@ -163,7 +163,7 @@ def test_errors_are_one_line(call, message):
 def test_a_result_shows_its_verdict_and_images(pair):
     result = fr.compare(*pair)
     page = result._repr_html_()
-    assert page.startswith("<p><b>differs</b>: 384 pixels differ")
+    assert page.startswith("<p><b>differs</b>: point: 384 pixels differ")
     assert page.count("<img ") == 1
     assert fr.compare(pair[0], pair[0])._repr_html_().startswith("<p>same</p><img ")
     assert "images" not in result.as_dict()
