@@ -305,6 +305,7 @@ def test_edges_of_masks_are_smooth(backend, four_samples):
     assert abs(four.mean() - many.mean()) < 2e-3
 
 
+@pytest.mark.slow
 def test_masks_cut_holes(single):
     half = grey(np.repeat([[0.0, 1.0]], 2, axis=0)).sampled(("clamp", "clamp"), nearest=True)
     front = Material((1.0, 0.0, 0.0), ks=0.0, alpha="mask", opacity_map=half)
@@ -380,6 +381,7 @@ def test_shells_cast_no_shadow_and_lashes_cast_shadows_of_hairs(single):
     assert seen[0][eye].mean() > seen[3][eye].mean() + 0.02
 
 
+@pytest.mark.slow
 def test_emission_is_added_and_scaled(single):
     shines = replace(WHITE, emissive=(0.5, 1.0, 4.0), emissive_map=grey(np.full((2, 2), 1.0)))
     plain_one = scene_of([quad()], [WHITE])
@@ -408,6 +410,7 @@ def relief():
     return Texture(lambda: Image.fromarray(texels), "relief")
 
 
+@pytest.mark.slow
 def test_normal_maps_have_a_strength(single):
     normals, slopes = [], []
     for strength in (0.0, 0.5, 1.0, 2.0):

@@ -158,7 +158,7 @@ def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(
     assert imported[2] == ""
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -378,7 +378,7 @@ def test_invalid_size_limit_is_refused(mib, tmp_path, monkeypatch, capsys):
     assert_error(status, printed.out, printed.err, re.escape(f"FACERENDER_CACHE_MIB = {mib!r}"))
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["--no-cache", "limit 0", "a file", "/dev/null", "closed"])
 def test_render_without_a_usable_cache(option, tmp_path, egl, monkeypatch, place, capsys):
     options = [option] if option == "--no-cache" else []

@@ -71,6 +71,7 @@ CHANGED = {  # change: reference, image, cause
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", CHANGED)
 def test_first_reason_names_the_cause(name):
     reference, image, cause = CHANGED[name]

@@ -136,6 +136,7 @@ def test_process_renders_the_built_in_head(tmp_path: Path, egl: str) -> None:
     assert os.listdir(tmp_path) == ["head.png"]
 
 
+@pytest.mark.slow
 def test_process_fails_in_one_line(tmp_path: Path) -> None:
     done = process("render", tmp_path / "gone.obj", "-o", tmp_path / "head.png")
     assert_error(done.returncode, done.stdout, done.stderr, r"cannot read .*gone\.obj: no such")
@@ -280,6 +281,7 @@ def test_options_equal_their_values_in_python(options: tuple[str, ...], cli: Cli
     np.testing.assert_array_equal(cli.render(*options), frame.srgb8())
 
 
+@pytest.mark.slow
 def test_triangles(cli: Cli) -> None:
     level = fr.simplified(fr.load_mesh(MINI_HEAD), 1000)
     few = cli.render("--triangles", "1000")
@@ -456,6 +458,7 @@ def test_bad_file(
         cli.fail_to_render(message, option, tmp_path / name)
 
 
+@pytest.mark.slow
 def test_roughness_map_outside_the_domain_of_the_lobe(cli: Cli, tmp_path: Path) -> None:
     Image.new("L", (4, 4), 230).save(tmp_path / "rough.png")
     options = ("--roughness-map", tmp_path / "rough.png")

@@ -164,6 +164,7 @@ SCENE = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("table", "name"), [(table, name) for table, names in SCENE.items() for name in names]
 )

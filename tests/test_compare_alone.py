@@ -92,6 +92,7 @@ def test_compare_needs_no_rendering_packages(images, alone):
     assert (images / "report.html").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_rendering_names_the_missing_package(images, alone):
     """This shows that the packages are hidden."""
     status, output = run(["-m", "facerender", "render", "-o", "a.png"], images, alone)

@@ -108,7 +108,7 @@ def test_nine_coefficients_approximate_the_irradiance():
     assert error.max() < 0.13 * expected.mean()
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [64, 600])
 def test_map_keeps_the_energy_of_a_small_light(height):
     panorama = spot(-50.0, 42.0, height)
@@ -246,6 +246,7 @@ def test_scene_file_and_command_line(tmp_path):
 # --- plans ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_plan_may_take_fewer_samples(small, head):
     scene = around(head, fr.Environment(studio()))
     listed = [*candidates(scene, fr.Shading(), Constants(0.3, 1.0, ()))]

@@ -181,6 +181,7 @@ def expected(page, mesh, found, term, changes):
     return reference.shade(gbuffer, scene, fr.Shading(term=term))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "term", "changes"),
     [

@@ -113,7 +113,7 @@ def lines_of(plan):
 # --- the choice ----------------------------------------------------------------------------------
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("budget", "within"), [("0", 1.0), ("0.01/255", 0.05)])
 def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, scene, cli):
     plan = fr.plan(scene, budget, within=within, renderer=drawing)
@@ -324,6 +324,7 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
             np.testing.assert_array_equal(np.asarray(image), drawn)
 
 
+@pytest.mark.slow
 def test_render_within_a_budget_reuses_a_cached_plan(cli, wide, drawing, scene, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cli.folder.parent / "cache"))
     monkeypatch.delenv("FACERENDER_CACHE_MIB")

@@ -83,6 +83,7 @@ def calls(name: str) -> str:
     return " + ".join(values) or "0.0"
 
 
+@pytest.mark.slow
 @pytest.mark.compiler
 @pytest.mark.parametrize(
     "target",

@@ -102,6 +102,7 @@ def test_cameras(small, meshes, agrees, mesh, camera):
     agrees(small.render(fr.Scene(meshes[mesh], CAMERAS[camera])), maps=True)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("mesh", ["head", "mini", "vertex-colors", "no-colors"])
 def test_meshes_in_ward(small, meshes, agrees, mesh):
     frame = small.render(fr.Scene(meshes[mesh], CLOSE), fr.Shading("ward", "fitted"))

@@ -115,6 +115,7 @@ def test_a_child_draws_a_mesh_whose_maps_are_being_decoded(software, egl, tmp_pa
     assert all(levels.done() for levels in maps)
 
 
+@pytest.mark.slow
 def test_child_of_a_child_is_refused_with_a_remedy(software, drawn):
     def draw_and_fork() -> str:
         return " ".join([draw(), in_child(draw)])
@@ -201,6 +202,7 @@ except fr.ContextError as error:
     assert (run.stdout.strip(), run.stderr, run.returncode) == (expected, "", 0)
 
 
+@pytest.mark.slow
 def test_maps_are_decoded_in_a_child(drawn):
     def decode() -> str:
         levels = fr.load_mesh().materials[0].albedo_map.levels("color").result()

@@ -85,6 +85,7 @@ def test_the_command_that_does_not_understand_is_named(words, told, command, cap
     assert run(capsys, *words) == (2, "", f"facerender: error: {told}; see {see}\n")
 
 
+@pytest.mark.slow
 def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
     out, render = tmp_path / "o.png", ("render", MINI_HEAD, *SIZE)
     assert run(capsys, *render, "-o", out) == (0, f"{out}\n", "")

@@ -99,6 +99,7 @@ def test_seams_show_the_direction():
         assert (hints.upside_down(plain, True) is not None) is flip_v
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("color", [0, 128, 255])
 def test_maps_without_evidence(color):
     flat = fr.Texture.from_array(np.full((64, 64, 3), color, np.uint8))
@@ -139,6 +140,7 @@ def test_green_down():
     assert hints.green_down(down) is None  # the map is not decoded
 
 
+@pytest.mark.slow
 def test_built_in_head_and_scan_give_no_hint(scan):
     head = fr.load_mesh()
     assert hints.of_mesh(head) == []
@@ -229,6 +231,7 @@ def test_renderer_warns_once_for_each_mesh(renderer):
         assert len(noted) == 1
 
 
+@pytest.mark.slow
 def test_highlights_that_a_user_sets_give_no_warning(renderer, tmp_path):
     renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD).with_material(ks=0.01, m=1.5)))
     path = write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl")

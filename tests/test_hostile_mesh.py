@@ -644,6 +644,7 @@ def inside(tmp_path):
     return tmp_path / "in"
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("absolute", [False, True])
 def test_images_outside_the_folder_are_not_opened(absolute, inside):
     name = str(inside.parent / "secret.jpg") if absolute else "../secret.jpg"
@@ -712,6 +713,7 @@ def endless(path):
 SPECIAL = {"pipe": pipe, "device": endless, "directory": Path.mkdir}
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("what", SPECIAL)
 @pytest.mark.parametrize("place", ["mesh", "buffer", "image", "mtllib", "map"])
 def test_special_files_are_not_read(what, place, tmp_path):

@@ -221,6 +221,7 @@ def test_size_of_maps_is_known_before_decoding_and_limited(monkeypatch, tmp_path
 # --- compare -------------------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("rows", [1, 16, 300, 700])
 def test_comparison_in_strips_equals_the_whole(rows, monkeypatch):
     """The upper half is not covered, so that some strips have alpha 0 everywhere."""
@@ -346,7 +347,7 @@ HIDDEN = {
 }
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [1, 4])
 def test_image_without_the_mesh_warns_with_the_reason(samples, recwarn):
     with fr.Renderer((64, 48), samples=samples) as renderer:

@@ -161,6 +161,7 @@ def test_directional_albedo(name):
     np.testing.assert_allclose(result[:, -1], expected[:, -1], rtol=0, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_cook_torrance_reflects_no_more_than_it_receives():
     theta = 90.0 - np.geomspace(0.1, 90.0, 25)
     for m in (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0):

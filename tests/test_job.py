@@ -93,7 +93,7 @@ def test_scene_files_hold_all_terms(head, tmp_path):
     assert loaded["environment"] == job.environment
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["defaults", "everything"])
 def test_job_from_json_draws_the_same_bits(name, egl, head):
     job = replace(JOBS[name], image=fr.ImageSettings((48, 32), 1, float_albedo=True))

@@ -231,6 +231,7 @@ def nose_of(mesh):
     return middle[middle[:, 2].argmax()]
 
 
+@pytest.mark.slow
 def test_nose_neck_and_cheeks(skull, renderer):
     nose = nose_of(skull)
     back = nose * (1, 1, -1)
@@ -385,6 +386,7 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
     json.dumps(drawn.facts, allow_nan=False)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*cannot be simplified")
 def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path):
     pytest.importorskip("meshoptimizer")

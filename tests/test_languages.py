@@ -222,7 +222,7 @@ def test_untranslatable_glsl_is_refused(text, message, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", UNTRANSLATED)
 def test_files_with_samplers_are_for_glsl(name):
     """The message names file and function, and quotes no source text."""

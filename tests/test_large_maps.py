@@ -106,6 +106,7 @@ def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels
     assert np.quantile(seen, 1e-2) < level + 1.2
 
 
+@pytest.mark.slow
 def test_hidden_triangles_do_not_require_finer_levels():
     """A plane with few texels per pixel requires level 0 unless another plane hides it."""
     grid = np.linspace(-1.0, 1.0, 129)
@@ -124,7 +125,7 @@ def test_hidden_triangles_do_not_require_finer_levels():
         assert levels_to_spare(mesh, part, part.uv, (1024, 1024), view, SIZE) == expected
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_is_large")
 @pytest.mark.parametrize(("camera", "samples"), [*zip(VIEWS, (1, 4, 1), strict=True)])
 def test_images_hardly_change(detailed, camera, samples):
@@ -172,6 +173,7 @@ def test_maps_of_usual_sizes_are_not_reduced():
     assert reduced(scene, view_of(scene, 1.0), (64, 64), 1.0) is scene
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_is_large")
 def test_reference_uses_the_reduced_maps(detailed):
     from facerender.drawing.reference import shade

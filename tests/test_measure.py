@@ -33,6 +33,7 @@ def powers(count):
     return "", " + ".join(f"exp2(-c * {i}.0)" for i in range(1, count + 1))
 
 
+@pytest.mark.slow
 def test_costs_grow_with_the_number_of_operations(egl):
     measured = cost.by_slope(
         {"none": ("", cost.OF_COSINE), "four": powers(4), "sixteen": powers(16)},
@@ -102,6 +103,7 @@ def test_image_error_separates_pixels_from_weights():
     assert weight.steps == weight.steps_percentile == 3
 
 
+@pytest.mark.slow
 def test_image_errors_are_in_the_order_of_the_lobes(egl, head):
     scene = fr.Scene(head.with_material(m=0.4))
     shadings = [fr.Shading(lobe=lobe) for lobe in ("exact", "fitted", "d16")]

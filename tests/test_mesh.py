@@ -125,7 +125,7 @@ def test_suffix_in_capitals(tmp_path):
     assert fr.load_mesh(files.write_ply(tmp_path / "MINI.PLY", mini_head())).name == "MINI.PLY"
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
 def test_obj_from_windows(encoding, tmp_path, control, draw, monkeypatch):
     monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # not a dependency
@@ -173,6 +173,7 @@ def test_missing_texture_of_a_glb(tmp_path, draw):
     assert np.isfinite(draw(mesh)).all()
 
 
+@pytest.mark.slow
 def test_missing_mtl_suggests_the_image_in_its_folder(tmp_path, control, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head())
     (tmp_path / "mini.mtl").unlink()
@@ -381,6 +382,7 @@ def test_computed_normals_of_a_sphere_point_outwards(tmp_path):
     assert angles(part.normals[used], part.positions[used]).max() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* wound both ways")
 def test_computed_normals_of_the_scan_agree_with_its_own(scan, tmp_path):
     (given,) = fr.load_mesh(scan / "LeePerrySmith.glb").parts

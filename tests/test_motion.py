@@ -108,7 +108,7 @@ def test_motion_warps_one_frame_into_the_next(skull, drawing):
     assert np.median(error) < 0.1
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [lambda mesh: mesh, moved_away], ids=["near", "far"])
 def test_static_surfaces_have_no_motion(skull, drawing, place):
     mesh = place(skull)
@@ -233,6 +233,7 @@ def test_colours_show_direction_and_length():
     np.testing.assert_allclose(pixels[0], expected, atol=0.51)
 
 
+@pytest.mark.slow
 def test_files_of_a_batch(skull, drawing, monkeypatch):
     now, before = (bent(skull, amount) for amount in (0.05, -0.02))
     scene = fr.Scene(now, CAMERAS[0], before=fr.Scene(before, CAMERAS[1]))

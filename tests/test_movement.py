@@ -179,7 +179,7 @@ def test_draw_is_called_only_when_a_golden_is_written(studio, goldens, tmp_path)
     assert studio.calls == before + 1 + len(SHIFTS)
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("studio", [1], indirect=True)
 @pytest.mark.parametrize(
     ("factor", "size", "message"),

@@ -32,6 +32,7 @@ def normals(mesh: fr.Mesh) -> Any:
         return renderer.gbuffer(fr.Scene(mesh)).normal
 
 
+@pytest.mark.slow
 def test_green_that_points_down(maps: tuple[Path, Path]):
     up, down = maps
     wanted = normals(fr.load_mesh(MINI_HEAD, normal_map=up))
@@ -66,6 +67,7 @@ def test_cache_distinguishes_the_green_direction(
     assert not np.allclose(found[0], found[1], atol=0.05)
 
 
+@pytest.mark.slow
 def test_options_of_render(maps: tuple[Path, Path], tmp_path: Path):
     start = ["render", str(MINI_HEAD), "--size", "32", "--samples", "1", "-o"]
     up, down, flat, plain = (str(tmp_path / f"{name}.png") for name in "abcd")

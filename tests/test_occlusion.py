@@ -82,6 +82,7 @@ def test_occlusion_in_a_hemisphere_is_half():
     assert abs(part.occlusion[inside].mean() - 0.5) < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bound", "pixels"),
     [

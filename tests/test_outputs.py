@@ -101,6 +101,7 @@ READ = [
 ]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("read", "arguments", "suffix", "how"),
     [
@@ -134,6 +135,7 @@ def test_outputs_that_are_one_file(inputs, capsys):
     assert_error(status, printed.out, printed.err, "a.png is written twice: give another name")
 
 
+@pytest.mark.slow
 def test_many_outputs_are_checked_in_linear_time(tmp_path):
     names = [tmp_path / f"{number}.png" for number in range(2000)]
     names[0].touch()
@@ -400,6 +402,7 @@ def test_terminated_worker_removes_partial_results(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_workers_of_a_batch_obey_their_coordinator():
     ours, theirs = socket.socketpair()
     command = [sys.executable, "-m", "facerender.batch.worker", str(theirs.fileno())]
@@ -472,6 +475,7 @@ def test_commands_print_no_progress_without_a_terminal(inputs, capsys, egl):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_quiet_keeps_warnings_and_errors(inputs, capsys, egl):
     for path in inputs.glob("*.mtl"):
         path.unlink()

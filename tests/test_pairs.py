@@ -105,6 +105,7 @@ def test_the_groups_share_no_head_camera_or_light():
     assert {each.group for each in SETTINGS.values()} == {*GROUPS}
 
 
+@pytest.mark.slow
 def test_the_judge_has_jpegs_and_images_of_another_machine(tmp_path, monkeypatch, egl):
     scene = replace(SETTINGS["coarse-below"], size=96)
     monkeypatch.setattr(unchanged, "SETTINGS", {scene.name: scene})

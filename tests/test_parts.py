@@ -76,6 +76,7 @@ def test_names_of_parts_in_obj(heads, expected, tmp_path):
     assert total == 4 * len(heads)
 
 
+@pytest.mark.slow
 def test_groups_with_one_material_stay_separate(tmp_path):
     head = mini_head()
     left = head.positions[head.faces].mean(axis=1)[:, 0] < 0.0

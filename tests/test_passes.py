@@ -42,6 +42,7 @@ def renderer(egl, four_samples, monkeypatch, tmp_path):
         yield renderer
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("samples", "deferred"),
     [

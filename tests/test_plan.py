@@ -301,6 +301,7 @@ def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
     assert re.search(r"^shading +exact: nothing cheaper fits$", plan.explain(), re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_a_huge_budget_drops_every_highlight(small, subject):
     scene = replace(subject("frontal, three").scene, lights=PLAIN_THREE)
     cost = fr.plan(scene, "1e9%", cost="auto", renderer=small).cost
@@ -308,12 +309,14 @@ def test_a_huge_budget_drops_every_highlight(small, subject):
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
 
 
+@pytest.mark.slow
 def test_smallest_error_breaks_ties_of_cost(small, bare):
     matt = fr.Scene(bare.with_material(ks=0.0), lights=PLAIN_THREE)
     plan = fr.plan(matt, "1e9%", cost="auto", renderer=small)
     assert plan.shading == Shading(ambient=False)
 
 
+@pytest.mark.slow
 def test_errors_in_multisampled_images_count(egl, subject, monkeypatch):
     """A change that is visible only between pixel centres is ruled out by the drawn image."""
     draw = views.draw
@@ -338,7 +341,7 @@ def test_errors_in_multisampled_images_count(egl, subject, monkeypatch):
     assert flawed.tried < 10  # a term that failed once is not tried again
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [0, 1])
 def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypatch):
     """The number of pixels that may exceed the budget follows from the covered pixels."""
@@ -419,6 +422,7 @@ def test_errors_agree_with_the_reference_and_the_renderer(
 # --- invalid input -------------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("changes", "options", "message"),
     [
@@ -626,6 +630,7 @@ def test_cameras_with_numpy_numbers_can_be_written(small, bare, tmp_path):
     assert found["material"]["m"] == 0.3
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("target", ["330", "es300", pytest.param("vulkan", marks=COMPILER)])
 def test_shaders_compile(target, plans, tmp_path):
     for number, plan in enumerate(plans):

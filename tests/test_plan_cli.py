@@ -131,6 +131,7 @@ def test_text_output(plan):
     assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", lines[-1])
 
 
+@pytest.mark.slow
 def test_json(plan):
     found = json.loads(plan("--budget", "0.5%", "--json", "--cost", "vega10"))
     assert found == json.loads(json.dumps(expected("0.5%", cost="vega10").as_dict()))
@@ -353,6 +354,7 @@ def test_bad_option(options, message, cli):
     cli.fail(message, "plan", *FACE, *options)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -443,6 +445,7 @@ def test_a_planned_scene_accepts_only_the_m_of_its_plan(shading, cli, tmp_path):
     cli.fail_to_render(message, "--scene", scene, "--m", "0.4")
 
 
+@pytest.mark.slow
 def test_pinned_scene_can_be_planned_again(plan, cli):
     path = cli.folder / "again.toml"
     path.write_text(f"lights = ['{KEY}']\n[shading]\nfrontal_lights = [0]\n")

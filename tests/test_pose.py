@@ -145,6 +145,7 @@ class TestWithPositions:
         with pytest.warns(fr.FacerenderWarning, match="baked occlusion"):
             baked.with_positions(waved(head))
 
+    @pytest.mark.slow
     def test_poses_do_not_keep_each_other_alive(self, head, egl):
         with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
             scenes = [fr.Scene(head.with_positions(waved(head, i))) for i in range(3)]
@@ -288,6 +289,7 @@ class TestSequences:
         (part,) = again.scene().mesh.parts
         np.testing.assert_array_equal(part.positions, waved(head, 2)[0])
 
+    @pytest.mark.slow
     def test_the_command_draws_one_frame_or_all(self, frames, tmp_path):
         base = ["render", str(MINI_HEAD), "--size", "64", "--samples", "1", "--quiet"]
         assert main([*base, "--vertices", frames, "-o", f"{tmp_path}/f-{{index}}.png"]) == 0

@@ -300,6 +300,7 @@ def load_ict(faces, **maps):
     return mesh
 
 
+@pytest.mark.slow
 def test_presets_of_ict_facekit(ict):
     found = dict(zip(names(ict), map(preset_of, ict.materials), strict=True))
     assert found["M_Face"] == "skin"
@@ -334,6 +335,7 @@ def test_no_shell_hides_the_iris_and_no_card_is_black(ict, azimuth):
     assert (image[skin].max(axis=1) < 0.01).mean() < 0.05  # strands of the lashes
 
 
+@pytest.mark.slow
 def test_maps_of_the_caller_do_not_replace_painted_maps(faces):
     texture = fr.Texture.from_array(np.full((2, 2, 3), 0.25))
     mesh = load_ict(faces, albedo=texture)
@@ -387,6 +389,7 @@ def test_later_options_add_to_earlier_ones_and_come_last():
     ]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("command", ["plan", "measure", "explore", "batch"])
 def test_other_commands_take_materials_of_parts(command, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -327,6 +327,7 @@ def test_programs_determine_all_parts():
     assert abs(np.linalg.det(matrix)) == pytest.approx(fragment.FEW)
 
 
+@pytest.mark.slow
 def test_parts_are_timed(egl, monkeypatch):
     monkeypatch.setattr(fragment, "SIZE", (128, 64))
     done: list[float] = []

@@ -382,6 +382,7 @@ def test_update_missing_keeps_different_goldens(recorded):
     assert recorded.value() == pytest.approx(0.6)
 
 
+@pytest.mark.first_case
 def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch):
     recorded_on, this = "llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe"
     monkeypatch.setenv("RENDERER", this)
@@ -413,6 +414,7 @@ def test_update_refuses_an_unreadable_golden(recorded, extra):
     assert recorded.value() == 0.5
 
 
+@pytest.mark.slow
 def test_alternative_for_another_renderer(recorded, monkeypatch):
     before = recorded.golden().read_bytes()
     update = ("--facerender-update", "--facerender-alternative")
@@ -465,7 +467,7 @@ Path.write_bytes = half
 """
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGKILL, KeyboardInterrupt(), OSError(28)], ids=repr)
 def test_interrupted_update_leaves_the_old_golden(recorded, monkeypatch, end):
     before = recorded.golden().read_bytes()

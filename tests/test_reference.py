@@ -315,6 +315,7 @@ def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
     assert (other - expected).min() > case.darkest
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("material", "changes", "off", "least"),
     [
@@ -358,7 +359,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
     return replace(scene, lights=(), environment=fr.Environment(studio()), background=(0.0,) * 3)
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene_of", "full", "budgets", "values", "texts"),
     [

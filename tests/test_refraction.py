@@ -56,7 +56,7 @@ def agrees(renderer, scene, shading=fr.Shading(), bound=1e-4):
     return frame, gbuffer
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -155,6 +155,7 @@ def test_terms_and_data_views_show_the_cornea_itself(single):
         assert image[middle][0] < 0.05  # refracted light belongs to neither term
 
 
+@pytest.mark.slow
 def test_maps_are_reused_until_the_scene_changes(single, monkeypatch):
     drawn = []
     draw = type(single._resources)._draw

@@ -164,6 +164,7 @@ def test_slopes_of_a_shading_must_be_in_the_domain(renderer, head):
     assert frame.metadata["lobe"] == "g-power 8 (0.25/m^2 - 1)"
 
 
+@pytest.mark.slow
 def test_exact_replaces_a_lobe_outside_its_domain(renderer, head):
     shiny = head.with_material(m=0.3, roughness_map=None)
     rough = head.with_material(m=0.75, roughness_map=None)
@@ -642,6 +643,7 @@ def test_guest_restores_every_texture_unit(host):
     host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
 
 
+@pytest.mark.slow
 def test_guest_draws_the_same_and_restores_the_hosts_state(host, head):
     with fr.Renderer((96, 96), samples=4, backend=host.context.backend) as own:
         expected = own.render(fr.Scene(head)).linear
@@ -761,6 +763,7 @@ def test_renderer_does_not_keep_meshes_alive(renderer):
     assert [reference() for reference in dead] == [None] * 3
 
 
+@pytest.mark.slow
 def test_float_albedo_is_close_to_8_bits(egl, head):
     scene = fr.Scene(head, background=None)
     with fr.Renderer((256, 256), samples=1, backend=egl) as bytes_, \
@@ -805,6 +808,7 @@ def test_invalid_arguments_are_refused(arguments, message):
         fr.Renderer(**arguments)
 
 
+@pytest.mark.slow
 def test_more_samples_than_the_driver_has(egl):
     """The reference is a larger image with one sample per pixel, averaged over blocks."""
     mesh = fr.load_mesh(MINI_HEAD)

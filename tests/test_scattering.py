@@ -67,6 +67,7 @@ def test_diffuse_and_specular_views_add_up(renderer, face):
     np.testing.assert_array_equal(renderer.render(face, OFF, "specular").linear, shine)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("deferred", "background"),
     [(True, (0.3, 0.2, 0.1)), pytest.param(False, None, marks=pytest.mark.slow)],

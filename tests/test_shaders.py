@@ -30,6 +30,7 @@ def evaluate(backend: Backend) -> Iterator[Evaluator]:
     evaluator.release()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])
 def test_exact_term_is_accurate_where_it_is_visible(evaluate, model):
     """The relative error is at most 1e-4 where the lobe is above 1/1000 of its peak."""

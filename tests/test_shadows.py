@@ -137,6 +137,7 @@ def test_size_of_the_maps_follows_the_image(head, egl):
     assert texels(8192, MOST) == 1024
 
 
+@pytest.mark.slow
 def test_points_without_doubt_see_the_whole_light(renderer, egl, head, monkeypatch):
     """The cones skip only points that see the whole light."""
     scene = shadows(head)

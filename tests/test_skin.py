@@ -126,6 +126,7 @@ def read_image_of(frame, folder):
     return read_image(folder / "b.png").pixels
 
 
+@pytest.mark.slow
 def test_the_catchlight_stays(whole):
     """Of the specular term, the eyes keep every pixel, and the skin changes."""
     camera = fr.Camera(frame="face", zoom=2.0)
@@ -252,6 +253,7 @@ def test_the_cache_keeps_the_skin(chosen, tmp_path, cache_folder):
 # --- info, hints ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_info_lists_the_skin(capsys):
     lines = run(capsys, "info")[1].splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith("part  "))

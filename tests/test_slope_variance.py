@@ -85,6 +85,7 @@ def test_relief_of_normally_distributed_slopes_needs_the_whole_variance(egl):
         evaluate.release()
 
 
+@pytest.mark.slow
 def test_curvature_is_the_same_with_deferred_shading(egl, head, monkeypatch):
     scene = fr.Scene(head.with_material(m=0.2, normal_map=None), SIDE)
     slopes = []
@@ -109,6 +110,7 @@ def test_a_sphere_is_widened_by_its_curvature(egl):
     assert float(found) ** 2 - m**2 == pytest.approx(2.0 * (2.0 * turn**2 / 24.0), rel=0.01)
 
 
+@pytest.mark.slow
 def test_slope_filter_can_be_disabled(renderer, head):
     off = fr.Shading(slope_filter=False)
     (part,), (material,) = head.parts, head.materials
@@ -215,6 +217,7 @@ def test_slope_filter_reduces_flicker(egl, scan_mesh):
     assert beyond["filter and curvature"] < 0.5 * beyond["none"]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("m", [0.15, 0.3])
 @pytest.mark.parametrize(
     ("angle", "radius", "most"), [(20.0, 20.0, 0.03), (60.0, 20.0, 0.07), (110.0, 10.0, 0.1)]

@@ -48,6 +48,7 @@ def test_a_lobe_map_without_lobes_causes_a_warning(head):
     replace(job, material=SWEAT).scene(head)
 
 
+@pytest.mark.slow
 def test_lobe_map_scales_the_second_lobe(renderer, head):
     def specular(**material):
         return renderer.render(fr.Scene(head.with_material(**material)), only="specular").linear

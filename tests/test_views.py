@@ -230,6 +230,7 @@ def test_invalid_options_are_refused(run: Run, options: tuple[str, ...], message
 # --- animations ----------------------------------------------------------------------------------
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 def test_animated_turntable(run: Run, drawn, suffix: str):
     options = ("--camera", "turntable:4", "--fps", "10", "-o", f"t{suffix}")
@@ -341,7 +342,7 @@ def test_failed_animation_leaves_no_file(tmp_path: Path, suffix: str, images, me
 # --- standard output -----------------------------------------------------------------------------
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
 def test_standard_output_contains_only_the_image(
     kind: Any, capfdbinary: pytest.CaptureFixture[bytes]

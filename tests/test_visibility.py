@@ -89,7 +89,7 @@ def assert_same(deferred, drawn, share=0.999, steps=1.0):
     assert error[~covered].max(initial=0.0) == 0.0
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize(
     ("mesh", "azimuth"),
@@ -205,6 +205,7 @@ def test_back_faces_above_a_rim(both):
     assert_same(*both(fr.Scene(mesh_of(part), fr.Camera(elevation=10.0))))
 
 
+@pytest.mark.slow
 def test_two_samples_agree(both, head):
     """A driver may use more samples; llvmpipe does."""
     assert_same(*both(fr.Scene(head), samples=2), steps=0.0)
@@ -252,6 +253,7 @@ def rates(renderer_of, four_samples, monkeypatch) -> Both:
     return draw
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("azimuth", [10.0, 100.0, 190.0])
 @pytest.mark.parametrize("elevation", [-10.0, 25.0])
 def test_per_pixel_shading_uses_the_side_with_most_samples(rates, azimuth, elevation):
@@ -298,6 +300,7 @@ def test_per_pixel_shading_falls_back_to_per_sample(rates, head, samples, bright
     np.testing.assert_array_equal(one, full)
 
 
+@pytest.mark.slow
 def test_per_pixel_shading_does_not_depend_on_deferring(rates, head, monkeypatch):
     scene = fr.Scene(head)
     one, _ = rates(scene)
