@@ -155,17 +155,17 @@ def steady(frames: int, samples: int, peers: Mapping[str, str]) -> None:
         pids = {name: own.pid for name, own in processes.items()}
         for name, pid in {"script and facerender": os.getpid(), **pids}.items():
             print(f"  {name:24} {resident(pid):7.0f}")
-        one, other = by_script(frames // 2), by_facerender(frames // 2)
-        covered = other[..., 3] > 0.0
-        steps = 255.0 * np.abs(
-            linear_to_srgb(one[..., :3].astype(float))
-            - linear_to_srgb(other[..., :3].astype(float))
-        ).max(axis=-1)
-        over = 100.0 * (steps[covered] > 1.0).mean()
+        middle = frames // 2
+        one = linear_to_srgb(by_script(middle)[..., :3].astype(float))
         print(
-            f"  facerender's image differs from the script's by {steps.mean():.3f}/255 on average,"
+            f"  at azimuth {2 * middle}, pixels that differ from the script's by more than 1/255:"
         )
-        print(f"  and by more than 1/255 at {over:.2f} % of the covered pixels")
+        for name, slope_filter in {"with": True, "without": False}.items():
+            shading = fr.Shading(slope_filter=slope_filter)
+            other = renderer.render(scenes[middle], shading).linear
+            steps = 255.0 * np.abs(one - linear_to_srgb(other[..., :3].astype(float))).max(axis=-1)
+            over = 100.0 * (steps[other[..., 3] > 0.0] > 1.0).mean()
+            print(f"  {over:.1f} % of the covered pixels {name} the slope filter")
         print(f"  {renderer.metadata['GL_RENDERER']}, {renderer.metadata['GL_VERSION']}")
 
 
