@@ -167,7 +167,17 @@ def test_planned_scene_equals_that_of_render(table, draw, tmp_path):
     planned, size = str(tmp_path / "planned.toml"), ("--size", "48")
     # Without shadows, the plan has fewer candidates.
     light = "key,radius=0,no-shadow"
-    where = (*size, "--camera", "0", "--camera", "-60,20", "--light", light, "--scene", planned)
+    where = (
+        *size,
+        "--camera",
+        "0",
+        "--camera",
+        "-60,20",
+        "--light",
+        light,
+        "--save-scene",
+        planned,
+    )
     plan = ["plan", str(MINI_HEAD), "--budget", "24/255", "--within", "90%", "--m", "0.3", *where]
     assert main([*plan, "--backend", "egl", "--quiet"]) == 0
     detail = tomllib.loads(Path(planned).read_text())["planned"]

@@ -71,7 +71,7 @@ LONG = "x" * 300
         ("render", "--environment", f"{LONG}.hdr", "-o", "a.png"),
         ("info", f"{LONG}.glb"),
         ("plan", f"{LONG}.glb", "--budget", "1/255"),
-        ("plan", "--budget", "1/255", "--scene", LONG),
+        ("plan", "--budget", "1/255", "--save-scene", LONG),
         ("measure", LONG),
         ("compare", LONG, LONG),
         ("compare", "--calibrate", LONG),

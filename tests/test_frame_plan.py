@@ -299,7 +299,7 @@ def test_fragment_prices_leave_samples_and_triangles(cost, drawing, scene):
 @pytest.mark.slow
 def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     pinned = cli.folder / "pinned.toml"
-    status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--scene", pinned)
+    status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--save-scene", pinned)
     assert (status, err) == (0, "")
     assert re.search(r"^samples +1 instead of 4: error .* of the frame time$", out, re.MULTILINE)
     assert re.search(r"^cost +0.40 to 0.62 of the full frame in 80 %", out, re.MULTILINE)

@@ -91,7 +91,7 @@ READ = [
     ("path.toml", (*RENDER, "--camera", "path.toml", "-o"), ".png"),
     ("skin.png", (*PLAN, "--albedo", "skin.png", "--error-map"), ".png"),
     ("head.obj", (*PLAN, "--emit"), ".glsl"),
-    ("scene.toml", (*PLAN, "--from", "scene.toml", "--scene"), ".toml"),
+    ("scene.toml", (*PLAN, "--scene", "scene.toml", "--save-scene"), ".toml"),
     ("path.toml", (*PLAN, "--camera", "path.toml", "--emit"), ".glsl"),
     ("skin.png", ("compare", "skin.png", "mask.png", "--heatmap"), ".png"),
     ("mask.png", ("compare", "skin.png", "mask.png", "--report"), ".html"),

@@ -154,7 +154,7 @@ def test_emit(target, plan, cli):
 def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
     pinned = cli.folder / "pinned.toml"
     options = ("--m", "0.25", "--camera", "20,10,1.1", "--ambient", "0.2", "--background", "none")
-    found = json.loads(plan("--budget", budget, "--scene", pinned, "--json", *options))
+    found = json.loads(plan("--budget", budget, "--save-scene", pinned, "--json", *options))
     shading = Shading.from_dict(found["shading"])
     with fr.Renderer((48, 48), samples=1) as renderer:
         camera = fr.Camera(20.0, 10.0, zoom=1.1)
@@ -162,14 +162,14 @@ def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
         scene = fr.Scene(mesh, camera, (PLAIN["key"],), ambient=0.2, background=None)
         image = renderer.render(scene, shading).srgb8()
     np.testing.assert_array_equal(cli.render("--scene", pinned, "--samples", "1"), image)
-    assert pinned.read_text().startswith("# Written by facerender plan.\n")
-    plan("--budget", "3/255", "--scene", pinned)  # may overwrite its own file
+    assert pinned.read_text().startswith("# Give mesh and maps again: ")
+    plan("--budget", "3/255", "--save-scene", pinned)
     assert load_scene(pinned)["shading"] == expected("3/255").shading.as_dict()
 
 
 def test_a_pinned_scene_holds_a_g_power(plan, cli):
     pinned = cli.folder / "pinned.toml"
-    plan("--budget", "1/255", "--m", "0.3", "--scene", pinned)
+    plan("--budget", "1/255", "--m", "0.3", "--save-scene", pinned)
     shading = Shading.from_dict(load_scene(pinned)["shading"])
     assert isinstance(shading.term.lobe, GPower)
     assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
@@ -179,7 +179,7 @@ def test_a_pinned_scene_holds_a_g_power(plan, cli):
 def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
     pinned = cli.folder / "pinned.toml"
     arguments = (MINI_HEAD, "--light", KEY, "--size", "24..32", "--samples", "4")
-    plan("--budget", "2/255", "--scene", pinned, mesh=arguments)
+    plan("--budget", "2/255", "--save-scene", pinned, mesh=arguments)
     assert load_scene(pinned)["planned"] == Planned(((24, 24), (32, 32)), 4)
     render = ("render", MINI_HEAD, "-o", cli.png, "--scene", pinned)
     for options in (
@@ -214,7 +214,7 @@ def test_from_a_scene_file(plan, cli, tmp_path):
         f"lights = ['{KEY}']\n[camera]\nazimuth = 35\n[material]\nm = 0.2\n"
         "[shading]\nfresnel = 'dielectric'\n"
     )
-    arguments = (MINI_HEAD, *SMALL[:4], "--from", tmp_path / "scene.toml")
+    arguments = (MINI_HEAD, *SMALL[:4], "--scene", tmp_path / "scene.toml")
     out = plan("--budget", "2/255", mesh=arguments)
     mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.2)
     full = Shading(fresnel="dielectric")
@@ -261,7 +261,7 @@ def test_cameras(plan, tmp_path, monkeypatch):
     for options, expected_cameras in (
         (("--camera", "profile"), [fr.Camera(90.0)]),
         (("--camera", "10", "--camera", "-30,20"), [fr.Camera(10.0), fr.Camera(-30.0, 20.0)]),
-        (("--from", path), cameras),
+        (("--scene", path), cameras),
         (("--camera", "turntable"), list(fr.turntable())),
         (("--camera", "turntable", "--camera", "0,80", "--fov", "40"),
          [*fr.turntable(fr.Camera(fov=40.0)), fr.Camera(0.0, 80.0, 40.0)]),
@@ -339,7 +339,7 @@ def test_exposure_counts(plan):
         (("--budget", "1/255", "--target", "330"), r"--target 330 .* add --emit OUT\.glsl"),
         (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
         (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
-        (("--budget", "1/255", "--from", "gone.toml"), r"cannot read gone\.toml: no such file"),
+        (("--budget", "1/255", "--scene", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
         (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give the smaller size first"),
@@ -368,7 +368,7 @@ def test_bad_option(options, message, cli):
 )
 def test_bad_scene_file(text, message, cli, tmp_path):
     (tmp_path / "scene.toml").write_text(text)
-    options = ("--budget", "1/255", "--from", tmp_path / "scene.toml", "--size", "48")
+    options = ("--budget", "1/255", "--scene", tmp_path / "scene.toml", "--size", "48")
     cli.fail(message, "plan", MINI_HEAD, *options)
 
 
@@ -378,18 +378,10 @@ def test_a_camera_path_without_cameras(cli, tmp_path):
     cli.fail(r"path\.toml has no cameras", "plan", *FACE, *options)
 
 
-def test_scene_files_of_users_are_not_overwritten(cli):
-    path = cli.folder / "mine.toml"
-    path.write_text("ambient = 1\n")
-    message = r"mine\.toml exists, and facerender plan did not write it: read a scene with --from"
-    cli.fail(message, "plan", *FACE, "--budget", "1/255", "--scene", path)
-    assert path.read_text() == "ambient = 1\n"
-
-
-@pytest.mark.parametrize("option", ["--emit", "--scene", "--error-map"])
+@pytest.mark.parametrize("option", ["--emit", "--save-scene", "--error-map"])
 def test_invalid_output_paths_are_refused(option, cli):
     place = cli.folder / "missing" / "out.png"
-    others = {"--emit": "a.glsl", "--scene": "b.toml", "--error-map": "c.png"}
+    others = {"--emit": "a.glsl", "--save-scene": "b.toml", "--error-map": "c.png"}
     del others[option]
     written = [word for name, file in others.items() for word in (name, cli.folder / file)]
     options = ("--budget", "1/255", *written, option, place)
@@ -404,7 +396,7 @@ def test_outputs_must_differ_from_each_other_and_from_inputs(cli, tmp_path):
     Image.new("L", (4, 4), 90).save(image)
     before = image.read_bytes()
     for message, *options in (
-        ("is written twice", "--emit", tmp_path / "a.txt", "--scene", tmp_path / "a.txt"),
+        ("is written twice", "--emit", tmp_path / "a.txt", "--save-scene", tmp_path / "a.txt"),
         ("is both input and output", "--roughness-map", image, "--error-map", image),
     ):
         cli.fail(message, "plan", *FACE, "--budget", "1/255", *options)
@@ -449,7 +441,7 @@ def test_a_planned_scene_accepts_only_the_m_of_its_plan(shading, cli, tmp_path):
 def test_pinned_scene_can_be_planned_again(plan, cli):
     path = cli.folder / "again.toml"
     path.write_text(f"lights = ['{KEY}']\n[shading]\nfrontal_lights = [0]\n")
-    again = plan("--budget", "4/255", "--from", path, mesh=(MINI_HEAD, *SMALL[:4]))
+    again = plan("--budget", "4/255", "--scene", path, mesh=(MINI_HEAD, *SMALL[:4]))
     assert "cost" in again
 
 

@@ -24,7 +24,7 @@ EXAMPLES = {
     "plan": (
         "facerender plan head.glb --budget 1/255",
         "facerender plan --budget 0.5% --within 99% --camera turntable --size 256..1024",
-        "facerender plan --budget 1/255 --scene planned.toml --emit cheap.glsl --target 330",
+        "facerender plan --budget 1/255 --save-scene planned.toml --emit cheap.glsl --target 330",
     ),
     "measure": ("facerender measure --quick", "facerender measure head.glb --m 0.25 -o out/head"),
     "compare": (

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import time
-from pathlib import Path
 
 from facerender.commands.common import (
     SIDE,
@@ -32,7 +30,7 @@ from facerender.commands.scene import (
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError, reason
+from facerender.errors import InputError
 from facerender.glsl.library import LANGUAGES, TARGETS
 from facerender.job import Output
 from facerender.system.atomic import write_text
@@ -59,7 +57,7 @@ def add(plan: argparse.ArgumentParser) -> None:
     search.add_argument("--cost", default="frame", metavar="COST", help=prices)
     _, scene = add_scene(plan)
     file = "scene file with camera, lights, material and shading"
-    scene.add_argument("--from", dest="scene", metavar="FILE.toml", help=Help(file, "none"))
+    scene.add_argument("--scene", metavar="FILE.toml", help=Help(file, "none"))
     images = plan.add_argument_group("where the error is measured")
     note = "FROM..TO, such as 512..1024, also measures sizes between both ends"
     add_size(images, SIDE, note, "N|WxH|FROM..TO", default=SIDE)
@@ -75,8 +73,8 @@ def add(plan: argparse.ArgumentParser) -> None:
     text = "#version line or language of the shader of --emit"
     target = Help(text, "GLSL to include, without #version")
     output.add_argument("--target", choices=(*TARGETS, *LANGUAGES), help=target)
-    pinned = Help("file for the planned scene, which render and batch read with --scene", "none")
-    output.add_argument("--scene", dest="pinned", metavar="OUT.toml", help=pinned)
+    planned = Help("file for the planned scene, which render and batch read with --scene", "none")
+    output.add_argument("--save-scene", metavar="OUT.toml", help=planned)
     worst = Help("image of the error at each pixel, for the camera with the largest error", "none")
     output.add_argument("--error-map", metavar="OUT.png", help=worst)
     add_verbose(output)
@@ -91,10 +89,10 @@ def run(options: argparse.Namespace) -> int:
     if options.target and not options.emit:
         raise InputError(f"--target {options.target} has no shader: add --emit OUT.glsl")
     job, cameras = job_of(options, sizes[-1])
-    check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
+    outputs = [options.emit, options.save_scene, options.error_map]
+    check_outputs(outputs, files_read(options, job))
     if options.error_map and not options.error_map.lower().endswith(".png"):
         raise InputError(f"--error-map {options.error_map}: give a .png")
-    _check_pinned(options.pinned)
     scene = load(job)
     silent = not (options.quiet or options.verbose or shows_bars(quiet=False))
     with progress_bar(options) as progress, Renderer.of(job, options.backend) as renderer:
@@ -112,8 +110,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.emit:
         write_text(options.emit, planned.shader(options.target))
-    if options.pinned:
-        write_text(options.pinned, _PINNED + planned.scene_toml())
+    if options.save_scene:
+        write_text(options.save_scene, planned.scene_toml())
     if options.error_map:
         planned.save_error_map(options.error_map)
     print_result(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
@@ -137,24 +135,3 @@ def _announced(progress: Progress) -> Progress:
             )
 
     return report
-
-
-_PINNED = "# Written by facerender plan.\n"
-
-
-def _check_pinned(name: str | None) -> None:
-    """Raise InputError if --scene would replace a file that facerender plan did not write.
-
-    Users may give an input file by mistake, because --scene names an input file in ``render``.
-    """
-    if name is None or not os.path.isfile(name):
-        return
-    try:
-        start = Path(name).read_bytes()[: len(_PINNED)]
-    except OSError as error:
-        raise InputError(f"cannot read {name}: {reason(error)}") from None
-    if start != _PINNED.encode():
-        raise InputError(
-            f"{name} exists, and facerender plan did not write it: read a scene with --from "
-            f"{name}, or give --scene another name"
-        )
