@@ -48,7 +48,7 @@ COMMANDS = {
     "exr": "render IN/small.obj --size 256 -o OUT/a.exr",
     "measure": "measure IN/small.obj --quick -o OUT",
     "plan": "plan IN/small.obj --budget 1/255 --size 32 --samples 1 --cost llvmpipe"
-    " --emit OUT/a.glsl --scene OUT/a.toml --error-map OUT/a.png",
+    " --emit OUT/a.glsl --save-scene OUT/a.toml --error-map OUT/a.png",
     "compare": "compare IN/a IN/b --report OUT/a.html",
     "heatmap": "compare IN/a/0.png IN/b/0.png --heatmap OUT/a.png",
     "explore": "explore IN/small.obj -o OUT/a.html",
