@@ -46,6 +46,7 @@ DECISIONS = {
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
 SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs another slope than two lobes
+_SLOPES = {"slope", "normal map"}  # decisions that change slopes
 ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
@@ -117,9 +118,9 @@ def _surfaces(
     )
     means = [constants.m] if full.term.m is None else []
     single = constants.single if full.two_lobes else ()
-    others = [*((full.two_lobes, m) for m in means), *((False, m) for m in single)]
+    changes = [*((full.two_lobes, m) for m in means), *((False, m) for m in single)]
     slopes = [(full.two_lobes, full.term.m)]
-    slopes += [(two, m) for two, m in others if fits(full.replace(two_lobes=two, m=m))]
+    slopes += [(two, m) for two, m in changes if fits(full.replace(two_lobes=two, m=m))]
     cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
     scatters = any(each.scattering and each.diffuse_weight > 0.0 for each in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
@@ -219,6 +220,14 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
     term = replace(shading.term, **of_term)
     bare = with_lights(shading, None, ())
     return with_lights(replace(bare, term=term, **decided), specular, frontal)
+
+
+def separable(shading: Shading, names: Sequence[str]) -> bool:
+    """Return whether the named decisions may change and the lobe remain.
+
+    Lobes other than the exact one are fitted to the slopes.
+    """
+    return shading.term.lobe == "exact" or not _SLOPES.intersection(names)
 
 
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:

@@ -14,6 +14,7 @@ from facerender.planning.candidates import (
     alone,
     changed,
     groups,
+    separable,
     shadowed,
     values,
     with_decisions,
@@ -26,8 +27,6 @@ from facerender.shading import Shading
 
 # Decisions whose saving is stated as a fraction of the whole cost, not of the specular cost.
 _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
-# Decisions that change slopes; lobes other than the exact one are fitted to the slopes.
-_SLOPES = {"slope", "normal map"}
 
 
 @dataclass(frozen=True)
@@ -147,8 +146,7 @@ def _unchanged(
     refused = [
         with_decisions(shading, each, names)
         for each in choice.refused
-        if name in changed(each, choice.full)
-        and (shading.term.lobe == "exact" or not _SLOPES.intersection(names))
+        if name in changed(each, choice.full) and separable(shading, names)
     ]
     others = [
         each

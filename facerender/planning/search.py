@@ -30,6 +30,7 @@ from facerender.planning.candidates import (
     candidates,
     changed,
     groups,
+    separable,
     shadowed,
     with_decisions,
     with_lights,
@@ -219,10 +220,10 @@ class Choice:
         """Return a shading without the changes that together save less than _IDLE of the price."""
         kept = shading
         made = groups(shading, self.full)
-        for name in reversed(made):  # the lobe before the slope, since g-powers are fitted to it
-            if "slope" in made[name] and kept.term.lobe != "exact":
+        for names in reversed(made.values()):  # the lobe before the slopes that it is fitted to
+            if not separable(kept, names):
                 continue
-            reverted = with_decisions(kept, self.full, made[name])
+            reverted = with_decisions(kept, self.full, names)
             added = self.total(reverted) - self.total(shading)
             if added < _IDLE * self.total(self.full) and fits(reverted):
                 kept = reverted
