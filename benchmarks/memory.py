@@ -2,14 +2,13 @@
 
     python benchmarks/memory.py [--frames 2000] [--samples 4] [--size 1024]
     python benchmarks/memory.py --dropped 500 [--samples 4] [--size 256]
-    python benchmarks/memory.py --slopes 500 [--samples 4] [--size 256]
-    python benchmarks/memory.py --meshes 10000 [--samples 4] [--size 256]
+    python benchmarks/memory.py --changes 100000 [--samples 4] [--size 64]
     python benchmarks/memory.py --maps 8192 [--samples 4] [--size 1024]
 
 --frames     the camera moves, and every frame is read back
 --dropped    each frame creates a renderer and does not release it
---slopes     each frame needs another program
---meshes     each mesh comes from a new file with a new map; one renderer draws each mesh twice
+--changes    each frame has another camera and random terms, every 10th a mesh with a map from new
+             files, every 100th another m; every 1000th time, one scene must give the same bytes
 --maps       albedo, normal and roughness maps of N x N texels, reduced to the size that the image
              needs, and full (--full-maps): peak memory of both, and the difference of the images
 
@@ -24,6 +23,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -37,6 +37,7 @@ from PIL import Image
 import facerender as fr
 from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb
+from facerender.terms import FRESNEL, MASKING, MODELS
 
 
 def resident() -> int:
@@ -60,14 +61,6 @@ def dropped(count: int, size: int, samples: int) -> Iterator[None]:
         yield
 
 
-def slopes(count: int, size: int, samples: int) -> Iterator[None]:
-    scene = fr.Scene(fr.load_mesh())
-    with fr.Renderer((size, size), samples=samples) as renderer:
-        for step in range(count):
-            renderer.render(scene, fr.Shading(m=0.1 + 1e-4 * step))
-            yield
-
-
 # Runs the command and prints the peak memory from /proc: ru_maxrss of a child includes the peak of
 # its parent.
 COMMAND = """
@@ -80,17 +73,27 @@ print(line)
 """
 
 
-def meshes(count: int, size: int, samples: int) -> Iterator[None]:
+def changes(count: int, size: int, samples: int) -> Iterator[None]:
     random = np.random.default_rng(1)
+    terms = [*product(MODELS, ("exact", "d8", "d16", "fitted"), FRESNEL, MASKING)]
     with TemporaryDirectory() as folder, fr.Renderer((size, size), samples=samples) as renderer:
+        unchanged = Path(folder, "unchanged")
+        unchanged.mkdir()
+        scene = fr.Scene(fr.load_mesh(small(unchanged)))
+        expected = renderer.render(scene).linear.tobytes()
         for number in range(count):
-            path = small(Path(folder))
-            path.write_text(path.read_text().replace("v 1 0 0", f"v {1.0 + 1e-4 * number} 0 0"))
-            texels = random.integers(0, 256, (256, 256, 3), dtype=np.uint8)
-            Image.fromarray(texels).save(Path(folder, "skin.png"), compress_level=1)
-            mesh = fr.load_mesh(path)
-            for frame in ("head", "face"):
-                renderer.render(fr.Scene(mesh, fr.Camera(frame=frame)))
+            if number % 10 == 0:
+                path = small(Path(folder))
+                path.write_text(path.read_text().replace("v 1 0 0", f"v {1.0 + 1e-5 * number} 0 0"))
+                texels = random.integers(0, 256, (256, 256, 3), dtype=np.uint8)
+                Image.fromarray(texels).save(Path(folder, "skin.png"), compress_level=1)
+                mesh = fr.load_mesh(path)
+            model, lobe, fresnel, masking = terms[random.integers(len(terms))]
+            m = 0.1 + 1e-5 * (number - number % 100)
+            shading = fr.Shading(model=model, lobe=lobe, fresnel=fresnel, masking=masking, m=m)
+            renderer.render(fr.Scene(mesh, fr.Camera(azimuth=float(number % 360))), shading)
+            if number % 1000 == 0 and renderer.render(scene).linear.tobytes() != expected:
+                raise SystemExit(f"frame {number}: an unchanged scene renders to another image")
             yield
 
 
@@ -137,8 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--dropped", type=int, default=0)
-    parser.add_argument("--slopes", type=int, default=0)
-    parser.add_argument("--meshes", type=int, default=0)
+    parser.add_argument("--changes", type=int, default=0)
     parser.add_argument("--maps", type=int, default=0)
     parser.add_argument("--samples", type=int, default=4)
     parser.add_argument("--size", type=int, default=1024)
@@ -147,7 +149,7 @@ def main() -> None:
         return maps(options.maps, options.size, options.samples)
     imports = resident()
     count, kind = options.frames, frames
-    for other in (dropped, slopes, meshes):
+    for other in (dropped, changes):
         if number := getattr(options, other.__name__):
             count, kind = number, other
     for done, _ in enumerate(kind(count, options.size, options.samples), start=1):

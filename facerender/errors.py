@@ -64,7 +64,9 @@ def noting() -> Iterator[list[str]]:
 
 def clipped(text: str, most: int = 160) -> str:
     """Return a text as one printable line; text beyond ``most`` characters is cut in the middle."""
-    line = "".join(each if each.isprintable() else "?" for each in " ".join(text.split()))
+    line = "".join(
+        character if character.isprintable() else "?" for character in " ".join(text.split())
+    )
     return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
 
 
@@ -140,7 +142,7 @@ def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
     ------
     InputError : a value is not an instance of ``kind``
     """
-    found = tuple(values) if isinstance(values, Iterable) else (values,)
-    if not all(isinstance(each, kind) for each in found):
+    elements = tuple(values) if isinstance(values, Iterable) else (values,)
+    if not all(isinstance(element, kind) for element in elements):
         raise InputError(f"{name} = {shown(values)}: give {remedy}")
-    return found
+    return elements

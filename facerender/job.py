@@ -91,9 +91,11 @@ class MeshFile:
 
     @property
     def _files(self) -> dict[str, Any]:
-        others = ("path", "triangles", "occlusion")
+        exclusions = ("path", "triangles", "occlusion")
         values = {name: value for name, value in asdict(self).items() if value is not None}
-        return {"source": self.path} | {n: each for n, each in values.items() if n not in others}
+        return {"source": self.path} | {
+            n: value for n, value in values.items() if n not in exclusions
+        }
 
     def _prepared(self, mesh: Mesh, cache: bool) -> Mesh:
         if self.occlusion:
@@ -255,11 +257,11 @@ class Job:
         InputError : a file cannot be used; warnings as in :func:`facerender.load_mesh`
         """
         loaded = self.mesh.load() if mesh is None else mesh
-        before = None
+        previous_scene = None
         if moves or self.pose != Pose():
             from facerender.loading.vertices import posed
 
-            before = Scene(posed(loaded, self.before), self.camera) if moves else None
+            previous_scene = Scene(posed(loaded, self.before), self.camera) if moves else None
             loaded = posed(loaded, self.pose)
         environment = None
         if self.environment is not None:
@@ -270,7 +272,7 @@ class Job:
             loaded = loaded.with_skin(**self.material)
         for name, table in self.parts.items():
             loaded = loaded.with_material((name,), **table)
-        if self.mesh.lobe_map and not any(each.two_lobes for each in loaded.materials):
+        if self.mesh.lobe_map and not any(material.two_lobes for material in loaded.materials):
             warn_of_one_lobe(loaded.name, "lobe_map")
         return Scene(
             loaded,
@@ -279,7 +281,7 @@ class Job:
             self.ambient,
             self.background,
             environment,
-            before,
+            previous_scene,
         )
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
@@ -314,7 +316,7 @@ class Job:
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),
-            **{n: _plain(own) for n in ("pose", "before") if (own := getattr(self, n)) != Pose()},
+            **{n: _plain(pose) for n in ("pose", "before") if (pose := getattr(self, n)) != Pose()},
             **({"planned": _plain(self.planned)} if self.planned else {}),
             "image": _plain(self.image),
             **({"landmarks": self.landmarks} if self.landmarks else {}),
@@ -336,20 +338,20 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        known = [
-            *(each for each in KEYS if each != "cameras"),
+        keys = [
+            *(scene_key for scene_key in KEYS if scene_key != "cameras"),
             "mesh",
             "outputs",
             "landmarks",
         ]
         values: dict[str, Any] = {}
         for key, value in tables.items():
-            check_known("key", key, known)
+            check_known("key", key, keys)
             if key == "mesh":
                 values[key] = from_table(MeshFile, key, value)
             elif key == "outputs":
                 check_type(key, value, list, "a list of tables")
-                values[key] = tuple(from_table(Output, key, each) for each in value)
+                values[key] = tuple(from_table(Output, key, table) for table in value)
             elif key == "landmarks":
                 values[key] = value
             else:
@@ -364,7 +366,7 @@ class Job:
         blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]
         for key, table in tables.items():
             if isinstance(table, list):
-                blocks += [(f"[[{key}]]", each) for each in table]
+                blocks += [(f"[[{key}]]", entry) for entry in table]
             else:
                 blocks.append((f"[{key}]", table))
         if not self.lights:
@@ -372,5 +374,5 @@ class Job:
         return toml_text(blocks)
 
 
-def _plain(value: Any) -> dict[str, Any]:
-    return {name: each for name, each in asdict(value).items() if each is not None}
+def _plain(instance: Any) -> dict[str, Any]:
+    return {name: value for name, value in asdict(instance).items() if value is not None}

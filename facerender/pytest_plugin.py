@@ -78,8 +78,8 @@ def pytest_configure(config: pytest.Config) -> None:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             if not hasattr(config, "workerinput"):
-                for old in folder.glob("actual/**/*.exr"):
-                    old.unlink()
+                for path in folder.glob("actual/**/*.exr"):
+                    path.unlink()
         except OSError as error:
             raise pytest.UsageError(f"cannot write {folder}: {error.strerror}") from None
         config.option.facerender_report = str(folder)  # workers may have another current folder
@@ -97,8 +97,8 @@ def _updates(config: pytest.Config) -> Updates:
     from facerender.comparison.goldens import Updates
 
     names = {"missing": "update_missing", "differing": "update"}
-    kinds = (each.name for each in fields(Updates))
-    return Updates(**{each: _setting(config, names.get(each, each)) for each in kinds})
+    kinds = (field.name for field in fields(Updates))
+    return Updates(**{kind: _setting(config, names.get(kind, kind)) for kind in kinds})
 
 
 def _limit(config: pytest.Config, name: str) -> float | None:
@@ -184,8 +184,8 @@ class Snapshot:
             draw=draw,
             mask=mask,
             driver=driver or config.getini("facerender_driver"),
-            **{each: _limit(config, each) for each in LIMITS}
-            | {each: limit for each, limit in limits.items() if limit is not None},
+            **{limit_name: _limit(config, limit_name) for limit_name in LIMITS}
+            | {limit_name: limit for limit_name, limit in limits.items() if limit is not None},
         )
         if result.written:
             written.add(result.written)
@@ -237,10 +237,10 @@ def _remedy(test: str, result: GoldenResult) -> str:
     """Return a line with the options that accept a changed image; "" if there is no golden."""
     if result.pair.reference is None:
         return ""
-    found = result.pair.comparison
+    comparison = result.pair.comparison
     names = {"slivers": "point"}
-    failed = [names.get(each, each) for each in found.failed] if found is not None else []
-    wider = ", ".join(f"{each}=..." for each in dict.fromkeys(failed) if each in LIMITS)
+    failed = [names.get(name, name) for name in comparison.failed] if comparison is not None else []
+    wider = ", ".join(f"{name}=..." for name in dict.fromkeys(failed) if name in LIMITS)
     text = f"\n  if intended: pytest {shlex.quote(test)} --facerender-update"
     return f"{text}, or a wider limit: check(image, {wider})" if wider else text
 
@@ -350,8 +350,8 @@ class _Session:
         used = {check["golden"] for check in self._checks}
         folders = {_goldens(Path(module)) for module in modules}
         for root in {folder.parent for folder in folders}:
-            gone = (f for f in root.glob("*/") if not (root.parent / f"{f.name}.py").exists())
-            folders.update(gone)
+            orphans = (f for f in root.glob("*/") if not (root.parent / f"{f.name}.py").exists())
+            folders.update(orphans)
         return sorted(
             golden
             for folder in folders

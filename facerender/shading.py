@@ -130,11 +130,11 @@ class Term:
         ------
         InputError : a vector that is not a unit vector, or a value outside its domain
         """
-        at, lobe = (n, l, v, self.slope(m)), self.lobe
+        arguments, lobe = (n, l, v, self.slope(m)), self.lobe
         if not self.entry.factors:  # The factor f0 makes all models equal where n = l = v.
-            return np.asarray(f0 * self.entry.evaluate(*at, lobe=lobe))
+            return np.asarray(f0 * self.entry.evaluate(*arguments, lobe=lobe))
         factors = {"fresnel_term": self.fresnel, "masking_term": self.masking}
-        return self.entry.evaluate(*at, f0, lobe=lobe, **factors)
+        return self.entry.evaluate(*arguments, f0, lobe=lobe, **factors)
 
 
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
@@ -232,12 +232,12 @@ class Shading:
         check_type("term", term, Term, "a Term")
         words = (model, lobe, fresnel, masking, m, small_slope)
         pairs = zip(_TERM_FIELDS, words, strict=True)
-        own: dict[str, Any] = {name: word for name, word in pairs if word is not _OF_TERM}
-        values["term"] = term = replace(term, **own) if own else term
+        overrides: dict[str, Any] = {name: word for name, word in pairs if word is not _OF_TERM}
+        values["term"] = term = replace(term, **overrides) if overrides else term
         changes = _by_light(lights)
         if frontal_lights is not None:
             changes = _with_frontal(term, changes, frontal_lights)
-        values["lights"] = tuple(sorted(each for each in changes.items() if each[1]))
+        values["lights"] = tuple(sorted(entry for entry in changes.items() if entry[1]))
         for name in ("specular_lights", "shadow_lights"):
             if values[name] is not None:
                 values[name] = tuple(sorted(_indices(name, values[name])))
@@ -246,12 +246,12 @@ class Shading:
         self._check()
 
     def _check(self) -> None:
-        for name, noun, known in (
+        for name, noun, choices in (
             ("outside", "value of outside:", OUTSIDE),
             ("diffuse", "diffuse term", DIFFUSE),
         ):
             check_type(name, value := getattr(self, name), str, "a string")
-            check_known(noun, value, known)
+            check_known(noun, value, choices)
         counts = range_of(Shading, "environment_samples")
         if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(
@@ -264,7 +264,7 @@ class Shading:
             words = ", ".join(map(str, SCATTER_SAMPLES))
             raise InputError(f"scatter_samples = {shown(count)}: give one of {words}")
         terms = (self.term, *self._own.values())
-        powers = {each.lobe for each in terms if isinstance(each.lobe, GPower)}
+        powers = {term.lobe for term in terms if isinstance(term.lobe, GPower)}
         if len(powers) > 1:
             raise InputError(
                 f"{' and '.join(map(str, powers))} in one shading: a program can have only one "
@@ -274,8 +274,8 @@ class Shading:
     def replace(self, **changes: Any) -> Shading:
         """Return a copy with changed parameters. The terms of single lights keep their changed
         fields, unless ``lights`` or ``frontal_lights`` is given."""
-        own = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Shading(**own | changes)
+        parameters = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Shading(**parameters | changes)
 
     def of(self, light: int) -> Term | None:
         """Return the specular term of the light with this index, or None if the light has none."""
@@ -309,11 +309,11 @@ class Shading:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, as plain data for TOML and JSON."""
-        own = {str(light): _plain(_without_frontal(changes)) for light, changes in self.lights}
+        lights = {str(light): _plain(_without_frontal(changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
             **{name: getattr(self, name) for name in _FIELDS},
             "frontal_lights": list(self.frontal_lights),
-            "lights": {light: changes for light, changes in own.items() if changes},
+            "lights": {light: changes for light, changes in lights.items() if changes},
         }
         for name in ("specular_lights", "shadow_lights"):
             values[name] = None if values[name] is None else [*values[name]]
@@ -358,19 +358,23 @@ def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[
         raise InputError(
             f"{term.model} has no Fresnel and masking terms to omit: leave frontal_lights out"
         )
-    others = {light: _without_frontal(own) for light, own in changes.items()}
-    for own in others.values():
-        replace(term, **dict(own))  # Validates values that the frontal term overrides.
+    other_changes = {
+        light: _without_frontal(light_changes) for light, light_changes in changes.items()
+    }
+    for light_changes in other_changes.values():
+        replace(term, **dict(light_changes))  # Validates values that the frontal term overrides.
     for light in frontal:
-        own_terms = dict(others.get(light, ()))
+        light_fields = dict(other_changes.get(light, ()))
         for name, value in FRONTAL:
-            if own_terms.get(name, value) != value:
+            if light_fields.get(name, value) != value:
                 raise InputError(
-                    f"{name} = {shown(own_terms[name])} of light {light} and frontal_lights "
+                    f"{name} = {shown(light_fields[name])} of light {light} and frontal_lights "
                     "exclude each other: leave one out"
                 )
-    near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
-    return others | near
+    frontal_changes = {
+        light: _changes(dict(other_changes.get(light, ())) | dict(FRONTAL)) for light in frontal
+    }
+    return other_changes | frontal_changes
 
 
 def _indices(name: str, lights: Any) -> tuple[int, ...]:
@@ -401,8 +405,8 @@ def _by_light(table: Any) -> dict[int, Changes]:
 
 def _changes(table: Mapping[str, Any]) -> Changes:
     if unknown := sorted(set(table) - set(_TERM_FIELDS)):
-        known = ", ".join(_TERM_FIELDS)
-        raise InputError(f"unknown key {shown(unknown[0])} in the term of a light; known: {known}")
+        keys = ", ".join(_TERM_FIELDS)
+        raise InputError(f"unknown key {shown(unknown[0])} in the term of a light; known: {keys}")
     for name, value in table.items():
         if value is None:
             raise InputError(f"{name} = None in the term of a light: give a value")
@@ -410,12 +414,14 @@ def _changes(table: Mapping[str, Any]) -> Changes:
 
 
 def _is_frontal(changes: Changes) -> bool:
-    return all(each in changes for each in FRONTAL)
+    return all(change in changes for change in FRONTAL)
 
 
 def _without_frontal(changes: Changes) -> Changes:
     return (
-        tuple(each for each in changes if each not in FRONTAL) if _is_frontal(changes) else changes
+        tuple(change for change in changes if change not in FRONTAL)
+        if _is_frontal(changes)
+        else changes
     )
 
 
@@ -441,6 +447,8 @@ def _lights(table: Any) -> dict[int, Mapping[str, Any]]:
         if not isinstance(changes, Mapping):
             raise InputError(f"lights.{light} = {shown(changes)} of the shading: {remedy}")
     return {
-        int(light): {name: _lobe(own) if name == "lobe" else own for name, own in changes.items()}
+        int(light): {
+            name: _lobe(value) if name == "lobe" else value for name, value in changes.items()
+        }
         for light, changes in table.items()
     }

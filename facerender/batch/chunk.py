@@ -115,17 +115,17 @@ def chunks(
     """
     rows = iter(rows)
     if size is None:
-        first = [*islice(rows, _CHUNKS * _LARGEST)]
-        size = chunk_size(len(first), layout)
-        rows = chain(first, rows)
-        del first
+        first_rows = [*islice(rows, _CHUNKS * _LARGEST)]
+        size = chunk_size(len(first_rows), layout)
+        rows = chain(first_rows, rows)
+        del first_rows
     waiting: dict[str, list[Row]] = {}
-    number = held = 0
+    number = waiting_count = 0
 
     def close(group: list[Row]) -> Chunk:
-        nonlocal number, held
+        nonlocal number, waiting_count
         keys = tuple(map(key_of, group))
-        number, held = number + 1, held - len(group)
+        number, waiting_count = number + 1, waiting_count - len(group)
         return Chunk(number - 1, tuple(group), keys)
 
     def pack() -> list[Row]:
@@ -141,10 +141,10 @@ def chunks(
         name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
         group = waiting.setdefault(name, [])
         group.append(row)
-        held += 1
+        waiting_count += 1
         if len(group) == size:
             yield close(waiting.pop(name))
-        elif held >= _CHUNKS * size:
+        elif waiting_count >= _CHUNKS * size:
             yield close(pack())
     while waiting:
         yield close(pack())
@@ -195,14 +195,16 @@ def _mesh_facts(table: str) -> str:
     mesh = json.loads(table)
     source = mesh.get("path") or str(data_dir("assets") / "head.glb")
     files = [_content(mesh.get(name) or "") for name in MESH_PATHS if name != "path"]
-    others = [(key, mesh[key]) for key in sorted(mesh) if key not in MESH_PATHS]
-    return json.dumps([_mesh_content(source), files, others])
+    options = [(key, mesh[key]) for key in sorted(mesh) if key not in MESH_PATHS]
+    return json.dumps([_mesh_content(source), files, options])
 
 
 @lru_cache(100_000)
 def _mesh_content(path: str) -> str:
     """Return a digest of a mesh file and of the files that it references."""
-    return digest_of(_content(path), *(_content(str(each)) for each in named_files(Path(path))))
+    return digest_of(
+        _content(path), *(_content(str(reference)) for reference in named_files(Path(path)))
+    )
 
 
 @lru_cache(100_000)

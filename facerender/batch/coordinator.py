@@ -59,11 +59,11 @@ def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> i
             progress.finished(outcome)
 
 
-def _check_renderer(outcome: Outcome, known: set[str]) -> None:
+def _check_renderer(outcome: Outcome, renderers: set[str]) -> None:
     """Warn if a worker's OpenGL driver differs from the drivers of other workers."""
-    if outcome.renderer and known and outcome.renderer not in known:
+    if outcome.renderer and renderers and outcome.renderer not in renderers:
         warn(
-            f"{outcome.worker} draws with {outcome.renderer}, others with {min(known)}: pixels "
+            f"{outcome.worker} draws with {outcome.renderer}, others with {min(renderers)}: pixels "
             "may differ in the last digits"
         )
-    known |= {outcome.renderer} - {""}
+    renderers |= {outcome.renderer} - {""}

@@ -48,11 +48,11 @@ def locked(output: str) -> Iterator[Storage]:
     import fcntl  # absent on Windows
 
     storage = Storage(output)
-    with ExitStack() as held:
+    with ExitStack() as stack:
         if not storage.remote:
             with storage.scratch():
                 Path(storage.root).mkdir(parents=True, exist_ok=True)
-                lock = held.enter_context(Path(storage.root, ".lock").open("w"))
+                lock = stack.enter_context(Path(storage.root, ".lock").open("w"))
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -61,8 +61,8 @@ def locked(output: str) -> Iterator[Storage]:
                     "another folder"
                 ) from None
             storage.sweep()
-            held.callback(storage.sweep)
-            held.enter_context(if_ended(storage.sweep))
+            stack.callback(storage.sweep)
+            stack.enter_context(if_ended(storage.sweep))
         yield storage
 
 
@@ -98,9 +98,9 @@ def set_aside(storage: Storage, work: Work) -> None:
         storage.drop(name)
     for name in work.stale & record_names(storage):
         storage.rename(f"{RECORDS}/{name}.jsonl", f"{STALE}/{name}.jsonl")
-    known = record_names(storage, STALE)
+    stale_names = record_names(storage, STALE)
     for name in work.stale & record_names(storage, BEGUN):
-        if name in known:  # the record in STALE has more data than the list in BEGUN
+        if name in stale_names:  # the record in STALE has more data than the list in BEGUN
             storage.drop(f"{BEGUN}/{name}.jsonl")
         else:
             storage.rename(f"{BEGUN}/{name}.jsonl", f"{STALE}/{name}.jsonl")
@@ -115,8 +115,8 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
         Failed jobs are always in failed.jsonl
     transforms : whether to write transforms.json
     """
-    wanted = f"jobs.{table}"
-    if storage.has(wanted) and (storage.has("transforms.json") or not transforms):
+    table_name = f"jobs.{table}"
+    if storage.has(table_name) and (storage.has("transforms.json") or not transforms):
         return
     with storage.temporary() as drawn, storage.temporary() as failed:
         with storage.scratch(), drawn.open("w") as good, failed.open("w") as bad:
@@ -134,14 +134,14 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
                     _write_transforms(drawn, cameras)
                 storage.move(cameras, "transforms.json")
         if table == "jsonl":
-            storage.move(drawn, wanted)
+            storage.move(drawn, table_name)
             return
         from facerender.batch.parquet import write_parquet
 
         with storage.temporary() as parquet:
             with storage.scratch():
                 write_parquet(drawn, parquet)
-            storage.move(parquet, wanted)
+            storage.move(parquet, table_name)
 
 
 def failures(storage: Storage) -> Iterator[Record]:
@@ -167,8 +167,8 @@ def _drop_stale(storage: Storage, drawn: Path) -> None:
     for name in stale:
         for record in records_of(storage, name.removesuffix(".jsonl"), STALE):
             for path in {about["path"] for about in record.get("files", {}).values()}:
-                at = np.searchsorted(current, hash(path))
-                if at == len(current) or current[at] != hash(path):
+                index = np.searchsorted(current, hash(path))
+                if index == len(current) or current[index] != hash(path):
                     storage.drop(path)
                     storage.prune(path)
         storage.drop(f"{STALE}/{name}")

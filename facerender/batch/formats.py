@@ -157,8 +157,8 @@ def _csv_row(
             "quote cells with commas"
         )
     try:
-        each = zip(names, readers, cells, strict=True)
-        return _nested({name: read(cell) for name, read, cell in each if cell})
+        columns = zip(names, readers, cells, strict=True)
+        return _nested({name: read(cell) for name, read, cell in columns if cell})
     except (ValueError, RecursionError) as error:
         return InputError(f"a cell cannot be read: {_why(error)}")
 

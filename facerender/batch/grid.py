@@ -62,11 +62,11 @@ def grid_rows(tables: Table) -> Iterator[Table]:
     common = nested(tables)
     bases = [merged(common, nested(job)) for job in jobs]
     meshes = [axis for axis in axes if axis.key.split(".")[0] == "mesh"]
-    others = [axis for axis in axes if axis not in meshes]
+    other_axes = [axis for axis in axes if axis not in meshes]
     number = 0
     for mesh in _spread({}, meshes):
         for base in bases:
-            for row in _spread(merged(base, mesh), others):
+            for row in _spread(merged(base, mesh), other_axes):
                 for _ in range(count):
                     for draw in draws.values():
                         row = merged(row, draw(number))
@@ -92,16 +92,16 @@ def _spread(base: Table, axes: Sequence[_Axis]) -> Iterator[Table]:
 
 
 def _leaves(
-    table: Mapping[str, Any], name: str, whole: Callable[[Any], bool]
+    table: Mapping[str, Any], name: str, is_leaf: Callable[[Any], bool]
 ) -> Iterator[tuple[str, Any]]:
     """Yield the values of nested tables with their dotted keys; keys may contain dots themselves.
 
-    A table for which `whole` returns true counts as a value.
+    A table for which `is_leaf` returns true counts as a value.
     """
     for key, value in table.items():
-        if isinstance(value, Mapping) and value and not whole(value):
-            for rest, leaf in _leaves(value, f"{name}.{key}", whole):
-                yield f"{key}.{rest}", leaf
+        if isinstance(value, Mapping) and value and not is_leaf(value):
+            for subkey, leaf in _leaves(value, f"{name}.{key}", is_leaf):
+                yield f"{key}.{subkey}", leaf
         else:
             yield key, value
 
@@ -117,7 +117,7 @@ def _is_random(value: Mapping[str, Any]) -> bool:
 def _axis(key: str, value: Any) -> _Axis:
     name = f"grid.{key}"
     if isinstance(value, list) and value:
-        rows = [nested({key: each}) for each in value]
+        rows = [nested({key: element}) for element in value]
         return _Axis(key, len(rows), rows.__getitem__)
     if not isinstance(value, Mapping):
         raise InputError(
@@ -127,7 +127,7 @@ def _axis(key: str, value: Any) -> _Axis:
     if len(value) != 3 or set(value) - {"from", "to", "step", "count"}:
         raise InputError(f"{name} = {shown(value)}: give from, to, and step or count")
     low, high = (_number(f"{name}.{end}", value.get(end)) for end in ("from", "to"))
-    whole = all(type(each) is int for each in value.values())
+    integral = all(type(parameter) is int for parameter in value.values())
     try:
         start, end = Decimal(str(low)), Decimal(str(high))
         if "step" in value:
@@ -141,15 +141,15 @@ def _axis(key: str, value: Any) -> _Axis:
         else:
             count = _whole(f"{name}.count", value["count"], 1)
             step = (end - start) / max(count - 1, 1)
-            whole = whole and step == int(step)
+            integral = integral and step == int(step)
     except DecimalException:
         raise InputError(f"{name} = {shown(value)}: give numbers nearer to each other") from None
-    number = int if whole else float
+    number = int if integral else float
     keys = key.split(".")
 
     def row(place: int) -> Table:
-        made: Table = placed(keys, number(start + place * step))
-        return made
+        table: Table = placed(keys, number(start + place * step))
+        return table
 
     return _Axis(key, count, row)
 
@@ -176,23 +176,23 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     @lru_cache(1)
     def words(block: int) -> list[list[int]]:
         generator = np.random.Philox(key=stream, counter=[block * _BLOCK, 0, 0, 0])
-        several = generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2]
-        pairs: list[list[int]] = several.tolist()
+        block_words = generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2]
+        pairs: list[list[int]] = block_words.tolist()
         return pairs
 
     if kind == "choice":
-        rows = [nested({key: each}) for each in values]
+        rows = [nested({key: value}) for value in values]
         return lambda number: rows[words(number // _BLOCK)[number % _BLOCK][0] * len(rows) >> 64]
     if len(values) != 2:
         raise InputError(f"{name}.{kind} = {shown(values)}: give two numbers")
-    ends = [float(_number(f"{name}.{kind}", each)) for each in values]
-    _check_ends(name, kind, *ends)
-    low, high = (-math.inf, math.inf) if kind == "normal" else ends
+    parameters = [float(_number(f"{name}.{kind}", value)) for value in values]
+    _check_ends(name, kind, *parameters)
+    low, high = (-math.inf, math.inf) if kind == "normal" else parameters
 
     def draw(number: int) -> Table:
-        first, second = words(number // _BLOCK)[number % _BLOCK]
-        u, v = (first >> 11) * 2.0**-53, (second >> 11) * 2.0**-53
-        value = _DISTRIBUTIONS[kind](ends[0], ends[1], u, v)
+        u_bits, v_bits = words(number // _BLOCK)[number % _BLOCK]
+        u, v = (u_bits >> 11) * 2.0**-53, (v_bits >> 11) * 2.0**-53
+        value = _DISTRIBUTIONS[kind](parameters[0], parameters[1], u, v)
         # Rounded, because exp and log agree between machines only to 12 digits.
         row: Table = placed(keys, min(max(float(f"{value:.12g}"), low), high))
         return row
@@ -233,7 +233,7 @@ def _number(name: str, value: Any) -> int | float:
     raise InputError(f"{name} = {shown(value)}: give a finite number")
 
 
-def _whole(name: str, value: Any, least: int) -> int:
-    if type(value) is int and least <= value < 2**63:
+def _whole(name: str, value: Any, minimum: int) -> int:
+    if type(value) is int and minimum <= value < 2**63:
         return value
-    raise InputError(f"{name} = {shown(value)}: give a whole number from {least} to 2^63 - 1")
+    raise InputError(f"{name} = {shown(value)}: give a whole number from {minimum} to 2^63 - 1")

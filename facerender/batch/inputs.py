@@ -35,25 +35,25 @@ def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
 
     rows : pairs of a row's position, as a text for messages, and the row
     """
-    first: dict[_File, _Place] = {}
+    first_places: dict[_File, _Place] = {}
     uses: dict[_File, dict[_Use, tuple[float, _Place]]] = {}  # by mesh, with the time or frame
     for position, row in rows:
         place = row.number, position
         for file in (mesh := _mesh_of(row), *_files(row)):
-            first.setdefault(file, place)
-        known = uses.setdefault(mesh, {})
+            first_places.setdefault(file, place)
+        mesh_uses = uses.setdefault(mesh, {})
         for use, moment in _uses(row):
-            if use not in known or moment > known[use][0]:
-                known[use] = moment, place
+            if use not in mesh_uses or moment > mesh_uses[use][0]:
+                mesh_uses[use] = moment, place
     faults: dict[tuple[_File, str], _Place] = {}
 
     def read(file: _File) -> Any:
         return _READ[file[0]](*file[1:])
 
-    def attempt(file: _File, place: _Place, name: str, call: _Call, *given: Any) -> Any:
+    def attempt(file: _File, place: _Place, name: str, call: _Call, *arguments: Any) -> Any:
         """Return the result of a call, or note its error and return None."""
         try:
-            return call(*given)
+            return call(*arguments)
         except InputError as error:
             text = str(error)
         except MemoryError:
@@ -64,12 +64,12 @@ def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
         return None
 
     unread = set[str]()
-    for file in first.keys() - uses.keys():
-        if attempt(file, first[file], file[1], read, file) is None:
+    for file in first_places.keys() - uses.keys():
+        if attempt(file, first_places[file], file[1], read, file) is None:
             unread.add(file[1])
-    for file, known in uses.items():
-        mesh = attempt(file, first[file], file[1] or "the built-in head", read, file)
-        for use, (moment, place) in known.items():
+    for file, mesh_uses in uses.items():
+        mesh = attempt(file, first_places[file], file[1] or "the built-in head", read, file)
+        for use, (moment, place) in mesh_uses.items():
             if mesh is not None and use[1] not in unread:
                 attempt(file, place, use[1] or "its clip", _check_use, mesh, *use, moment)
     places = sorted((place, text) for (_, text), place in faults.items())

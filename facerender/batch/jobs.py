@@ -166,18 +166,18 @@ class JobTable:
 
         This reads the table a second time, because only hashes of the ids are in memory.
         """
-        first: dict[str, int] = {}
+        row_numbers: dict[str, int] = {}
         faults: list[str] = []
         for position, row in _rows(self._path, self._common):
             if isinstance(row, Row) and hash(row.id) in hashes:
-                if row.id in first:
-                    other = first[row.id] + 1
+                if row.id in row_numbers:
+                    first_number = row_numbers[row.id] + 1
                     faults.append(
-                        f"{position}: id = {row.id!r} is used by row {other}: give another"
+                        f"{position}: id = {row.id!r} is used by row {first_number}: give another"
                     )
                     if len(self.faults) + len(faults) == self._most:
                         break
-                first.setdefault(row.id, row.number)
+                row_numbers.setdefault(row.id, row.number)
         return faults
 
 
@@ -198,8 +198,8 @@ class _Fault:
         """Return the position of the rows as a text; ``name``: of the table's file."""
         if self.count == 1:
             return self.first_position
-        whole = self.count == self.last - self.first + 1
-        rows = "rows" if whole else f"{self.count} rows from"
+        contiguous = self.count == self.last - self.first + 1
+        rows = "rows" if contiguous else f"{self.count} rows from"
         return f"{name}, {rows} {self.first} to {self.last}"
 
 
@@ -209,19 +209,19 @@ def _rows(
     """Yield pairs: a row's position, as a text for messages, and the row or its error."""
     _scene_tables.cache_clear()  # the files may have changed
     name = PurePath(path).name
-    own, folder = nested(common), os.getcwd()
-    base = _over_scene(own, own.pop("scene", None))
+    defaults, folder = nested(common), os.getcwd()
+    base = _over_scene(defaults, defaults.pop("scene", None))
     number = -1
-    for number, (line, found) in enumerate(found_rows(path)):
+    for number, (line, row_values) in enumerate(found_rows(path)):
         position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
         row: Row | InputError
         try:
-            if isinstance(found, InputError):
-                raise found
-            if (scene := found.pop("scene", None)) is not None:
-                row = _row(number, merged(_over_scene(own, scene), found), folder)
+            if isinstance(row_values, InputError):
+                raise row_values
+            if (scene := row_values.pop("scene", None)) is not None:
+                row = _row(number, merged(_over_scene(defaults, scene), row_values), folder)
             else:
-                row = _row(number, merged(base, found), folder)
+                row = _row(number, merged(base, row_values), folder)
         except InputError as error:
             row = error
         yield position, row
@@ -253,9 +253,9 @@ def _row(number: int, values: Table, folder: str) -> Row:
         }
         tables["mesh"] = {**mesh, **paths}
     for key in ("pose", "before"):
-        if type(own := tables.get(key)) is dict and "vertices" in own:
-            file = _absolute(own["vertices"], f"{key} vertices", folder)
-            tables[key] = {**own, "vertices": file}
+        if type(pose := tables.get(key)) is dict and "vertices" in pose:
+            file = _absolute(pose["vertices"], f"{key} vertices", folder)
+            tables[key] = {**pose, "vertices": file}
     if "landmarks" in tables:
         tables["landmarks"] = _absolute(tables["landmarks"], "landmarks", folder)
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
@@ -401,14 +401,14 @@ def _check(row: Row, good: set[int]) -> None:
     """
     try:
         for key, value in row.tables.items():
-            for each in value if key == "lights" and type(value) is list else [value]:
-                if (name := hash(f"{key} {_without_valid(key, each)!r}")) not in good:
+            for entry in value if key == "lights" and type(value) is list else [value]:
+                if (name := hash(f"{key} {_without_valid(key, entry)!r}")) not in good:
                     if key == "mesh":
-                        from_table(MeshFile, key, each)
+                        from_table(MeshFile, key, entry)
                     elif key == "landmarks":
-                        check_path(key, each)
+                        check_path(key, entry)
                     else:
-                        scene_value(key, each if each is value else [each])
+                        scene_value(key, entry if entry is value else [entry])
                     good.add(name)
         if "shading" in row.tables:
             count = len(row.tables.get("lights", Scene.lights))

@@ -107,8 +107,8 @@ def draw(
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
     moves = "motion" in outputs or ("layers" in outputs and job.pose != job.before)
-    whole = job.scene(mesh, moves)
-    scene = detail.of(whole)
+    full_scene = job.scene(mesh, moves)
+    scene = detail.of(full_scene)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
     facts["camera"] = camera_facts(view, scene.mesh, renderer.size)
     needed = set(outputs)
@@ -118,7 +118,7 @@ def draw(
     frames = _frames(job, scene, detail, renderer, needed)
     if job.landmarks:
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
-        facts["landmarks"] = landmark_facts(job.landmarks, view, whole.mesh, frames["depth"])
+        facts["landmarks"] = landmark_facts(job.landmarks, view, full_scene.mesh, frames["depth"])
     if "depth" in outputs:
         facts["depth_scale"] = _depth_scale(view, scene.mesh)
     files = {}
@@ -139,16 +139,19 @@ def _frames(
     job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Set[str]
 ) -> dict[str, Frame]:
     """Return the frames that the outputs need, keyed by the name of the output."""
-    values = replace(detail, samples=min(detail.samples, renderer.samples)).values
-    still = replace(scene, before=None)  # the metadata of all other frames lack the frame before
+    options = replace(detail, samples=min(detail.samples, renderer.samples)).values
+    # The metadata of all other frames lack the frame before.
+    still_scene = replace(scene, before=None)
     frames = {
-        name: renderer.render(scene if name == "motion" else still, job.shading, only, **values)
+        name: renderer.render(
+            scene if name == "motion" else still_scene, job.shading, only, **options
+        )
         for name, only in _APART.items()
         if name in outputs
     }
     if shared := outputs - _APART.keys():
-        gbuffer = renderer.gbuffer(still, job.shading, blended=False)
-        metadata = scene_metadata(still, job.shading, renderer.albedo_kind)
+        gbuffer = renderer.gbuffer(still_scene, job.shading, blended=False)
+        metadata = scene_metadata(still_scene, job.shading, renderer.albedo_kind)
         metadata |= renderer.metadata | {"samples": "1"}
         for only in DATA:
             if only in shared:
@@ -249,8 +252,8 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
     ------
     InputError : the distortion has k4, k5 or k6, which the format lacks: its k4 has another meaning
     """
-    values: list[float] = camera.get("distortion", [])
-    if any(values[5:]):
+    coefficients: list[float] = camera.get("distortion", [])
+    if any(coefficients[5:]):
         raise InputError(
             f"{file_path}: its camera has the distortion coefficients k4 to k6, which "
             "transforms.json cannot store: run the batch again without --transforms"
@@ -264,7 +267,7 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         "fl_y": fy,
         "cx": cx,
         "cy": cy,
-        **dict(zip(("k1", "k2", "p1", "p2", "k3"), values, strict=False)),
+        **dict(zip(("k1", "k2", "p1", "p2", "k3"), coefficients, strict=False)),
         "transform_matrix": camera["transform_matrix"],
     }
 

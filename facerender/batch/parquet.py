@@ -47,9 +47,9 @@ def write_parquet(lines: Path, target: Path) -> None:
     schema = pa.schema([(name, types[kind]) for name, kind in kinds.items()])
     rows = _rows(lines)
     with ParquetWriter(target, schema) as writer:
-        while some := [*islice(rows, _ROWS)]:
+        while block := [*islice(rows, _ROWS)]:
             columns = [
-                [_value(row.get(name), kind) for row in some] for name, kind in kinds.items()
+                [_value(row.get(name), kind) for row in block] for name, kind in kinds.items()
             ]
             writer.write_table(pa.table(columns, schema))
 
@@ -74,15 +74,15 @@ def _kinds(lines: Path) -> dict[str, str]:
     for row in _rows(lines):
         for name, value in row.items():
             kind = _kind(value)
-            known = kinds.setdefault(name, kind)
-            if known != kind:
-                kinds[name] = "float" if {known, kind} == _NUMBERS else "json"
+            column_kind = kinds.setdefault(name, kind)
+            if column_kind != kind:
+                kinds[name] = "float" if {column_kind, kind} == _NUMBERS else "json"
     return kinds
 
 
 def _kind(value: Any) -> str:
     if isinstance(value, list):
-        inner = {_kind(each) for each in value}
+        inner = {_kind(element) for element in value}
         if inner <= _NUMBERS:
             return "vector"
         return "matrix" if inner == {"vector"} else "json"

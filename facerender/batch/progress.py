@@ -67,7 +67,9 @@ class Progress(ExitStack):
             smoothing=0.05,
         )
         positions = range(1, 1 + workers) if terminal else ()
-        self._free = [tqdm(bar_format="{desc}", position=each, leave=False) for each in positions]
+        self._free = [
+            tqdm(bar_format="{desc}", position=position, leave=False) for position in positions
+        ]
         for bar in (self._bar, *self._free):
             self.callback(bar.close)
         self._of: dict[int, tqdm[Any]] = {}  # keyed by the supervisor's thread ID

@@ -72,18 +72,18 @@ class Writer:
 
         Return None if no earlier run drew the job, or if its files have changed.
         """
-        if (kept := self.chunk.kept.get(position)) is None:
+        if (record := self.chunk.kept.get(position)) is None:
             return None
         try:
-            files = _read_files(self._get, kept)
+            files = _read_files(self._get, record)
         except (OSError, CannotUse, KeyError, tarfile.TarError):
             return None
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-        if digests != {name: about["sha256"] for name, about in kept["files"].items()}:
+        if digests != {name: about["sha256"] for name, about in record["files"].items()}:
             return None  # Another run has overwritten the files.
-        facts = {key: kept[key] for key in kept if key not in ("id", "number", "key", "files")}
+        facts = {key: record[key] for key in record if key not in ("id", "number", "key", "files")}
         if self._tar is None:
-            return self._record(position, facts, kept["files"])
+            return self._record(position, facts, record["files"])
         return self.write(position, files, facts)
 
     def _record(self, position: int, facts: Record, files: Record) -> Record:
@@ -148,7 +148,7 @@ def _put_records(
     storage: Storage, name: str, chunk: Chunk, records: Sequence[Record], done: int, failed: int = 0
 ) -> None:
     head = {"chunk": chunk.number, "done": done, "failed": failed}
-    lines = "".join(json.dumps(each) + "\n" for each in (head, *records))
+    lines = "".join(json.dumps(entry) + "\n" for entry in (head, *records))
     storage.put(name, lines.encode())
 
 

@@ -48,7 +48,7 @@ def schema() -> Schema:
     tables |= {"lights": _lights(lights), "parts": _parts(), "shading": _shading()}
     tables["landmarks"] = {"type": "string", "description": "JSON file of landmarks"}
     outputs = {"type": "array", "items": _enum(OUTPUTS), "minItems": 1, "uniqueItems": True}
-    own: dict[str, Schema] = {
+    properties: dict[str, Schema] = {
         "id": {
             "anyOf": [{"type": "integer"}, {"type": "string", "pattern": f"^({ID}|.*[{{].*)$"}],
             "description": "name of the job's files; fields: {number:08d}, {mesh.stem}, {KEY}",
@@ -59,22 +59,25 @@ def schema() -> Schema:
         "scene": {"type": "string", "description": "scene file; values of the row override it"},
     }
     dotted = {
-        f"^{key}$": each
+        f"^{key}$": subschema
         for name, table in tables.items()
-        for key, each in _dotted(name, table)
+        for key, subschema in _dotted(name, table)
         if key != name
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A row of a table of jobs",
-        **_object(own | tables),
+        **_object(properties | tables),
         "patternProperties": dotted,
     }
 
 
 def _lights(table: Schema) -> Schema:
     text = {"type": "string", "description": LIGHT_TEXTS, "examples": [*LIGHTS]}
-    names = [next(n for n, known in LIGHTS.items() if known == light) for light in Scene.lights]
+    names = [
+        next(n for n, named_light in LIGHTS.items() if named_light == light)
+        for light in Scene.lights
+    ]
     return _default({"anyOf": [text, _array({"anyOf": [text, table]})]}, names)
 
 
@@ -91,7 +94,8 @@ def _parts() -> Schema:
 
 def _without_defaults(properties: Mapping[str, Schema]) -> dict[str, Schema]:
     return {
-        name: {key: own[key] for key in own if key != "default"} for name, own in properties.items()
+        name: {key: subschema[key] for key in subschema if key != "default"}
+        for name, subschema in properties.items()
     }
 
 
@@ -100,27 +104,31 @@ def _shading() -> Schema:
     # No defaults: a field that a light lacks gets the value that applies to all lights.
     lights = _object(_without_defaults(terms))
     parameters = inspect.signature(Shading).parameters.values()
-    defaults = {each.name: each.default for each in parameters if each.name not in terms}
+    defaults = {
+        parameter.name: parameter.default for parameter in parameters if parameter.name not in terms
+    }
     del defaults["term"], defaults["lights"]
-    own = _properties("shading", get_type_hints(Shading.__init__), defaults, ranges_of(Shading))
+    properties = _properties(
+        "shading", get_type_hints(Shading.__init__), defaults, ranges_of(Shading)
+    )
     by_light = {
         "type": "object",
         "patternProperties": {"^[0-9]+$": lights},
         "additionalProperties": False,
         "default": {},
     }
-    return _object(terms | own | {"lights": by_light})
+    return _object(terms | properties | {"lights": by_light})
 
 
 def _table(name: str, kind: Any) -> Schema:
-    required = [each.name for each in fields(kind) if each.default is MISSING]
+    required = [field.name for field in fields(kind) if field.default is MISSING]
     return _object(_fields(name, kind)) | ({"required": required} if required else {})
 
 
 def _fields(table: str, kind: Any) -> dict[str, Schema]:
     hints = get_type_hints(kind, localns={"Gaussians": Gaussians})
     without = MAPS if kind is Material else ()
-    defaults = {each.name: each.default for each in fields(kind) if each.name not in without}
+    defaults = {field.name: field.default for field in fields(kind) if field.name not in without}
     return _properties(table, hints, defaults, ranges_of(kind))
 
 
@@ -129,9 +137,9 @@ def _properties(
 ) -> dict[str, Schema]:
     properties = {}
     for name, default in defaults.items():
-        if (own := _SPECIAL.get(f"{table}.{name}")) is None:
-            own = _of_range(ranges[name]) if name in ranges else _of_type(hints[name])
-        properties[name] = _default(own, default)
+        if (subschema := _SPECIAL.get(f"{table}.{name}")) is None:
+            subschema = _of_range(ranges[name]) if name in ranges else _of_type(hints[name])
+        properties[name] = _default(subschema, default)
     return properties
 
 
@@ -148,10 +156,10 @@ def _enum(values: Iterable[Any]) -> Schema:
     return {"enum": [*values]}
 
 
-def _default(own: Schema, value: Any) -> Schema:
+def _default(subschema: Schema, value: Any) -> Schema:
     if value is MISSING or value is None:
-        return dict(own)
-    return own | {"default": list(value) if isinstance(value, tuple) else value}
+        return dict(subschema)
+    return subschema | {"default": list(value) if isinstance(value, tuple) else value}
 
 
 def _of_range(limits: Range) -> Schema:
@@ -176,11 +184,11 @@ def _of_type(hint: Any) -> Schema:
         return {"type": _TYPES[hint]}
     if hint == Vector:
         return _vector({"type": "number"})
-    origin, inner = get_origin(hint), [each for each in get_args(hint) if each is not type(None)]
+    origin, inner = get_origin(hint), [arg for arg in get_args(hint) if arg is not type(None)]
     if origin is Literal:
         return _enum(inner)
     if origin in (Union, types.UnionType):
-        options = [_of_type(each) for each in inner]
+        options = [_of_type(option) for option in inner]
         return options[0] if len(options) == 1 else {"anyOf": options}
     if origin in (tuple, list, Sequence):
         several = inner[-1:] == [...] or len(inner) == 1
@@ -192,18 +200,18 @@ def _vector(number: Schema) -> Schema:
     return {"anyOf": [number, _array(number, 3)]}
 
 
-def _dotted(key: str, own: Schema) -> Iterator[tuple[str, Schema]]:
+def _dotted(key: str, subschema: Schema) -> Iterator[tuple[str, Schema]]:
     """Yield a pair for each dotted key of a value: the key's regular expression and its schema."""
-    yield key, own
-    for each in own.get("anyOf", [own]):
-        for name, inner in each.get("properties", {}).items():
+    yield key, subschema
+    for branch in subschema.get("anyOf", [subschema]):
+        for name, inner in branch.get("properties", {}).items():
             yield from _dotted(rf"{key}\.{name}", inner)
-        for pattern, inner in each.get("patternProperties", {}).items():
+        for pattern, inner in branch.get("patternProperties", {}).items():
             yield from _dotted(rf"{key}\.{pattern.strip('^$')}", inner)
-        if "items" in each:
-            most = each.get("maxItems", 11)
-            index = f"[0-{most - 1}]" if most <= 10 else "[0-9]+"
-            yield from _dotted(rf"{key}\.{index}", each["items"])
+        if "items" in branch:
+            max_items = branch.get("maxItems", 11)
+            index = f"[0-{max_items - 1}]" if max_items <= 10 else "[0-9]+"
+            yield from _dotted(rf"{key}\.{index}", branch["items"])
 
 
 _NAMES_AS_TEXT: Schema = {"type": "string", "description": "comma-separated names"}

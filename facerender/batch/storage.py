@@ -110,8 +110,8 @@ class Storage:
         try:
             with self._reading(folder):
                 if self.remote:
-                    found = self._system.ls(f"{self._path}/{folder}", detail=False)
-                    return [each.rpartition("/")[2] for each in found]
+                    paths = self._system.ls(f"{self._path}/{folder}", detail=False)
+                    return [path.rpartition("/")[2] for path in paths]
                 return os.listdir(Path(self.root, folder))
         except FileNotFoundError:
             return []

@@ -143,7 +143,7 @@ class Supervisor:
             chunk.number,
             drawn=steps["done"],
             kept=steps["kept"],
-            failed=tuple(each for each in records if "error" in each),
+            failed=tuple(record for record in records if "error" in record),
             seconds=time.perf_counter() - began,
             deaths=tuple(deaths),
             renderer=next(filter(None, map(_renderer, records)), ""),
@@ -162,29 +162,29 @@ class Supervisor:
         attempts, steps, size = Counter[int](), Counter[str](), 0
         deaths: list[Death] = []
         while True:
-            left = [each for each in range(len(chunk.rows)) if each not in records]
-            last = Message("starts")
+            positions = [position for position in range(len(chunk.rows)) if position not in records]
+            message = Message("starts")
             try:
-                for last in self._answers(Order(settings, chunk, tuple(left), tar, size)):
-                    if last.record is not None:
-                        records[last.position], size = last.record, last.size
-                        steps[last.step] += 1
+                for message in self._answers(Order(settings, chunk, tuple(positions), tar, size)):
+                    if message.record is not None:
+                        records[message.position], size = message.record, message.size
+                        steps[message.step] += 1
                         attempts[_NO_JOB] = 0
-                    report(self.worker, last.step, _id(chunk, last))
+                    report(self.worker, message.step, _id(chunk, message))
                 return [records[position] for position in sorted(records)], steps, deaths
             except _WorkerEnded as ended:
                 worker, how = ended.args
-                deaths.append(Death(worker, how, last.step, _id(chunk, last)))
-            at = last.position if last.step in ("loads", "draws") else _NO_JOB
-            attempts[at] += 1
-            if attempts[at] < settings.tries:
+                deaths.append(Death(worker, how, message.step, _id(chunk, message)))
+            job = message.position if message.step in ("loads", "draws") else _NO_JOB
+            attempts[job] += 1
+            if attempts[job] < settings.tries:
                 continue
-            text = f"the worker {how}, {attempts[at]} times"
+            text = f"the worker {how}, {attempts[job]} times"
             if _MEMORY in how:
                 text += ": give fewer --workers, or make maps or images smaller"
-            if at == _NO_JOB:
+            if job == _NO_JOB:
                 raise CannotDraw(f"{chunk}: {text}, before or after a job")
-            for position in _at_fault(chunk, last) - set(records):
+            for position in _at_fault(chunk, message) - set(records):
                 records[position] = failure(chunk, position, "WorkerDied", text)
                 report(self.worker, "failed", chunk.rows[position].id)
 
@@ -253,7 +253,7 @@ class Supervisor:
             return _MEMORY
         if code >= 0:
             return f"ended with exit status {code}"
-        names = {each.value: each.name for each in signal.Signals}
+        names = {member.value: member.name for member in signal.Signals}
         how = f"was killed by {names.get(-code, f'signal {-code}')}"
         # The kernel kills with SIGKILL if memory is short, and counts these kills.
         if -code == signal.SIGKILL and _kills_for_memory() > self._kills:
@@ -278,12 +278,12 @@ def _renderer(record: Record) -> str:
     return f"{record['GL_RENDERER']}; {record['GL_VERSION']}" if "GL_RENDERER" in record else ""
 
 
-def _at_fault(chunk: Chunk, last: Message) -> set[int]:
+def _at_fault(chunk: Chunk, message: Message) -> set[int]:
     """Return the indices of the jobs that may have ended the worker.
 
     These are the job that was being drawn, or all jobs with the mesh that was being loaded.
     """
-    if last.step != "loads":
-        return {last.position}
-    mesh = chunk.rows[last.position].tables.get("mesh")
+    if message.step != "loads":
+        return {message.position}
+    mesh = chunk.rows[message.position].tables.get("mesh")
     return {i for i, row in enumerate(chunk.rows) if row.tables.get("mesh") == mesh}

@@ -46,12 +46,12 @@ def nested(row: Any) -> Table:
         if key == "mesh" and isinstance(value, str | os.PathLike):
             key = "mesh.path"
         elif key == "environment" and isinstance(value, str):
-            found = parse_environment(value)
-            for name in [each.name for each in fields(EnvironmentFile)][: value.count(",") + 1]:
-                values[f"environment.{name}"] = getattr(found, name)
+            environment = parse_environment(value)
+            for name in [field.name for field in fields(EnvironmentFile)][: value.count(",") + 1]:
+                values[f"environment.{name}"] = getattr(environment, name)
             continue
         elif key == "camera" and isinstance(value, str):
-            values |= {f"camera.{name}": each for name, each in orbit_of(value).items()}
+            values |= {f"camera.{name}": number for name, number in orbit_of(value).items()}
             continue
         if key in values:
             raise InputError(f"{key} is given twice: leave one out")
@@ -79,32 +79,32 @@ def merged(base: Table, over: Table) -> Table:
     ------
     InputError : a numbered item is not in the list and does not extend it by one
     """
-    both = dict(base)
+    table = dict(base)
     for key, value in over.items():
-        if type(value) is dict and key in both:
-            old = both[key]
-            if type(old) is list and _places(value):
-                items = {str(place): item for place, item in enumerate(old)}
+        if type(value) is dict and key in table:
+            base_value = table[key]
+            if type(base_value) is list and _places(value):
+                items = {str(place): item for place, item in enumerate(base_value)}
                 value = listed(merged(items, value), key)
-            elif type(old) is dict:
-                value = merged(old, value)
-        both[key] = value
-    return both
+            elif type(base_value) is dict:
+                value = merged(base_value, value)
+        table[key] = value
+    return table
 
 
 def with_default_lights(tables: Table) -> Table:
     """Return the tables of a row, with the default lights if the row changes single lights by
     numbered keys, such as ``lights.0.azimuth``. A light with a position replaces the default."""
-    own = tables.get("lights")
-    if not own or type(own) is not dict or not _places(own):
+    changes = tables.get("lights")
+    if not changes or type(changes) is not dict or not _places(changes):
         return tables
     default = () if "environment" in tables else Scene.lights
     lights = {
         str(place): _table_of(light)
         for place, light in enumerate(default)
-        if not isinstance(each := own.get(str(place)), dict) or "position" not in each
+        if not isinstance(change := changes.get(str(place)), dict) or "position" not in change
     }
-    return {**tables, "lights": merged(lights, own)}
+    return {**tables, "lights": merged(lights, changes)}
 
 
 def listed(value: Any, name: str) -> Any:
@@ -116,8 +116,8 @@ def listed(value: Any, name: str) -> Any:
     """
     if type(value) is dict:
         items = {
-            key: listed(each, f"{name}.{key}") if type(each) in (dict, list) else each
-            for key, each in value.items()
+            key: listed(item, f"{name}.{key}") if type(item) in (dict, list) else item
+            for key, item in value.items()
         }
         if not items or not _places(items) or name in ("shading.lights", "parts"):
             return items
@@ -126,7 +126,7 @@ def listed(value: Any, name: str) -> Any:
                 raise InputError(f"{name} lacks item {place}: count from 0 without gaps")
         return [items[str(place)] for place in range(len(items))]
     if type(value) is list and value and type(value[0]) is dict:
-        return [listed(each, f"{name}.{place}") for place, each in enumerate(value)]
+        return [listed(item, f"{name}.{place}") for place, item in enumerate(value)]
     return value
 
 
@@ -155,7 +155,7 @@ def _plain(value: Any, name: str, depth: int) -> Any:
     if kind is dict or isinstance(value, Mapping):
         return _plain_table(value, name, depth)
     if kind is list or isinstance(value, list | tuple):
-        return [_plain(each, f"{name}.{place}", depth + 1) for place, each in enumerate(value)]
+        return [_plain(item, f"{name}.{place}", depth + 1) for place, item in enumerate(value)]
     if isinstance(value, np.generic | np.ndarray):
         return _plain(value.tolist(), name, depth + 1)
     if isinstance(value, os.PathLike):
@@ -167,45 +167,47 @@ def _plain(value: Any, name: str, depth: int) -> Any:
 
 def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
     table: Table = {}
-    for key, each in value.items():
+    for key, entry in value.items():
         if not isinstance(key, str):
             raise InputError(f"key {shown(key)}{f' of {name}' if name else ''}: give text")
-        if each is None:
+        if entry is None:
             continue
         full = f"{name}.{key}" if name else key
-        each = _plain(each, full, depth + 1)
-        if each == {} and value[key]:  # the value contained only None
+        entry = _plain(entry, full, depth + 1)
+        if entry == {} and value[key]:  # the value contained only None
             continue
         if "." in key and name != "parts":  # the names of parts may contain dots
             key, *parts = key.split(".")
             if depth + len(parts) > _DEEPEST:
                 raise InputError(f"key {shown(full)} has too many dots: use at most {_DEEPEST}")
-            each = placed(parts, each)
-        table[key] = _joined(table[key], each, full) if key in table else each
+            entry = placed(parts, entry)
+        table[key] = _joined(table[key], entry, full) if key in table else entry
     return table
 
 
-def _joined(one: Any, other: Any, name: str) -> Any:
-    """Add the values of table `other` to table `one`, and return `one`.
+def _joined(base: Any, addition: Any, name: str) -> Any:
+    """Add the values of table `addition` to table `base`, and return `base`.
 
     Raises
     ------
     InputError : both tables define the same value
     """
-    if type(one) is not dict or type(other) is not dict:
+    if type(base) is not dict or type(addition) is not dict:
         raise InputError(f"{clipped(name)} is given twice, or as a whole and in parts: remove one")
-    for key, value in other.items():
-        one[key] = _joined(one[key], value, name) if key in one else value
-    return one
+    for key, value in addition.items():
+        base[key] = _joined(base[key], value, name) if key in base else value
+    return base
 
 
 def _lights(lights: Any) -> Any:
     if isinstance(lights, str):
         lights = [lights]
     if type(lights) is list:
-        return [_light(each) if isinstance(each, str) else each for each in lights]
+        return [_light(light) if isinstance(light, str) else light for light in lights]
     if type(lights) is dict:
-        return {k: _light(each) if isinstance(each, str) else each for k, each in lights.items()}
+        return {
+            k: _light(light) if isinstance(light, str) else light for k, light in lights.items()
+        }
     return lights
 
 

@@ -130,7 +130,9 @@ def check_removed(spool: Spool, storage: Storage, table: str) -> None:
         for name in record_names(storage, folder).difference(spool.names):
             records = records_of(storage, name, folder)
             # A list from the folder BEGUN has empty keys: its jobs are not finished.
-            drawn.extend(hash(own["id"]) for own in records if own["key"] and "error" not in own)
+            drawn.extend(
+                hash(record["id"]) for record in records if record["key"] and "error" not in record
+            )
     if count := len(np.setdiff1d(np.asarray(drawn), np.asarray(spool.ids))):
         raise InputError(
             f"{table} lacks {count} of the finished jobs in {storage.root}: give another folder, "
@@ -143,13 +145,13 @@ def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
 
     retry_failed : whether to draw chunks with failed jobs again
     """
-    found = record_names(storage)
+    finished = record_names(storage)
     todo = tuple(
         name
         for name in spool.names
-        if name not in found or (retry_failed and read_head(storage, name)["failed"])
+        if name not in finished or (retry_failed and read_head(storage, name)["failed"])
     )
-    stale = (found | record_names(storage, BEGUN)).difference(spool.names)
+    stale = (finished | record_names(storage, BEGUN)).difference(spool.names)
     return Work(spool, todo, spool.jobs(spool.names), spool.jobs(todo), frozenset(stale))
 
 
@@ -158,16 +160,16 @@ def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
 
     The records come from stale chunks, or from the same chunk if another of its jobs failed.
     """
-    known = _DrawnBefore(storage)
+    stale_records = _DrawnBefore(storage)
     names = record_names(storage)
     for chunk in work.spool.chunks(work.todo):
-        own = records_of(storage, chunk.name) if chunk.name in names else ()
-        drawn = {record["key"]: record for record in own if "error" not in record}
-        kept = {}
+        records = records_of(storage, chunk.name) if chunk.name in names else ()
+        drawn = {record["key"]: record for record in records if "error" not in record}
+        kept_records = {}
         for position, key in enumerate(chunk.keys):
-            if (record := drawn.get(key) or known.find(key)) is not None:
-                kept[position] = record
-        yield replace(chunk, kept=kept)
+            if (record := drawn.get(key) or stale_records.find(key)) is not None:
+                kept_records[position] = record
+        yield replace(chunk, kept=kept_records)
 
 
 class _DrawnBefore:
@@ -184,12 +186,12 @@ class _DrawnBefore:
         order = np.argsort(np.asarray(hashes), kind="stable")
         self._hashes, self._numbers = np.asarray(hashes)[order], np.asarray(numbers)[order]
         self._read = lru_cache(4)(
-            lambda name: {each["key"]: each for each in records_of(storage, name, STALE)}
+            lambda name: {entry["key"]: entry for entry in records_of(storage, name, STALE)}
         )
 
     def find(self, key: str) -> Record | None:
-        ends = (np.searchsorted(self._hashes, hash(key), side) for side in ("left", "right"))
-        for number in self._numbers[slice(*ends)]:
+        bounds = (np.searchsorted(self._hashes, hash(key), side) for side in ("left", "right"))
+        for number in self._numbers[slice(*bounds)]:
             record: Record | None = self._read(self._names[number]).get(key)
             if record is not None and "error" not in record:
                 return record

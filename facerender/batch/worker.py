@@ -128,8 +128,8 @@ def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
     Only the worker's first mesh is written to the disk cache: all meshes of a large batch could
     fill the disk.
     """
-    own = [getattr(file, each) for each in MESH_PATHS]
-    for path in [*filter(None, own), *(named_files(Path(file.path)) if file.path else ())]:
+    paths = [getattr(file, name) for name in MESH_PATHS]
+    for path in [*filter(None, paths), *(named_files(Path(file.path)) if file.path else ())]:
         _check_file(path)
     with noting() as warned:
         mesh = file.cached() or file.load(cache=_mesh.cache_info().misses == 1)

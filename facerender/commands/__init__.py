@@ -48,18 +48,18 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        own = {"allow_abbrev": False, "formatter_class": _Formatter}
-        super().__init__(*arguments, **{**own, **keywords})
+        defaults = {"allow_abbrev": False, "formatter_class": _Formatter}
+        super().__init__(*arguments, **{**defaults, **keywords})
         # argparse takes -35 as a value, but -35,10 as an option unless this pattern matches it.
         self._negative_number_matcher = re.compile(r"-[\d.]")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Raise the error for an unknown argument in the parser of the subcommand, so that the
         message refers to the help of the subcommand."""
-        found, unknown = super().parse_known_args(args, namespace)
+        options, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return found, unknown
+        return options, unknown
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
@@ -88,15 +88,15 @@ def console() -> NoReturn:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input or no OpenGL,
     3 some jobs failed, 70 internal error, 130 interrupted."""
-    caught: list[str] = []
+    messages: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("always", FacerenderWarning)
-        warnings.showwarning = _warning_printer(caught)
+        warnings.showwarning = _warning_printer(messages)
         try:
             words = sys.argv[1:] if arguments is None else arguments
             _check_words(words)
             options = parser_of(words).parse_args(words)
-            options.warnings = caught
+            options.warnings = messages
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
@@ -120,14 +120,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _check_words(words: Sequence[str]) -> None:
     """Raise InputError for an empty argument, such as a shell variable that is not set."""
-    for before, word in zip(["", *words], words, strict=False):
-        option = word[:-1] if re.fullmatch(r"--[\w-]+=", word) else before
-        if not word or option != before:
-            of = f"the value of {option}" if option.startswith("-") else "an argument"
-            raise InputError(f"{of} is empty: give a value, or leave it out")
+    for previous_word, word in zip(["", *words], words, strict=False):
+        option = word[:-1] if re.fullmatch(r"--[\w-]+=", word) else previous_word
+        if not word or option != previous_word:
+            subject = f"the value of {option}" if option.startswith("-") else "an argument"
+            raise InputError(f"{subject} is empty: give a value, or leave it out")
 
 
-def _warning_printer(caught: list[str]) -> Callable[..., None]:
+def _warning_printer(messages: list[str]) -> Callable[..., None]:
     def show(
         message: Warning | str,
         category: type[Warning],
@@ -136,8 +136,8 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        if issubclass(category, FacerenderWarning) and str(message) not in caught:
-            caught.append(str(message))
+        if issubclass(category, FacerenderWarning) and str(message) not in messages:
+            messages.append(str(message))
             print_message(f"facerender: warning: {message}")
 
     return show
@@ -163,8 +163,8 @@ def parser_of(arguments: Sequence[str]) -> argparse.ArgumentParser:
 def _complete(name: str, command: argparse.ArgumentParser) -> None:
     """Add a usage line and examples to the help of a command and of its subcommands."""
     command.epilog = "\n  ".join(["examples:", *EXAMPLES[name]])
-    inner = commands_of(command)
-    if not inner:
+    subcommands = commands_of(command)
+    if not subcommands:
         command.usage = usage_of(command)
-    for action, each in inner.items():
-        _complete(f"{name} {action}", each)
+    for action, subcommand in subcommands.items():
+        _complete(f"{name} {action}", subcommand)

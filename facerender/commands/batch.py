@@ -170,9 +170,11 @@ def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
     if faults := [*table.faults, *files[:_MOST_FILES]]:
         for fault in faults[:-1]:
             print_message(f"facerender: error: {fault}")
-        more = f"; and {table.more} more rows" if table.more else ""
-        more += f"; and {len(files) - _MOST_FILES} more files" if len(files) > _MOST_FILES else ""
-        raise InputError(f"{faults[-1]}{more}")
+        remainder = f"; and {table.more} more rows" if table.more else ""
+        remainder += (
+            f"; and {len(files) - _MOST_FILES} more files" if len(files) > _MOST_FILES else ""
+        )
+        raise InputError(f"{faults[-1]}{remainder}")
 
 
 def _draw(options: argparse.Namespace, table: JobTable) -> int:
@@ -236,11 +238,11 @@ def _surviving_pipes() -> Iterator[None]:
 
     Without this, the SIGPIPE handler of the command line ends the process with status 141.
     """
-    before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGPIPE, before)
+        signal.signal(signal.SIGPIPE, handler)
 
 
 def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:

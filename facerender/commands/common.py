@@ -33,10 +33,10 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     A range gives both ends and sizes between the ends. Each size is the previous one times a
     constant factor of at most sqrt(2).
     """
-    first, *rest = map(parse_size, text.split("..", 1))
-    if not rest:
+    first, *last = map(parse_size, text.split("..", 1))
+    if not last:
         return [first]
-    ranges = [*zip(first, *rest, strict=True)]
+    ranges = [*zip(first, *last, strict=True)]
     if not all(low <= high for low, high in ranges):
         raise InputError(f"sizes {text!r}: give the smaller size first, such as 512..1024")
     steps = math.ceil(2.0 * max(math.log2(high / low) for low, high in ranges) - 1e-9)
@@ -51,8 +51,8 @@ def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in counts:
-        wanted = " or ".join(map(str, counts))
-        raise InputError(f"--{option} {shown(text)}: give {wanted} numbers separated by commas")
+        choices = " or ".join(map(str, counts))
+        raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")
     return numbers
 
 
@@ -242,8 +242,8 @@ def add_parts(command: argparse._ActionsContainer) -> None:
         "'lash*,alpha=blend,opacity=0.8'. Factors are the fields of Material; presets: "
         f"{', '.join(PRESETS)}"
     )
-    own = Help("material of some parts; repeat for other parts", "the mesh file's", note=note)
-    command.add_argument("--part", action="append", metavar="NAME=PRESET", help=own)
+    material = Help("material of some parts; repeat for other parts", "the mesh file's", note=note)
+    command.add_argument("--part", action="append", metavar="NAME=PRESET", help=material)
     add_as_is(command)
     note = "By default, glTF materials decide; in other formats, only open surfaces have two sides"
     add_flag(command, "double-sided", "draw the back faces of all parts", note)
@@ -318,7 +318,7 @@ def check_outputs(
         paths may differ, for example through a link
     """
     names: dict[object, str | Path] = {}
-    for name in (each for each in written if each):
+    for name in (path for path in written if path):
         check_writable(name)
         if (identity := _identity(name)) in names:
             raise InputError(f"{name} is written twice: give another name")
@@ -327,8 +327,8 @@ def check_outputs(
         remove_abandoned(folder)
     if not (existing := {key: name for key, name in names.items() if os.path.exists(name)}):
         return
-    for other in read:
-        if other and (replaced := existing.get(_identity(other))):
+    for path in read:
+        if path and (replaced := existing.get(_identity(path))):
             raise InputError(f"{replaced} is both input and output: give another output file")
 
 

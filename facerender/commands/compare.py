@@ -54,13 +54,13 @@ def add(compare: argparse.ArgumentParser) -> None:
     image = Help("image to compare, or a folder of images with the same names", needed)
     compare.add_argument("b", metavar="B", nargs="?", help=image)
     limits = compare.add_argument_group("limits, above which the images differ")
-    for name in (each.name for each in fields(Limits)):
+    for name in (field.name for field in fields(Limits)):
         text, unit, _ = CHECKS[name]
         unit, _, remark = unit.partition(" ")
         if unit == "%":
             text, unit = f"{text}, as a fraction {remark}", ""
-        values = Range(0.0, HIGHEST, unit)
-        add_number(limits, name, text, values, default_of(name), metavar="LIMIT")
+        bounds = Range(0.0, HIGHEST, unit)
+        add_number(limits, name, text, bounds, default_of(name), metavar="LIMIT")
     file = Help("pytest's ini file, or pyproject.toml: limits that no option sets", "none")
     limits.add_argument("--limits", metavar="FILE", help=file)
     add_flag(
@@ -71,7 +71,7 @@ def add(compare: argparse.ArgumentParser) -> None:
     )
     mask = Help("image that is not 0 at the pixels to compare", "all pixels")
     limits.add_argument("--mask", metavar="FILE", help=mask)
-    own = compare.add_argument_group("limits for another renderer")
+    calibration = compare.add_argument_group("limits for another renderer")
     runs = Help(
         "find limits, instead of comparing",
         "off",
@@ -79,9 +79,9 @@ def add(compare: argparse.ArgumentParser) -> None:
         "limits are printed as a section of pytest's ini file, each with the smallest change that "
         "the limit still detects",
     )
-    own.add_argument("--calibrate", metavar="DIR", help=runs)
+    calibration.add_argument("--calibrate", metavar="DIR", help=runs)
     output = Help("new .ini, .cfg or .toml file for the limits of --calibrate", "none")
-    own.add_argument("-o", "--output", metavar="FILE", help=output)
+    calibration.add_argument("-o", "--output", metavar="FILE", help=output)
     results = compare.add_argument_group("results")
     note = "Requires pip install 'facerender[measure]'"
     heatmap = Help("image of the FLIP metric at each pixel, for two images", "none", note=note)
@@ -113,10 +113,10 @@ def run(options: argparse.Namespace) -> int:
     if options.output:
         raise InputError("-o writes the limits of --calibrate: leave -o out, or add --calibrate")
     if options.b is None:
-        given = "no images" if options.a is None else "only one image"
-        raise InputError(f"{given}: give A and B, or --calibrate with a folder")
+        fault = "no images" if options.a is None else "only one image"
+        raise InputError(f"{fault}: give A and B, or --calibrate with a folder")
     names = pairs_of(options.a, options.b)
-    limits: dict[str, Any] = {each.name: getattr(options, each.name) for each in fields(Limits)}
+    limits: dict[str, Any] = {field.name: getattr(options, field.name) for field in fields(Limits)}
     limits["limits"] = read_limits(options.limits) if options.limits else {}
     limits["driver"] = "same" if options.same_driver else "auto"
     check_results(options, [path for _, *paths in names for path in paths], len(names))
@@ -188,7 +188,7 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import ENOUGH, calibration_of, runs_of, text_of
 
-    limits = (each.name for each in fields(Limits))
+    limits = (field.name for field in fields(Limits))
     for name in ("a", *limits, "limits", "same_driver", "heatmap", "sheet", "report"):
         if getattr(options, name) not in (None, False):
             option = name.upper() if name == "a" else f"--{name.replace('_', '-')}"
@@ -201,19 +201,22 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
             f"into {options.output}"
         )
     with progress_bar(options) as progress:
-        found = calibration_of(pairs, mask, progress)
-    for each in found:
-        if each.pairs < ENOUGH:
+        calibrations = calibration_of(pairs, mask, progress)
+    for calibration in calibrations:
+        if calibration.pairs < ENOUGH:
             warn(
-                f"pairs of {each.encoding} images: {each.pairs}, too few to cover the variation of "
-                f"your renders; give at least {ENOUGH}"
+                f"pairs of {calibration.encoding} images: {calibration.pairs}, too few to cover "
+                f"the variation of your renders; give at least {ENOUGH}"
             )
-        for text in each.blind:
+        for text in calibration.blind:
             warn(text)
-    text = text_of(options.output or "pytest.ini", {each.encoding: each.noted for each in found})
+    text = text_of(
+        options.output or "pytest.ini",
+        {calibration.encoding: calibration.noted for calibration in calibrations},
+    )
     if options.output:
         write_text(options.output, f"{text}\n")
     if options.json or not options.output:
-        result = json.dumps([each.as_dict() for each in found], indent=2)
+        result = json.dumps([calibration.as_dict() for calibration in calibrations], indent=2)
         print_result(result if options.json else text)
     return 0

@@ -69,8 +69,8 @@ def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
         words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]
         remedy = "" if all(versions.values()) else f": pip install 'facerender[{extra}]'"
         lines.append(f"{extra or 'Python':7} {', '.join(words)}{remedy}")
-    used, most = cache.size() >> 20, cache.limit() >> 20
-    return [*lines, f"cache   {cache.folder()}, {used} of at most {most} MiB"]
+    used, limit = cache.size() >> 20, cache.limit() >> 20
+    return [*lines, f"cache   {cache.folder()}, {used} of at most {limit} MiB"]
 
 
 def _text(finding: Finding) -> str:

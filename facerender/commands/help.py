@@ -76,10 +76,10 @@ class Help(str):
         limits = " ".join(filter(None, [values, unit]))
         line = f"{', '.join(filter(None, [text, limits]))} ({default})"
         line += f". {note}." if note else ""
-        whole = super().__new__(cls, line.replace("%", "%%"))
-        whole.text, whole.default, whole.note = text, default, note
-        whole.values, whole.unit = values, unit
-        return whole
+        help_text = super().__new__(cls, line.replace("%", "%%"))
+        help_text.text, help_text.default, help_text.note = text, default, note
+        help_text.values, help_text.unit = values, unit
+        return help_text
 
 
 def groups_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[argparse.Action]]]:

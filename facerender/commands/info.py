@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         "format": path.suffix.lower()[1:],
         "bytes": path.stat().st_size,
         **facts_of(mesh),
-        "warnings": list(dict.fromkeys(str(each.message) for each in caught)),
+        "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
     }
     print_result(json.dumps(facts, indent=2) if options.json else "\n".join(_lines(facts)))
     return 0
@@ -74,24 +74,24 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
     """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm.
     Lengths of clips are in seconds, or None for a damaged clip."""
     size = mesh.bounds[1] - mesh.bounds[0]
-    known, skin = mesh.millimetres, mesh.skin
+    millimetres, skin = mesh.millimetres, mesh.skin
     parts = [
         {**_part(number + 1, *pair), "skin": number in skin}
         for number, pair in enumerate(zip(mesh.parts, mesh.materials, strict=True))
     ]
     return {
-        "vertices": sum(each["vertices"] for each in parts),
-        "triangles": sum(each["triangles"] for each in parts),
+        "vertices": sum(part["vertices"] for part in parts),
+        "triangles": sum(part["triangles"] for part in parts),
         "bounds": mesh.bounds.tolist(),
         "size": size.tolist(),
         "radius": mesh.radius,
-        "millimetres": known,
-        "size_mm": None if known is None else (size * known).tolist(),
+        "millimetres": millimetres,
+        "size_mm": None if millimetres is None else (size * millimetres).tolist(),
         "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
         "shapes": list(mesh.shapes),
         "clips": {
-            each.name: None if each.fault else each.duration for each in clips_of(mesh.parts)
+            clip.name: None if clip.fault else clip.duration for clip in clips_of(mesh.parts)
         },
         "hints": hints.of_mesh(mesh),
     }
@@ -100,9 +100,9 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
 def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
     maps = {name: texture for name in MAPS if (texture := getattr(material, name)) is not None}
     factors = {
-        each.name: getattr(material, each.name)
-        for each in fields(Material)
-        if each.name not in MAPS
+        field.name: getattr(material, field.name)
+        for field in fields(Material)
+        if field.name not in MAPS
     }
     return {
         "number": number,
@@ -126,7 +126,9 @@ def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
 
 def _lines(facts: dict[str, Any]) -> list[str]:
     parts = facts["parts"]
-    low, high = (" ".join(f"{each:.5g}" for each in corner) for corner in facts["bounds"])
+    low, high = (
+        " ".join(f"{coordinate:.5g}" for coordinate in corner) for corner in facts["bounds"]
+    )
     lines = [
         f"{facts['file']}: {facts['format']}, {facts['bytes']} bytes",
         f"{len(parts)} part{'s' * (len(parts) > 1)}, {facts['vertices']} vertices, "
@@ -138,9 +140,11 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         _table([_HEAD_OF_TABLE, *map(_row, parts)]) if len(parts) <= _MOST_ROWS else _few(parts)
     )
     lines += _list("shapes", facts["shapes"])
-    lines += _list("clips", [f"{name} {_seconds(own)}" for name, own in facts["clips"].items()])
-    lines += [f"warning: {each}" for each in facts["warnings"]]
-    return lines + [f"hint: {each}" for each in facts["hints"]]
+    lines += _list(
+        "clips", [f"{name} {_seconds(length)}" for name, length in facts["clips"].items()]
+    )
+    lines += [f"warning: {warning}" for warning in facts["warnings"]]
+    return lines + [f"hint: {hint}" for hint in facts["hints"]]
 
 
 def _list(kind: str, names: Sequence[str]) -> list[str]:
@@ -152,8 +156,8 @@ def _list(kind: str, names: Sequence[str]) -> list[str]:
         "  " + ", ".join(names[i : i + _NAMES_PER_LINE])
         for i in range(0, min(len(names), _MOST_NAMES), _NAMES_PER_LINE)
     ]
-    more = len(names) - _MOST_NAMES
-    return [*lines, f"  and {more} more: --json lists all"] if more > 0 else lines
+    excess = len(names) - _MOST_NAMES
+    return [*lines, f"  and {excess} more: --json lists all"] if excess > 0 else lines
 
 
 def _few(parts: Sequence[dict[str, Any]]) -> list[str]:
@@ -162,23 +166,23 @@ def _few(parts: Sequence[dict[str, Any]]) -> list[str]:
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for part in parts:
         groups.setdefault(_row(part)[2:], []).append(part)
-    sizes = {key: sum(each["triangles"] for each in own) for key, own in groups.items()}
+    sizes = {key: sum(part["triangles"] for part in group) for key, group in groups.items()}
     largest = sorted(groups, key=lambda key: -sizes[key])[:_MOST_ROWS]
     rows: list[tuple[str, ...]] = [_HEAD_OF_TABLE]
     shared = []
-    for key in (each for each in groups if each in largest):
+    for key in (cells for cells in groups if cells in largest):
         names = [_row(part)[0] for part in groups[key]]
         title = names[0] if len(names) == 1 else f"{names[0]} (+{len(names) - 1})"
         rows.append((title, str(sizes[key]), *key))
         if len(names) > 1:
             shared.append(f"{title}: {', '.join(names[1:])}")
     lines = _table(rows)
-    if rest := [part for key, own in groups.items() if key not in largest for part in own]:
-        triangles = sum(each["triangles"] for each in rest)
-        lines.append(f"and {len(rest)} more parts with {triangles} triangles")
+    if remainder := [part for key, group in groups.items() if key not in largest for part in group]:
+        triangles = sum(part["triangles"] for part in remainder)
+        lines.append(f"and {len(remainder)} more parts with {triangles} triangles")
     lines += shared
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH
-    return [*(_cut(each, width) for each in lines), "--json lists all parts with their materials"]
+    return [*(_cut(line, width) for line in lines), "--json lists all parts with their materials"]
 
 
 def _cut(line: str, width: int) -> str:
@@ -191,7 +195,9 @@ def _seconds(length: float | None) -> str:
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:
     """Return a part's row of the table: name, triangles, skin, preset, maps, factors."""
-    maps = [f"{name.removesuffix('_map')} {_size_of(own)}" for name, own in part["maps"].items()]
+    maps = [
+        f"{name.removesuffix('_map')} {_size_of(texture)}" for name, texture in part["maps"].items()
+    ]
     maps += ["vertex colours"] * ("colors" in part["has"]) + ["no uv"] * ("uv" not in part["has"])
     name, count = part["name"] or "(no name)", str(part["triangles"])
     skin = "yes" if part["skin"] else "-"
@@ -208,17 +214,17 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
-            each.rjust(width) if number == 1 else each.ljust(width)
-            for number, (each, width) in enumerate(zip(row, widths, strict=True))
+            cell.rjust(width) if number == 1 else cell.ljust(width)
+            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in rows
     ]
 
 
 def _size(facts: dict[str, Any]) -> str:
-    size = " x ".join(f"{each:.4g}" for each in facts["size"])
+    size = " x ".join(f"{extent:.4g}" for extent in facts["size"])
     if facts["millimetres"] is not None:
-        size_mm = " x ".join(f"{each:.4g}" for each in facts["size_mm"])
+        size_mm = " x ".join(f"{extent:.4g}" for extent in facts["size_mm"])
         return f"{size} units of {facts['millimetres']:g} mm: {size_mm} mm"
     if (length := facts["millimetres_of_a_head"]) is None:
         return f"{size} units of unknown length"
@@ -230,14 +236,16 @@ def _size(facts: dict[str, Any]) -> str:
 
 def _factors(part: dict[str, Any]) -> str:
     """Return the factors of a part that its preset or, without one, the defaults do not set."""
-    known = {each.name: each.default for each in fields(Material) if each.name not in _ALWAYS}
-    known |= {"double_sided": False, **PRESETS.get(part["preset"], {})}
-    own = dict(part["material"])
-    own.pop("m" if "roughness_map" in part["maps"] else "roughness_factor")
+    defaults = {
+        field.name: field.default for field in fields(Material) if field.name not in _ALWAYS
+    }
+    defaults |= {"double_sided": False, **PRESETS.get(part["preset"], {})}
+    factors = dict(part["material"])
+    factors.pop("m" if "roughness_map" in part["maps"] else "roughness_factor")
     return ", ".join(
         f"{name} {_text(value)}"
-        for name, value in own.items()
-        if name not in known or value != known[name]
+        for name, value in factors.items()
+        if name not in defaults or value != defaults[name]
     )
 
 

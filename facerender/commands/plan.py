@@ -125,9 +125,9 @@ def _announced(progress: Progress) -> Progress:
     """Return a progress function that prints a message once, in the first step after _SILENT."""
     end = time.monotonic() + _SILENT
 
-    def report(what: str, done: float) -> None:
+    def report(step: str, fraction: float) -> None:
         nonlocal end
-        progress(what, done)
+        progress(step, fraction)
         if time.monotonic() > end:
             end = math.inf
             print_message(

@@ -129,19 +129,21 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _scenes(
-    scene: Scene, poses: Sequence[Pose], cameras: Sequence[Camera], before: Pose | None
+    scene: Scene, poses: Sequence[Pose], cameras: Sequence[Camera], previous_pose: Pose | None
 ) -> Iterator[Scene]:
     """Yield the scene in each pose, for each camera.
 
-    before : pose before the first pose if motion is drawn, else None
+    previous_pose : pose before the first pose if motion is drawn, else None
     """
-    last = None if before is None else replace(scene, mesh=posed(scene.mesh, before))
+    previous_scene = (
+        None if previous_pose is None else replace(scene, mesh=posed(scene.mesh, previous_pose))
+    )
     for pose in poses:
-        now = replace(scene, mesh=posed(scene.mesh, pose))
+        posed_scene = replace(scene, mesh=posed(scene.mesh, pose))
         for camera in cameras:
-            then = last and replace(last, camera=camera)
-            yield replace(now, camera=camera, before=then)
-        last = last and now
+            previous_view = previous_scene and replace(previous_scene, camera=camera)
+            yield replace(posed_scene, camera=camera, before=previous_view)
+        previous_scene = previous_scene and posed_scene
 
 
 def _check_views(options: argparse.Namespace, output: str, playing: bool, cameras: int) -> None:
@@ -171,12 +173,12 @@ def run(options: argparse.Namespace) -> int:
     _check_views(options, output, playing, len(cameras))
     EXPOSURES.check("exposure", options.exposure)
     step = step_log(options)
-    still = replace(job, pose=Pose(), before=Pose())
+    unposed_job = replace(job, pose=Pose(), before=Pose())
     poses = [job.pose]
 
     def loaded() -> Scene:
         step("mesh")
-        return load(still, not options.no_cache, ahead=options.memory is None)
+        return load(unposed_job, not options.no_cache, ahead=options.memory is None)
 
     scene = loaded() if playing else None  # the number of frames depends on the mesh
     if scene is not None:
@@ -211,12 +213,18 @@ def run(options: argparse.Namespace) -> int:
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)
-        values = replace(detail, samples=min(detail.samples, renderer.samples)).values
-        before = None
+        keywords = replace(detail, samples=min(detail.samples, renderer.samples)).values
+        previous_pose = None
         if options.only == "motion":  # the first frame of a sequence has no motion
-            before = poses[0] if playing else job.before
-        scenes = (detail.of(each) for each in _scenes(scene, poses, [*cameras.values()], before))
-        frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
+            previous_pose = poses[0] if playing else job.before
+        scenes = (
+            detail.of(posed_scene)
+            for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
+        )
+        frames = (
+            renderer.render(posed_scene, shading, options.only, **keywords)
+            for posed_scene in scenes
+        )
         frame = target.write(frames, options.exposure, scene.background)
     if options.json:
         facts = {

@@ -86,12 +86,12 @@ def add_scene(
     _add_reflectance(terms)
     _add_maps(maps)
     add_parts(scene)
-    unit, known = "length of a unit of the mesh", "1000 in glTF, else unknown"
+    unit, default = "length of a unit of the mesh", "1000 in glTF, else unknown"
     note = "Required for subsurface scattering"
-    add_field(scene, MeshFile, "millimetres", unit, known, note, metavar="MM")
+    add_field(scene, MeshFile, "millimetres", unit, default, note, metavar="MM")
     orbit = ("azimuth", "elevation", "zoom")
     note = (
-        f"Give {WHERE}. Ranges: {', '.join(f'{each} {range_of(Camera, each)}' for each in orbit)}"
+        f"Give {WHERE}. Ranges: {', '.join(f'{name} {range_of(Camera, name)}' for name in orbit)}"
     )
     camera = Help("camera; repeat for several views", "front", note=note)
     scene.add_argument("--camera", action="append", metavar="CAMERA", help=camera)
@@ -99,8 +99,8 @@ def add_scene(
         "auto is the head if a head is found on a clearly larger mesh, otherwise all. Names of "
         "parts and joints in the file, or else the shape of the mesh, define head and face"
     )
-    framed = Help("region of the mesh that an orbiting camera frames", Camera.frame, note=note)
-    scene.add_argument("--frame", choices=FRAMES, help=framed)
+    region = Help("region of the mesh that an orbiting camera frames", Camera.frame, note=note)
+    scene.add_argument("--frame", choices=FRAMES, help=region)
     add_field(scene, Camera, "fov", "vertical angle of view", metavar="DEGREES")
     _add_pose(scene)
     _add_lighting(scene)
@@ -109,8 +109,8 @@ def add_scene(
         bounds_of(range_of(Scene, "background")),
         ".jpg, .gif and .mp4 cannot be transparent",
     )
-    behind = Help(text, _numbers(Scene.background), **limits, note=note)
-    scene.add_argument("--background", metavar="R,G,B", help=behind)
+    background = Help(text, _numbers(Scene.background), **limits, note=note)
+    scene.add_argument("--background", metavar="R,G,B", help=background)
     return terms, scene
 
 
@@ -124,8 +124,8 @@ def _add_pose(scene: argparse._ArgumentGroup) -> None:
     note = (
         "The file is .npy of shape (frames, vertices, 3), or .npz with such an array for each part"
     )
-    moved = Help("vertex positions, all frames or one", "the mesh file's", note=note)
-    scene.add_argument("--vertices", metavar="FILE[,FRAME]", help=moved)
+    positions = Help("vertex positions, all frames or one", "the mesh file's", note=note)
+    scene.add_argument("--vertices", metavar="FILE[,FRAME]", help=positions)
     note = "By default, cameras frame the stored pose and stay"
     add_flag(scene, "track", "orbiting cameras follow the head of a moving mesh", note)
 
@@ -147,8 +147,8 @@ def add_samples(group: argparse._ArgumentGroup) -> None:
     add_field(group, ImageSettings, "samples", "samples per pixel", note=note, metavar="N")
 
 
-def _numbers(value: Any) -> str:
-    return ",".join(f"{each:g}" for each in value)
+def _numbers(vector: Any) -> str:
+    return ",".join(f"{component:g}" for component in vector)
 
 
 def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
@@ -184,8 +184,8 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     note = "Requires the length of a mesh unit: see --millimetres"
     scattering = Help("subsurface scattering", "none", note=note)
     terms.add_argument("--scattering", choices=("skin", "none"), help=scattering)
-    *most, last = SCATTER_SAMPLES
-    counts = f"{', '.join(map(str, most))} or {last}"
+    *numbers, last = SCATTER_SAMPLES
+    counts = f"{', '.join(map(str, numbers))} or {last}"
     note = "0 disables subsurface scattering"
     samples = Help("subsurface samples per pixel", f"{Shading.scatter_samples}", counts, note=note)
     terms.add_argument(
@@ -223,14 +223,14 @@ def _add_lighting(scene: argparse._ArgumentGroup) -> None:
     scene.add_argument("--light", action="append", metavar="LIGHT", help=light)
     add_switch(scene, "shadows", "shadows of all lights", "as each light specifies")
     rotation, scale = (range_of(EnvironmentFile, name) for name in ("rotation", "scale"))
-    around = Help(
+    environment = Help(
         f"environment map: .hdr, .exr, .npy, .npz or {STUDIO}",
         "none",
         note=f"ROTATION is {rotation}; SCALE, a factor on the radiance, is {scale}. An environment "
         "map replaces the default lights and the default ambient light. Requires pip install "
         "'facerender[hdr]' for .hdr, 'facerender[exr]' for .exr",
     )
-    scene.add_argument("--environment", metavar="FILE[,ROTATION[,SCALE]]", help=around)
+    scene.add_argument("--environment", metavar="FILE[,ROTATION[,SCALE]]", help=environment)
     directions = "directions of the environment map that each lobe reflects, an even number"
     note = "0 disables the specular reflection of the environment"
     add_field(scene, Shading, "environment_samples", directions, note=note, metavar="N")
@@ -258,7 +258,7 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = [each.name for each in fields(ImageSettings) if each.name != "size"]
+    names = [field.name for field in fields(ImageSettings) if field.name != "size"]
     image = settings.pop("image", {}) | values_of(options, *names)
     size = size or image.get("size")
     material = settings.pop("material", {})
@@ -270,13 +270,13 @@ def job_of(
     settings |= _scene_settings(options)
     settings["pose"] = _pose(options, settings.get("pose", Pose()))
     if options.shadows is not None:
-        around = settings.get("environment") is not None
-        lights, _ = default_light(settings.get("lights"), None, around)
+        has_environment = settings.get("environment") is not None
+        lights, _ = default_light(settings.get("lights"), None, has_environment)
         settings["lights"] = tuple(replace(light, shadow=options.shadows) for light in lights)
         if options.shadows and not (lights or options.occlusion):
-            warn(no_shadows(around))
+            warn(no_shadows(has_environment))
     _check_unused(options, settings, [material, *parts.values()])
-    names = [each.name for each in fields(MeshFile) if each.name != "path"]
+    names = [field.name for field in fields(MeshFile) if field.name != "path"]
     job = Job(
         mesh=MeshFile(options.mesh, **values_of(options, *names)),
         material=material | values_of(options, *_FACTORS),
@@ -304,23 +304,23 @@ def _check_unused(
             f"--environment-samples {options.environment_samples} has no environment map: add "
             "--environment FILE"
         )
-    scatters = [options.scattering, *(each.get("scattering") for each in materials)]
-    if options.scatter_samples and all(each in (None, "none") for each in scatters):
+    scatters = [options.scattering, *(material.get("scattering") for material in materials)]
+    if options.scatter_samples and all(scattering in (None, "none") for scattering in scatters):
         raise InputError(
             f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
             "--scattering skin"
         )
 
 
-def _pose(options: argparse.Namespace, known: Pose) -> Pose:
+def _pose(options: argparse.Namespace, pose: Pose) -> Pose:
     """Return the pose of the scene file, changed by the options."""
     changes = values_of(options, "clip", "time")
     if options.weight:
-        changes["weights"] = {**known.weights, **dict(map(parse_weight, options.weight))}
+        changes["weights"] = {**pose.weights, **dict(map(parse_weight, options.weight))}
     if options.vertices is not None:
         file, frame = parse_vertices(options.vertices)
         changes |= {"vertices": file, "frame": frame or 0}
-    return replace(known, **changes, track=options.track or known.track)
+    return replace(pose, **changes, track=options.track or pose.track)
 
 
 def plays(options: argparse.Namespace, pose: Pose) -> bool:
@@ -432,8 +432,8 @@ def _shading(
                     f"--{name.replace('_', '-')} out, or {remedy}"
                 )
     terms = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
-    others = ("slope_filter", "curvature", "scatter_samples", "environment_samples")
-    return Shading.from_dict({**pinned, **values_of(options, *terms, *others)})
+    features = ("slope_filter", "curvature", "scatter_samples", "environment_samples")
+    return Shading.from_dict({**pinned, **values_of(options, *terms, *features)})
 
 
 def _cameras(
@@ -449,14 +449,17 @@ def _cameras(
         changes["target"] = tuple(numbers_of("target", target, (3,)))
     if not options.camera:
         camera = replace(camera, **changes)
-        own = [replace(each, **changes) for each in path] or [camera]
-        return camera, {f"camera_{number:03d}": each for number, each in enumerate(own)}
+        changed_cameras = [replace(file_camera, **changes) for file_camera in path] or [camera]
+        return camera, {
+            f"camera_{number:03d}": named_camera
+            for number, named_camera in enumerate(changed_cameras)
+        }
     camera = replace(orbiting(camera), **changes)
-    found: dict[str, Camera] = {}
+    cameras: dict[str, Camera] = {}
     for place in options.camera:
-        for name, each in _placed(place, camera, changes, options.mesh, size).items():
-            found[name if name not in found else f"{name}_{len(found):03d}"] = each
-    return next(iter(found.values())), found
+        for name, placed_camera in _placed(place, camera, changes, options.mesh, size).items():
+            cameras[name if name not in cameras else f"{name}_{len(cameras):03d}"] = placed_camera
+    return next(iter(cameras.values())), cameras
 
 
 def _placed(
@@ -475,17 +478,20 @@ def _placed(
     changes : values of :class:`Camera` fields, which replace the values in camera files
     size : image size; None if the camera file states the size
     """
-    word, _, rest = place.partition(":")
+    word, _, argument = place.partition(":")
     if word == "turntable":
-        count = rest or "8"
+        count = argument or "8"
         if not count.isdecimal() or int(count[:9]) not in TURNS:
             raise InputError(f"--camera {place}: give turntable:N, with {TURNS} views")
-        turned = turntable(camera, int(count))
-        return {f"turntable_{number:03d}": each for number, each in enumerate(turned)}
+        turned_cameras = turntable(camera, int(count))
+        return {
+            f"turntable_{number:03d}": turned_camera
+            for number, turned_camera in enumerate(turned_cameras)
+        }
     if word == "gltf" or _is_file(place):
         file = mesh if word == "gltf" else place
-        found = _file_cameras(place, file, rest, size)
-        return {name: replace(each, **changes) for name, each in found.items()}
+        file_cameras = _file_cameras(place, file, argument, size)
+        return {name: replace(file_camera, **changes) for name, file_camera in file_cameras.items()}
     return {place.replace(",", "_"): orbiting(camera, **orbit_of(place, WHERE))}
 
 
@@ -502,13 +508,13 @@ def _file_cameras(
         raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
     from facerender.loading.cameras import load_cameras
 
-    found = load_cameras(str(file), size)
+    cameras = load_cameras(str(file), size)
     if not place.startswith("gltf:"):
-        return found
-    if name not in found:
-        known = ", ".join(map(clipped, found))
-        raise InputError(f"--camera {place}: {file} has no such camera; it has {known}")
-    return {name: found[name]}
+        return cameras
+    if name not in cameras:
+        names = ", ".join(map(clipped, cameras))
+        raise InputError(f"--camera {place}: {file} has no such camera; it has {names}")
+    return {name: cameras[name]}
 
 
 def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:

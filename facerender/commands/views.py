@@ -176,7 +176,9 @@ def _has_fields(pattern: str) -> bool:
 
 def _plain(name: str) -> str:
     """Return a camera's name, possibly from an untrusted file, as a safe part of a file name."""
-    plain = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
+    plain = "".join(
+        character if character.isalnum() or character in "._-+" else "_" for character in name
+    )
     return plain.lstrip(".")[:80] or "_"
 
 
@@ -191,11 +193,12 @@ def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None
     """
     columns, rows = _grid(count)
     width, height = columns * size[0], rows * size[1]
-    most = min(limit(memory), MAX_BYTES / MIB)
-    if max(width, height) > MAX_SIDE or _PIXEL_BYTES * width * height > most * MIB:
+    memory_limit = min(limit(memory), MAX_BYTES / MIB)
+    if max(width, height) > MAX_SIDE or _PIXEL_BYTES * width * height > memory_limit * MIB:
         raise InputError(
             f"a sheet of {count} images is {width} x {height} pixels of {_PIXEL_BYTES} bytes: at "
-            f"most {MAX_SIDE} a side, and {most:.0f} MiB; give a smaller size or fewer views"
+            f"most {MAX_SIDE} a side, and {memory_limit:.0f} MiB; give a smaller size or fewer "
+            "views"
         )
 
 
@@ -211,10 +214,10 @@ def sheet(frames: Iterable[Frame], count: int, background: Vector | None) -> Fra
             color = background if background is not None and frame.only is None else (0.0,) * 3
             size = rows * height, columns * width
             linear = np.full((*size, 4), (*color, 0.0), dtype=np.float32)
-            whole = replace(frame, linear=linear)
+            grid = replace(frame, linear=linear)
         top, left = index // columns * height, index % columns * width
         linear[top : top + height, left : left + width] = frame.linear
-    return whole
+    return grid
 
 
 def _grid(count: int) -> tuple[int, int]:

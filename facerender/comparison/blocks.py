@@ -81,8 +81,8 @@ def cell_sums(values: Float | Mask) -> NDArray[np.float32]:
 def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the sums over blocks, from the sums over cells (H, W)."""
     side = BLOCK // _CELL
-    padded = np.pad(of_cells, [(0, -each % side) for each in of_cells.shape])
-    height, width = (each // side for each in padded.shape)
+    padded = np.pad(of_cells, [(0, -size % side) for size in of_cells.shape])
+    height, width = (size // side for size in padded.shape)
     return np.asarray(padded.reshape(height, side, width, side).sum(axis=(1, 3), dtype=np.float64))
 
 
@@ -150,9 +150,9 @@ class BlockSums:
             middle, change = np.float32(0.5) * (x + y), (y - x)[rows]
             slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
             weighted = [inverse * slope for slope in slopes]
-            normal += [[np.vdot(row, other) for other in (*slopes, change)] for row in weighted]
-            least = np.float32(FLOOR if scale is LINEAR else 0.0)
-            parts = (change, *slopes, np.maximum(np.abs(x[rows]), least))
+            normal += [[np.vdot(row, column) for column in (*slopes, change)] for row in weighted]
+            floor = np.float32(FLOOR if scale is LINEAR else 0.0)
+            parts = (change, *slopes, np.maximum(np.abs(x[rows]), floor))
             of_cells.append([cell_sums(weight * part) for part in parts])
             of_blocks.append([block_sums(cells) for cells in of_cells[-1]])
         change, across, down, _ = np.mean(of_cells, axis=0)
@@ -161,9 +161,9 @@ class BlockSums:
             [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in channels]
             for channels in planes
         ]
-        apart = [y - x for x, y in zip(*fine, strict=True)]
-        squares = [common_squares(details) for details in (apart, *fine)]
-        single = sum(np.square(detail) for detail in apart) / np.float32(count) - squares[0]
+        differences = [y - x for x, y in zip(*fine, strict=True)]
+        squares = [common_squares(details) for details in (differences, *fine)]
+        single = sum(np.square(detail) for detail in differences) / np.float32(count) - squares[0]
         return cls(
             cell_sums(weight * level),
             change,
@@ -260,13 +260,13 @@ class BlockStatistics:
         """Standard error of each block's change."""
         weight, side = self.sums.weight, BLOCK // _CELL
         mean = np.repeat(np.repeat(self.change, side, axis=0), side, axis=1)
-        apart = self._changes - weight * mean[: weight.shape[0], : weight.shape[1]]
-        scatter = block_sums(np.square(apart)) / self._weight**2
+        residuals = self._changes - weight * mean[: weight.shape[0], : weight.shape[1]]
+        scatter = block_sums(np.square(residuals)) / self._weight**2
         scatter *= self._cells / np.maximum(self._cells - 1.0, 1.0)
-        least = self.scale.error**2 + self.allowed**2 + self.scale.grain**2 * self._grains[0]
+        variance = self.scale.error**2 + self.allowed**2 + self.scale.grain**2 * self._grains[0]
         if self.foreign:
-            least += self.scale.drift**2
-        return np.asarray(np.sqrt(scatter + least))
+            variance += self.scale.drift**2
+        return np.asarray(np.sqrt(scatter + variance))
 
     @property
     def _dithered(self) -> bool:
@@ -283,11 +283,11 @@ class BlockStatistics:
         if self.scale is SRGB8 or self.changed.sum() < _FEW:
             return False
         pixels = self.sums.pixels[0][self.changed]
-        noise, own = np.median(self.sums.texture[::3, self.changed] / pixels, axis=1)
+        noise, single = np.median(self.sums.texture[::3, self.changed] / pixels, axis=1)
         level = self.sums.channels[:, 3, self.changed]
         tint = np.median(1.0 - level.min(axis=0) / np.maximum(level.max(axis=0), 1e-12))
-        still = max(noise / 16.0, own) < _STILL**2
-        return bool(still or (tint > _TINT and own < _OWN**2 * noise))
+        noiseless = max(noise / 16.0, single) < _STILL**2
+        return bool(noiseless or (tint > _TINT and single < _OWN**2 * noise))
 
     @cached_property
     def rounding(self) -> NDArray[np.float64]:
@@ -299,13 +299,13 @@ class BlockStatistics:
         weight = self.sums.weight
         if not self._dithered:
             return np.zeros_like(self._weight)
-        slopes = [np.gradient(np.pad(each, 1, "edge")) for each in self.sums.levels / _CELL**2]
+        slopes = [np.gradient(np.pad(levels, 1, "edge")) for levels in self.sums.levels / _CELL**2]
         range_of_block = [
             np.hypot(*slope)[1:-1, 1:-1] * np.float64(BLOCK // _CELL) for slope in slopes
         ]
         error = sum(
-            np.where(each < 0.5, 0.5 * (1.0 - each), 0.125 / np.maximum(each, 0.5))
-            for each in range_of_block
+            np.where(steps < 0.5, 0.5 * (1.0 - steps), 0.125 / np.maximum(steps, 0.5))
+            for steps in range_of_block
         )
         return block_sums(weight * error) / self._weight
 
@@ -317,13 +317,13 @@ class BlockStatistics:
         NaN if the block is not judged; 0 if the change is within three standard errors.
         """
         change, across, down, level = np.moveaxis(self.sums.channels, 1, 0)
-        of = np.maximum(level, 1e-12) if self.scale is LINEAR else self._weight
-        relative = self._settled(change, across, down) / of
+        divisor = np.maximum(level, 1e-12) if self.scale is LINEAR else self._weight
+        relative = self._settled(change, across, down) / divisor
         worst = np.abs(relative).argmax(axis=0)
-        result = np.take_along_axis(relative, worst[None], axis=0)[0]
-        result[np.abs(self.change) < 3.0 * self.error] = 0.0
-        result[~self.judged] = np.nan
-        return np.asarray(result)
+        worst_change = np.take_along_axis(relative, worst[None], axis=0)[0]
+        worst_change[np.abs(self.change) < 3.0 * self.error] = 0.0
+        worst_change[~self.judged] = np.nan
+        return np.asarray(worst_change)
 
     @cached_property
     def _grains(self) -> NDArray[np.float64]:
@@ -342,10 +342,10 @@ class BlockStatistics:
         The value is at most the RMS for the difference image. For linear images it is the RMS of
         the noise that is independent in each channel, if this RMS is larger.
         """
-        difference, reference, image, own = self._grains
-        more = _beyond(image - reference, self._dither(np.minimum(reference, image)))
-        common = np.copysign(np.sqrt(min(abs(more), difference)), more)
-        return float(max(common, np.sqrt(own) if self.scale is LINEAR else 0.0, key=abs))
+        difference, reference, image, single = self._grains
+        increase = _beyond(image - reference, self._dither(np.minimum(reference, image)))
+        common = np.copysign(np.sqrt(min(abs(increase), difference)), increase)
+        return float(max(common, np.sqrt(single) if self.scale is LINEAR else 0.0, key=abs))
 
     @cached_property
     def texture(self) -> float:
@@ -353,11 +353,13 @@ class BlockStatistics:
         of both; the median over blocks."""
         if self.changed.sum() < _FEW:
             return 0.0
-        one, other = self.sums.texture[1:3, self.changed]
+        reference, image = self.sums.texture[1:3, self.changed]
         pixels = self.sums.pixels[0][self.changed]
-        least = (2.0 * self.scale.noise) ** 2 * pixels
-        more = _beyond(other - one, self._dither(np.minimum(one, other) / pixels) * pixels)
-        return float(np.median(more / (one + other + least)))
+        noise = (2.0 * self.scale.noise) ** 2 * pixels
+        increase = _beyond(
+            image - reference, self._dither(np.minimum(reference, image) / pixels) * pixels
+        )
+        return float(np.median(increase / (reference + image + noise)))
 
     def _dither(self, variance: Any) -> Any:
         """Return the variance between adjacent pixels that dithering may add to an 8-bit image.
@@ -393,9 +395,9 @@ class BlockStatistics:
         change = _beyond(self.change, self.rounding)
         ratio = np.clip(change / np.hypot(self.error, self.looser), -_CLIPPED, _CLIPPED)
         products: list[NDArray[np.float64]] = []
-        for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
-            both = self.changed[one] & self.changed[other]
-            products.append((ratio[one] * ratio[other])[both])
+        for blocks, neighbours in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+            pairs = self.changed[blocks] & self.changed[neighbours]
+            products.append((ratio[blocks] * ratio[neighbours])[pairs])
         return np.concatenate(products)
 
 
@@ -409,31 +411,31 @@ def common_squares(channels: list[Float]) -> Float:
     count = len(channels)
     if count == 1:
         return np.square(channels[0])
-    whole = np.square(sum(channels)) - sum(np.square(each) for each in channels)
-    return whole / np.float32(count * (count - 1))
+    products = np.square(sum(channels)) - sum(np.square(channel) for channel in channels)
+    return products / np.float32(count * (count - 1))
 
 
 def _steps(x: Float) -> Float:
     """Return the largest step from each pixel to one of its four neighbours."""
-    result = np.zeros_like(x)
+    largest = np.zeros_like(x)
     for axis in (0, 1):
         step = np.moveaxis(np.abs(np.diff(x, axis=axis)), axis, 0)
-        along = np.moveaxis(result, axis, 0)
-        np.maximum(along[1:], step, out=along[1:])
-        np.maximum(along[:-1], step, out=along[:-1])
-    return result
+        target = np.moveaxis(largest, axis, 0)
+        np.maximum(target[1:], step, out=target[1:])
+        np.maximum(target[:-1], step, out=target[:-1])
+    return largest
 
 
 def _slope(x: Float, axis: int) -> Float:
     """Return the central difference along an axis; 0 at the border."""
-    result = np.zeros_like(x)
-    along, of = np.moveaxis(result, axis, 0), np.moveaxis(x, axis, 0)
-    along[1:-1] = np.float32(0.5) * (of[2:] - of[:-2])
-    return result
+    slope = np.zeros_like(x)
+    target, source = np.moveaxis(slope, axis, 0), np.moveaxis(x, axis, 0)
+    target[1:-1] = np.float32(0.5) * (source[2:] - source[:-2])
+    return slope
 
 
 def detail_of(x: Float) -> Float:
     """Return each pixel minus the mean of its left and right neighbours; 0 at the border."""
-    result = np.zeros_like(x)
-    result[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])
-    return result
+    detail = np.zeros_like(x)
+    detail[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])
+    return detail

@@ -36,7 +36,7 @@ from facerender.images.srgb import encode_srgb8, srgb_to_linear
 from facerender.system.files import read_file, tables_of
 from facerender.system.progress import Progress, no_progress
 
-NAMES = tuple(each.name for each in fields(Limits))
+NAMES = tuple(limit.name for limit in fields(Limits))
 PREFIX = "facerender_"
 _MOST = 1 << 20  # largest size of a file of limits, in bytes
 MARGIN = 1.5
@@ -95,9 +95,9 @@ class Calibration:
         the pair that needs a limit wider than the default."""
         noted = {}
         for name, limit in asdict(self.limits).items():
-            by = self.sees[name]
-            note = f"detects {CHANGES[name]} {self._amount(name, by)} or more"
-            if math.isinf(by):
+            amount = self.sees[name]
+            note = f"detects {CHANGES[name]} {self._amount(name, amount)} or more"
+            if math.isinf(amount):
                 note = f"does not detect {CHANGES[name]} any amount"
             noted[name] = limit, note + self._why(name)
         return noted
@@ -107,27 +107,29 @@ class Calibration:
         """Warnings about wider limits that do not detect the change in :data:`STATED`."""
         return [
             f"limit {name} = {getattr(self.limits, name):g} does not detect {CHANGES[name]} "
-            f"{self._amount(name, by)}{self._why(name)}"
-            for name, by in STATED[self.encoding].items()
-            if name in self.needed and self.sees[name] > by
+            f"{self._amount(name, amount)}{self._why(name)}"
+            for name, amount in STATED[self.encoding].items()
+            if name in self.needed and self.sees[name] > amount
         ]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all values for JSON; ``sees`` contains None for a limit that detects no change."""
-        sees = {name: by if math.isfinite(by) else None for name, by in self.sees.items()}
+        sees = {
+            name: amount if math.isfinite(amount) else None for name, amount in self.sees.items()
+        }
         return {**asdict(self), "sees": sees, "blind": self.blind}
 
     def _why(self, name: str) -> str:
         default = getattr(LIMITS[self.encoding], name)
         if getattr(self.limits, name) <= default:
             return ""
-        least = getattr(self.least, name)
-        return f"; wider than the default {default:g}, since {self.needed[name]} needs {least:.2g}"
+        limit = getattr(self.least, name)
+        return f"; wider than the default {default:g}, since {self.needed[name]} needs {limit:.2g}"
 
-    def _amount(self, name: str, by: float) -> str:
+    def _amount(self, name: str, amount: float) -> str:
         if name == "point":
-            return f"{by:.2g}{'' if self.encoding == 'linear' else ' of 255'}"
-        return f"{by:.2g} pixels" if name == "shift" else f"{100.0 * by:.2g} %"
+            return f"{amount:.2g}{'' if self.encoding == 'linear' else ' of 255'}"
+        return f"{amount:.2g} pixels" if name == "shift" else f"{100.0 * amount:.2g} %"
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
@@ -141,12 +143,12 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
     """
     folder = Path(folder)
     try:
-        runs = sorted(each for each in folder.iterdir() if each.is_dir())
+        runs = sorted(path for path in folder.iterdir() if path.is_dir())
     except OSError as error:
         raise InputError(
             f"cannot read {folder}: {reason(error)}; give a folder with a subfolder for each run"
         ) from None
-    runs = [each for each in runs if not each.name.startswith(".")]
+    runs = [run for run in runs if not run.name.startswith(".")]
     if len(runs) < 2:
         raise InputError(
             f"{folder} holds fewer than two subfolders: give one for each run or driver, with "
@@ -179,12 +181,12 @@ def calibration_of(
         result = compare(a, b, mask=mask, **_OPEN)
         if not result.same:
             raise InputError(f"{name} differs with any limits: {result}; remove this pair")
-        same = by_encoding.setdefault(result.encoding, _Pairs(LIMITS[result.encoding]))
-        same.paths.append(paths)
-        needed = _needed(a, b, same.least, mask)
-        same.least = replace(same.least, **needed)
-        same.needed |= dict.fromkeys(needed, name)
-    return [_calibration(*each, mask, progress) for each in by_encoding.items()]
+        group = by_encoding.setdefault(result.encoding, _Pairs(LIMITS[result.encoding]))
+        group.paths.append(paths)
+        needed = _needed(a, b, group.least, mask)
+        group.least = replace(group.least, **needed)
+        group.needed |= dict.fromkeys(needed, name)
+    return [_calibration(*entry, mask, progress) for entry in by_encoding.items()]
 
 
 @dataclass
@@ -199,15 +201,15 @@ class _Pairs:
 def _calibration(
     encoding: Encoding, pairs: _Pairs, mask: NDArray[Any] | None, progress: Progress
 ) -> Calibration:
-    wide = {each: _rounded(MARGIN * getattr(pairs.least, each)) for each in pairs.needed}
+    wide = {name: _rounded(MARGIN * getattr(pairs.least, name)) for name in pairs.needed}
     limits = replace(pairs.least, **wide)
     sees = {"coverage": limits.coverage, "shift": limits.shift}
     altered = pairs.paths[:ALTERED]
     for number, paths in enumerate(altered):
         progress("smallest changes", number / len(altered))
         a, b = map(read_image, paths)
-        for name, by in _smallest_changes(a, b, limits, mask).items():
-            sees[name] = max(by, sees.get(name, 0.0))
+        for name, amount in _smallest_changes(a, b, limits, mask).items():
+            sees[name] = max(amount, sees.get(name, 0.0))
     return Calibration(encoding, len(pairs.paths), limits, pairs.least, pairs.needed, sees)
 
 
@@ -218,10 +220,10 @@ def _needed(
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
-    others = dict(_OPEN)
+    other_limits = dict(_OPEN)
 
     def passes(name: str, limit: float) -> bool:
-        return compare(a, b, mask=mask, **{**others, name: limit}).same
+        return compare(a, b, mask=mask, **{**other_limits, name: limit}).same
 
     # The shift limit comes first and the block limit second: a wider shift limit reduces the block
     # changes, and a wider block limit reduces the trend.
@@ -230,20 +232,20 @@ def _needed(
         if limit > getattr(limits, name):
             needed[name] = limit
         if name in ("shift", "block"):
-            others[name] = limit
+            other_limits[name] = limit
     return needed
 
 
-def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) -> float:
+def _least(holds: Callable[[float], bool], low: float, highest: float = HIGHEST) -> float:
     """Return the smallest value >= ``low`` at which a monotonic condition holds; infinity if it
-    holds at no value up to ``most``."""
+    holds at no value up to ``highest``."""
     if holds(low):
         return low
     high = low
     while not holds(high):
-        if high >= most:
+        if high >= highest:
             return math.inf
-        low, high = high, min(2.0 * high, most)
+        low, high = high, min(2.0 * high, highest)
     while high > _EXACT * low:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if holds(middle) else (middle, high)
@@ -271,33 +273,33 @@ def _smallest_changes(
     detail = radiance - 0.5 * (np.roll(radiance, 1, axis=1) + np.roll(radiance, -1, axis=1))
     noise = np.random.default_rng(1).standard_normal((*lit.shape, 1))
 
-    def brighter(by: float) -> NDArray[Any]:
+    def brighter(amount: float) -> NDArray[Any]:
         changed = color.astype(np.float32)
-        changed[place] = np.minimum(changed[place] + by, 255.0 if encoded else HIGHEST)
+        changed[place] = np.minimum(changed[place] + amount, 255.0 if encoded else HIGHEST)
         return changed
 
     changes: dict[str, Callable[[float], NDArray[Any]]] = {
         "point": brighter,
-        "block": lambda by: radiance * np.float32(1.0 + by),
-        "trend": lambda by: radiance + np.float32(by) * np.maximum(radiance - middle, 0.0),
-        "grain": lambda by: radiance * (1.0 + by * noise),
-        "texture": lambda by: radiance + np.float32(by) * detail,
+        "block": lambda amount: radiance * np.float32(1.0 + amount),
+        "trend": lambda amount: radiance + np.float32(amount) * np.maximum(radiance - middle, 0.0),
+        "grain": lambda amount: radiance * (1.0 + amount * noise),
+        "texture": lambda amount: radiance + np.float32(amount) * detail,
     }
 
-    def fails(name: str, by: float) -> bool:
-        changed = changes[name](by)
+    def fails(name: str, amount: float) -> bool:
+        changed = changes[name](amount)
         if encoded and name != "point":
             changed = encode_srgb8(changed.astype(np.float32))
         pixels = b.pixels.copy()
         pixels[..., : color.shape[2]] = changed
-        alone = ("shift", name, *(["block"] if name == "trend" else []))
-        narrow = _OPEN | {each: getattr(limits, each) for each in alone}
+        names = ("shift", name, *(["block"] if name == "trend" else []))
+        narrow = _OPEN | {key: getattr(limits, key) for key in names}
         result = compare(a, replace(b, pixels=pixels), mask=mask, **narrow)
         return result.changed_alike if name == "trend" else not result.same
 
-    def sees(name: str, by: float) -> bool:
+    def sees(name: str, amount: float) -> bool:
         signs = (1.0, -1.0) if name in ("block", "trend", "texture") else (1.0,)
-        return all(fails(name, sign * by) for sign in signs)
+        return all(fails(name, sign * amount) for sign in signs)
 
     return {
         name: _least(
@@ -324,7 +326,7 @@ def _flattest(
         brightest, darkest = filtered(brightest, np.maximum), filtered(darkest, np.minimum)
     contrast = (brightest - darkest) / np.maximum(brightest, 1e-6)
     contrast += np.where(inside & (level > low) & (level <= high), 0.0, 1.0 + contrast.max())
-    row, column = (int(each) for each in np.unravel_index(contrast.argmin(), contrast.shape))
+    row, column = (int(index) for index in np.unravel_index(contrast.argmin(), contrast.shape))
     return lit, (slice(row, row + 1), slice(max(column - 1, 0), column + 1))
 
 
@@ -342,17 +344,17 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
     """
     path = Path(path)
     data = _parsed(path)
-    found: dict[Encoding, dict[str, float]] = {}
+    limits: dict[Encoding, dict[str, float]] = {}
     for encoding, section in _sections(path, data).items():
         table = _within(data, section)
-        found[encoding] = {
+        limits[encoding] = {
             name: _number(f"{path}: {PREFIX}{name}", table[PREFIX + name])
             for name in NAMES
             if PREFIX + name in table
         }
-    if not any(found.values()):
+    if not any(limits.values()):
         raise InputError(f"{path} has no limit: add one, such as {PREFIX}{NAMES[0]}")
-    return found
+    return limits
 
 
 def text_of(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted]) -> str:
@@ -396,8 +398,8 @@ def _parsed(path: Path) -> dict[str, Any]:
 def _sections(path: Path, data: Mapping[str, Any]) -> dict[Encoding, tuple[str, ...]]:
     """Return the section path of each encoding's limits, in a file with content ``data``."""
     if path.suffix == ".toml":
-        own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # pytest 9 and later
-        inner = () if own else ("ini_options",)
+        options = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # pytest 9 and later
+        inner = () if options else ("ini_options",)
         return {"linear": ("tool", "pytest", *inner), "srgb8": ("tool", "facerender", "8-bit")}
     pytest = "tool:pytest" if path.suffix == ".cfg" else "pytest"
     return {"linear": (pytest,), "srgb8": ("facerender:8-bit",)}

@@ -73,8 +73,10 @@ class Change:
     @classmethod
     def between(cls, a: ImageData, b: ImageData, rows: Sequence[slice]) -> Change:
         """Return the change in strips of rows."""
-        strips = [cls._of(a, b, each) for each in rows]
-        parts = {each.name: [getattr(strip, each.name) for strip in strips] for each in fields(cls)}
+        changes = [cls._of(a, b, strip) for strip in rows]
+        parts = {
+            field.name: [getattr(change, field.name) for change in changes] for field in fields(cls)
+        }
         return cls(
             np.concatenate(parts["power"]),
             np.concatenate(parts["inside"]),
@@ -89,7 +91,7 @@ class Change:
     @classmethod
     def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
         (x, alpha_x), (y, alpha_y) = a.rows(rows), b.rows(rows)
-        x, y = (each.clip(np.float32(-HIGHEST_HALF), np.float32(HIGHEST_HALF)) for each in (x, y))
+        x, y = (color.clip(np.float32(-HIGHEST_HALF), np.float32(HIGHEST_HALF)) for color in (x, y))
         inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), MARGIN)
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
@@ -99,24 +101,24 @@ class Change:
         else:
             inside &= np.maximum(x, y).max(axis=2) < 255.0
             table = srgb_to_linear(np.arange(256) / 255.0)
-            x, y = (np.interp(each, np.arange(256), table).astype(np.float32) for each in (x, y))
-        x, y = (each.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for each in (x, y))
+            x, y = (np.interp(color, np.arange(256), table).astype(np.float32) for color in (x, y))
+        x, y = (color.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for color in (x, y))
         level = np.maximum(np.maximum(np.abs(x), np.abs(y)).max(axis=2), np.float32(_DARK))
         change = (y - x) / level[..., None]
-        planes = [np.ascontiguousarray(each * inside) for each in np.moveaxis(change, 2, 0)]
-        whole = filtered(inside, np.minimum)
-        means = [each.mean(axis=2) for each in (x, y)]
+        planes = [np.ascontiguousarray(plane * inside) for plane in np.moveaxis(change, 2, 0)]
+        interior = filtered(inside, np.minimum)
+        means = [color.mean(axis=2) for color in (x, y)]
         blocks = [inside.astype(np.float32)]
         for image in (y - x, np.abs(x)):
-            blocks += [np.ascontiguousarray(each * inside) for each in np.moveaxis(image, 2, 0)]
+            blocks += [np.ascontiguousarray(plane * inside) for plane in np.moveaxis(image, 2, 0)]
         ones = cell_sums(np.ones(level.shape, np.float32))
         return cls(
             np.square(change).sum(axis=2),
             inside,
-            np.maximum(*(_range(each) for each in means)) > 0.0,
-            float(np.vdot(whole, common_squares([detail_of(each) for each in planes]))),
-            np.stack([block_sums(cell_sums(each)) for each in blocks], axis=-1),
-            np.stack([cell_sums(each).astype(np.float64) / ones for each in means]),
+            np.maximum(*(_range(mean) for mean in means)) > 0.0,
+            float(np.vdot(interior, common_squares([detail_of(plane) for plane in planes]))),
+            np.stack([block_sums(cell_sums(plane)) for plane in blocks], axis=-1),
+            np.stack([cell_sums(mean).astype(np.float64) / ones for mean in means]),
             _sums_of(numbers[inside].ravel(), of_value[inside].ravel()),
             1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
         )
@@ -156,8 +158,8 @@ class Change:
     def few(self) -> float:
         """Fraction of the squared change in the 0.1 % of the pixels that changed most."""
         power = (self.power * self.inside).ravel()
-        most = max(int(self.inside.sum()) // 1000, 1)
-        return float(np.partition(power, -most)[-most:].sum() / max(power.sum(), 1e-12))
+        count = max(int(self.inside.sum()) // 1000, 1)
+        return float(np.partition(power, -count)[-count:].sum() / max(power.sum(), 1e-12))
 
     @property
     def at_edges(self) -> float:
@@ -188,12 +190,12 @@ class Change:
         common colour of the change, and outside white."""
         _, change, level = self._judged
         total = max(float((change**2).sum()), 1e-20)
-        own = (change * level).sum(axis=1) ** 2 / np.maximum((level**2).sum(axis=1), 1e-12)
+        tinted = (change * level).sum(axis=1) ** 2 / np.maximum((level**2).sum(axis=1), 1e-12)
         of_channels = change.T @ change
         white = of_channels.sum() / len(of_channels)
         common = np.linalg.eigvalsh(of_channels)[-1]
-        one, two, three = (1.0 - float(each) / total for each in (own.sum(), common, white))
-        return one, two, three
+        hue, shared, color = (1.0 - float(power) / total for power in (tinted.sum(), common, white))
+        return hue, shared, color
 
     @property
     def grey(self) -> bool:
@@ -224,22 +226,22 @@ class Change:
     def moved(self) -> float:
         """Fraction of the change that displacements of areas of 32 x 32 pixels explain: the smaller
         one of the whole change's fraction and the median of the areas."""
-        one, other = self.cells
-        middle = 0.5 * (one + other)
+        reference, image = self.cells
+        middle = 0.5 * (reference + image)
         if min(middle.shape) < _WINDOW:
             return 0.0
-        scale = np.maximum(np.maximum(np.abs(one), np.abs(other)), _DARK)
+        scale = np.maximum(np.maximum(np.abs(reference), np.abs(image)), _DARK)
         parts = (*np.gradient(middle), middle, np.ones_like(middle))
-        model = np.stack([_windows(each / scale) for each in parts], axis=-1)
-        change = _windows((other - one) / scale)
+        model = np.stack([_windows(part / scale) for part in parts], axis=-1)
+        change = _windows((image - reference) / scale)
         brighter, displaced = (_residuals(model[..., i:], change) for i in (2, 0))
         explained = brighter - displaced
         total = float((change**2).sum())
         if not total:
             return 0.0
-        most = brighter > 0.1 * brighter.mean()
-        each = explained[most] / brighter[most]
-        return min(float(explained.sum()) / total, float(np.median(each)))
+        changed = brighter > 0.1 * brighter.mean()
+        fractions = explained[changed] / brighter[changed]
+        return min(float(explained.sum()) / total, float(np.median(fractions)))
 
 
 def strips(height: int, width: int, *include: int) -> list[slice]:
@@ -252,8 +254,8 @@ def strips(height: int, width: int, *include: int) -> list[slice]:
 
 def cause_of(change: Change) -> str:
     """Return the likely cause of a change of many pixels."""
-    own, shared, white = change.hues
-    if change.by_factor > 0.9 and own < 0.03:
+    hue, shared, white = change.hues
+    if change.by_factor > 0.9 and hue < 0.03:
         return EXPOSURE
     if change.by_curve > 0.985:
         return CODEC
@@ -264,11 +266,11 @@ def cause_of(change: Change) -> str:
         return _cause_of_detail(change, moved)
     if white > 0.5 and shared > 0.03:
         return CODEC
-    if (white < 0.8 * own and change.by_factor < 0.75) or (change.grey and change.alike > 0.3):
+    if (white < 0.8 * hue and change.by_factor < 0.75) or (change.grey and change.alike > 0.3):
         return LOBE
     if moved:
         return LIGHT if change.one_sided > 0.95 else GEOMETRY  # a shadow's edges look moved
-    if own > 0.03:
+    if hue > 0.03:
         return TEXTURE
     return LIGHT if change.alike > 0.6 else TEXTURE
 
@@ -289,7 +291,7 @@ def _cause_of_detail(change: Change, moved: bool) -> str:
 def _sums_of(numbers: NDArray[np.integer], change: Float) -> NDArray[np.float64]:
     """Return count, sum and squared sum of the changes of each number below 8192."""
     weights = (None, change, np.square(change))
-    return np.stack([np.bincount(numbers, each, minlength=1 << 13) for each in weights])
+    return np.stack([np.bincount(numbers, weight, minlength=1 << 13) for weight in weights])
 
 
 def _range(x: Float) -> NDArray[np.float32]:
@@ -303,8 +305,8 @@ def _explained(model: NDArray[np.float64], change: NDArray[np.float64]) -> float
     if not change.size:
         return 0.0
     factors = np.linalg.lstsq(model, change, rcond=None)[0]
-    rest = change - model @ factors
-    return 1.0 - float(rest @ rest) / max(float(change @ change), 1e-20)
+    residual = change - model @ factors
+    return 1.0 - float(residual @ residual) / max(float(change @ change), 1e-20)
 
 
 def _windows(cells: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,11 +23,11 @@ class Check(NamedTuple):
 
     def amount(self, value: float, encoding: Encoding, remark: bool = False) -> str:
         """Return a value with its unit, such as "0.5 %"."""
-        unit, _, more = ((encoding == "srgb8" and self.levels) or self.unit).partition(" ")
+        unit, _, note = ((encoding == "srgb8" and self.levels) or self.unit).partition(" ")
         value = 100.0 * value if unit == "%" else value
         text = f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
         unit = unit.removesuffix("s") if text == "1" else unit
-        return f"{text} {unit} {more if remark else ''}".rstrip()
+        return f"{text} {unit} {note if remark else ''}".rstrip()
 
     def sentence(self, limit: float, encoding: Encoding) -> str:
         """Return the meaning of a limit."""

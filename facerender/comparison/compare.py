@@ -173,8 +173,8 @@ class Pair:
         if a is None or b is None:
             return cls(name, a, b, None, failure)
         try:
-            own = {key: value for key, value in options.items() if value is not None}
-            return cls(name, a, b, compare(a, b, **{**limits.get(a.encoding, {}), **own}))
+            overrides = {key: value for key, value in options.items() if value is not None}
+            return cls(name, a, b, compare(a, b, **{**limits.get(a.encoding, {}), **overrides}))
         except InputError as error:
             return cls(name, a, b, None, str(error))
 
@@ -283,23 +283,23 @@ class _Strip:
     def of_all(cls, a: ImageData, b: ImageData, counts: Mask | None, limits: Limits) -> _Strip:
         """Return the metrics of all rows, computed strip by strip in threads."""
         height, width = a.pixels.shape[:2]
-        tall = max(_STRIP // width // BLOCK, 1) * BLOCK
+        step = max(_STRIP // width // BLOCK, 1) * BLOCK
 
-        def strip(top: int) -> _Strip:
-            return cls.of(a, b, counts, slice(top, min(top + tall, height)), limits)
+        def strip_at(top: int) -> _Strip:
+            return cls.of(a, b, counts, slice(top, min(top + step, height)), limits)
 
         with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-            strips = list(pool.map(strip, range(0, height, tall)))
-        farthest = max(strips, key=lambda each: each.largest)
+            strips = list(pool.map(strip_at, range(0, height, step)))
+        farthest = max(strips, key=lambda strip: strip.largest)
         return replace(
-            max(strips, key=lambda each: each.worst),
-            sums=BlockSums.joined([each.sums for each in strips]),
-            over=np.concatenate([each.over for each in strips]),
-            holes=sum(each.holes for each in strips),
-            faded=sum(each.faded for each in strips),
+            max(strips, key=lambda strip: strip.worst),
+            sums=BlockSums.joined([strip.sums for strip in strips]),
+            over=np.concatenate([strip.over for strip in strips]),
+            holes=sum(strip.holes for strip in strips),
+            faded=sum(strip.faded for strip in strips),
             largest=farthest.largest,
             largest_at=farthest.largest_at,
-            total=sum(each.total for each in strips),
+            total=sum(strip.total for strip in strips),
         )
 
     @classmethod
@@ -307,11 +307,11 @@ class _Strip:
         cls, a: ImageData, b: ImageData, counts: Mask | None, rows: slice, limits: Limits
     ) -> _Strip:
         """Return the metrics of ``rows``; ``counts`` is the mask of the whole images."""
-        around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
-        inner = slice(rows.start - around.start, rows.stop - around.start)
-        (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
+        outer = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
+        inner = slice(rows.start - outer.start, rows.stop - outer.start)
+        (color_a, alpha_a), (color_b, alpha_b) = a.rows(outer), b.rows(outer)
         relative = a.encoding == "linear"
-        counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[around]
+        counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[outer]
         full = (alpha_a >= FULL) & (alpha_b >= FULL)
         all_full = bool(full.all())
         covered = None if all_full else full
@@ -321,7 +321,7 @@ class _Strip:
             black |= gaps(alpha_a, alpha_b)
         unexplained = uncovered = counted
         if a.shift_range is not None:
-            moved = PixelRange(*(end[around] for end in a.shift_range))
+            moved = PixelRange(*(end[outer] for end in a.shift_range))
             colors, coverage = explained(moved, color_b, alpha_b, limits.point)
             unexplained, uncovered = counted & ~colors, counted & ~coverage
         value = np.where(unexplained, differences.value, np.float32(0.0))[inner]
@@ -337,8 +337,8 @@ class _Strip:
         worst = abs(value[row, column]) if worst > limits.point else worst
         inside = shrunk(full & counted, 0 if all_full and counts is None else MARGIN)
         faded = 0 if all_full else _faded(alpha_a, alpha_b, uncovered, inner)
-        apart = difference(color_a[inner], color_b[inner]) * counted[inner]
-        down, right = np.unravel_index(apart.argmax(), apart.shape)
+        magnitude = difference(color_a[inner], color_b[inner]) * counted[inner]
+        down, right = np.unravel_index(magnitude.argmax(), magnitude.shape)
         return cls(
             BlockSums.of(color_a, color_b, inside, inner, SCALES[a.encoding]),
             classes.astype(np.int8),
@@ -347,8 +347,8 @@ class _Strip:
             (int(column), rows.start + int(row)),
             int((black & unexplained)[inner].sum()),
             faded,
-            float(apart[down, right]),
-            float(apart.sum(dtype=np.float64)),
+            float(magnitude[down, right]),
+            float(magnitude.sum(dtype=np.float64)),
             (int(right), rows.start + int(down)),
         )
 
@@ -382,8 +382,8 @@ def _foreign(driver: Driver, images: tuple[ImageData, ImageData]) -> bool:
     """
     if driver != "auto":
         return driver == "other"
-    one, other = (
+    driver_a, driver_b = (
         [image.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")] for image in images
     )
-    named = one == other and one[0] is not None
+    named = driver_a == driver_b and driver_a[0] is not None
     return not named and any(image.metadata.get("textures") != "float" for image in images)

@@ -54,6 +54,6 @@ def _evaluate(reference: Image, image: Image, magma: bool, **parameters: float) 
     check_installed()
     from flip_evaluator import evaluate
 
-    images = (each.astype(np.float32) for each in (reference, image))
+    images = (pixels.astype(np.float32) for pixels in (reference, image))
     options = {"applyMagma": magma, "computeMeanError": False, "parameters": parameters}
     return evaluate(*images, "LDR", **options)[0]

@@ -32,8 +32,11 @@ FARTHEST = 0.1  # largest shift, in pixels
 # Shifts in pixels to the right and down, on circles of several radii: fine detail may appear at
 # some radii only.
 SHIFTS = tuple(
-    (round(by * math.cos(0.25 * i * math.pi), 6), round(by * math.sin(0.25 * i * math.pi), 6))
-    for by in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
+    (
+        round(radius * math.cos(0.25 * i * math.pi), 6),
+        round(radius * math.sin(0.25 * i * math.pi), 6),
+    )
+    for radius in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
     for i in range(8)
 )
 _ROUNDED = 0.2  # largest rounding error of a golden, as a part of the point limit
@@ -190,22 +193,22 @@ def _write(path: Path, image: ImageData, draw: Draw | None, options: Mapping[str
         with np.errstate(over="ignore"):
             pixels = image.pixels.astype(kind, copy=False)
         save_exr(path, pixels, image.metadata, shift_range, rounded)
-        found = Pair.of(path.name, path, image, **options).comparison
-        if found and found.largest <= _ROUNDED * found.limits.point:
+        comparison = Pair.of(path.name, path, image, **options).comparison
+        if comparison and comparison.largest <= _ROUNDED * comparison.limits.point:
             return
 
 
 def range_of(images: Sequence[ImageData]) -> PixelRange:
     """Return each pixel's range over linear images of one size; ignore uncovered pixels."""
-    each = []
+    layers = []
     for image in images:
         color, alpha = image.rows(slice(None))
         values = np.where(alpha[..., None] >= COVERED, color, np.float32(np.nan))
         if image.pixels.shape[2] > color.shape[2]:
             values = np.concatenate([values, alpha[..., None]], axis=2)
-        each.append(values)
+        layers.append(values)
     low, high = (
-        choose.reduce(each).clip(-HIGHEST_HALF, HIGHEST_HALF) for choose in (np.fmin, np.fmax)
+        choose.reduce(layers).clip(-HIGHEST_HALF, HIGHEST_HALF) for choose in (np.fmin, np.fmax)
     )
     return PixelRange(-half_above(-low), half_above(high))
 
@@ -218,7 +221,7 @@ def _shifted(image: ImageData, draw: Draw) -> list[ImageData]:
     InputError : a drawn image cannot be compared with ``image``, or its shift is too large
     """
     drawn = [as_image(draw(x, y), f"the result of draw({x:g}, {y:g})") for x, y in SHIFTS]
-    shifts = np.array([compare(image, each).shift for each in drawn])
+    shifts = np.array([compare(image, shifted).shift for shifted in drawn])
     times = float(np.vdot(shifts, SHIFTS) / np.vdot(SHIFTS, SHIFTS))
     if times > _FURTHER:
         raise InputError(

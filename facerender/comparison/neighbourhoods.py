@@ -87,37 +87,37 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
     """Return a mask of the pixels whose radiance is below a quarter of the radiance of every
     covered pixel in the 7 x 7 neighbourhood of the other image; parameters as in :func:`excess`."""
     fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB encodes 1/4 as about 1/2
-    result = np.zeros(a.shape[:2], dtype=bool)
+    mask = np.zeros(a.shape[:2], dtype=bool)
     levels = [
         np.maximum.reduce([x[..., i] for i in range(x.shape[2])]).clip(np.float32(0.0))
         for x in (a, b)
     ]
     for x, y in (levels, levels[::-1]):
-        below = y < fraction * x - floor
+        candidates = y < fraction * x - floor
         if full is not None:
-            below &= full
-        places = np.argwhere(below)
+            candidates &= full
+        places = np.argwhere(candidates)
         if not places.size:
             continue
         covered = x if full is None else np.where(full, x, np.inf)
-        around = np.pad(covered, 3, constant_values=np.inf)
+        padded = np.pad(covered, 3, constant_values=np.inf)
         low = np.minimum.reduce(
-            [around[tuple((places + (i, j)).T)] for i in range(7) for j in range(7)]
+            [padded[tuple((places + (i, j)).T)] for i in range(7) for j in range(7)]
         )
-        rows, columns = places[y[below] < fraction * low - floor].T
-        result[rows, columns] = True
-    return result
+        rows, columns = places[y[candidates] < fraction * low - floor].T
+        mask[rows, columns] = True
+    return mask
 
 
 def gaps(a: Float, b: Float) -> Mask:
     """Return a mask of the pixels that only one of two coverages (H, W) leaves uncovered, although
     the other one covers their 7 x 7 neighbourhood completely."""
-    result = np.zeros(a.shape, dtype=bool)
+    mask = np.zeros(a.shape, dtype=bool)
     for x, y in ((a, b), (b, a)):
         inside, bare = x >= FULL, y < COVERED
         if (inside & bare).any():
-            result |= shrunk(inside, 3) & bare
-    return result
+            mask |= shrunk(inside, 3) & bare
+    return mask
 
 
 def explained(
@@ -150,10 +150,10 @@ def explained(
 
 def difference(a: Float, b: Float) -> NDArray[np.float32]:
     """Return the largest absolute difference of any channel, (H, W)."""
-    result = np.zeros(a.shape[:2], dtype=np.float32)
+    largest = np.zeros(a.shape[:2], dtype=np.float32)
     for channel in range(a.shape[2]):  # NumPy is slow along a short last axis
-        np.maximum(result, np.abs(b[..., channel] - a[..., channel]), out=result)
-    return result
+        np.maximum(largest, np.abs(b[..., channel] - a[..., channel]), out=largest)
+    return largest
 
 
 def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
@@ -179,8 +179,8 @@ def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:
 
     An unexplained difference is at most the plain difference, which is fast to compute.
     """
-    apart = difference(a, b) > least
-    rows, columns = (np.flatnonzero(apart.any(axis=axis)) for axis in (1, 0))
+    different = difference(a, b) > least
+    rows, columns = (np.flatnonzero(different.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
         return None
     return (
@@ -192,9 +192,9 @@ def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:
 def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:
     worst, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
 
-    def take(beyond: Float, sign: float, sliver: Float) -> None:
-        larger = beyond > np.abs(worst)  # False where NaN
-        np.copyto(worst, sign * beyond, where=larger)
+    def take(distance: Float, sign: float, sliver: Float) -> None:
+        larger = distance > np.abs(worst)  # False where NaN
+        np.copyto(worst, sign * distance, where=larger)
         np.copyto(slack, sliver, where=larger)
 
     for channel in range(a.shape[2]):
@@ -210,13 +210,13 @@ def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:
 
 
 def _range(
-    x: Float, least: Callable[..., Any], most: Callable[..., Any], relative: bool
+    x: Float, minimum: Callable[..., Any], maximum: Callable[..., Any], relative: bool
 ) -> tuple[Float, Float, Float, Float]:
     """Return the minimum of 3 x 3 pixels, their maximum, the amount by which this range is widened,
     and the difference that a sliver may add."""
-    low, high = filtered(x, least), filtered(x, most)
-    top = filtered(high, most)
-    span = top - filtered(low, least)
+    low, high = filtered(x, minimum), filtered(x, maximum)
+    top = filtered(high, maximum)
+    span = top - filtered(low, minimum)
     allowed = np.float32(_CONTRAST) * span
     if relative:
         allowed += np.float32(_RELATIVE) * np.abs(top)

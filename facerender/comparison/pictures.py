@@ -58,28 +58,28 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     if gain is not None:
         check_range("gain", gain, *GAINS)
     a, b = alike(as_image(reference, "A"), as_image(image, "B"))
-    for each in (a, b):
-        check_finite(each)
+    for data in (a, b):
+        check_finite(data)
     signed = visualization.signed_difference(a, b)
     full = 1.0 if a.encoding == "linear" else 255.0
     white = full / gain if gain is not None else _fitted(np.abs(signed)) or full
     steps = np.arange(-_STEPS, _STEPS + 1) / _STEPS
-    ends = srgb_to_linear(np.array(_COLORS) / 255.0).T
-    ramp = [np.interp(steps, (-1.0, -0.5, 0.0, 0.5, 1.0), each) for each in ends]
+    channels = srgb_to_linear(np.array(_COLORS) / 255.0).T
+    ramp = [np.interp(steps, (-1.0, -0.5, 0.0, 0.5, 1.0), channel) for channel in channels]
     colors = encode_srgb8(np.stack(ramp, axis=-1).astype(np.float32))
     pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
     for rows in visualization.strips(a):
         level = np.round(np.clip(signed[rows] / white, -1.0, 1.0) * _STEPS).astype(int)
         pixels[rows] = colors[level + _STEPS]
-        apart = visualization.other_coverage(a, b, rows)
-        pixels[rows][apart & (level == 0)] = visualization.UNCOVERED
+        uncovered = visualization.other_coverage(a, b, rows)
+        pixels[rows][uncovered & (level == 0)] = visualization.UNCOVERED
     unit = "" if a.encoding == "linear" else "/255"
     return _frame(pixels, {"difference": f"B - A: orange +, blue -, white = {white:.3g}{unit}"})
 
 
-def _fitted(apart: NDArray[np.float32]) -> float:
+def _fitted(differences: NDArray[np.float32]) -> float:
     """Return the difference that is white in a picture of absolute differences; 0 if all are 0."""
-    counted = apart[apart > _NEGLIGIBLE * apart.max()]
+    counted = differences[differences > _NEGLIGIBLE * differences.max()]
     return float(np.percentile(counted, _FITTED)) if counted.size else 0.0
 
 
@@ -104,7 +104,7 @@ def sheet(
     if not isinstance(images, Iterable) or isinstance(images, np.ndarray | str):
         raise InputError(f"images = {shown(images)}: give a list of images")
     images = list(images)
-    cells = [_displayed(each, f"image {number}") for number, each in enumerate(images, 1)]
+    cells = [_displayed(source, f"image {number}") for number, source in enumerate(images, 1)]
     if not cells:
         raise InputError("a sheet of 0 images: give at least one")
     for number, cell in enumerate(cells, 1):
@@ -116,7 +116,7 @@ def sheet(
     if titles is None:
         titles = [e.metadata.get("difference", "") if isinstance(e, Frame) else "" for e in images]
     texts = (titles,) if isinstance(titles, str) else tuple(titles)
-    if not all(isinstance(each, str) for each in texts):
+    if not all(isinstance(text, str) for text in texts):
         raise InputError(f"titles = {shown(titles)}: give a list of texts")
     if len(texts) != len(cells):
         raise InputError(f"{len(texts)} titles for {len(cells)} images: give one for each image")
@@ -130,11 +130,11 @@ def sheet(
 def side_by_side(reference: Comparable, image: Comparable) -> Frame:
     """Return a sheet of A, B and their difference. For parameters see :func:`difference`."""
     a, b = (
-        each if isinstance(each, Frame) else as_image(each, name)
-        for each, name in ((reference, "A"), (image, "B"))
+        source if isinstance(source, Frame) else as_image(source, name)
+        for source, name in ((reference, "A"), (image, "B"))
     )
-    apart = difference(a, b)
-    return sheet([a, b, apart], ["A", "B", apart.metadata["difference"]])
+    frame = difference(a, b)
+    return sheet([a, b, frame], ["A", "B", frame.metadata["difference"]])
 
 
 def _displayed(source: Comparable | Image, name: str) -> NDArray[np.uint8]:

@@ -58,8 +58,8 @@ def entry(pair: Pair) -> Entry:
     """Return the entry of a pair."""
     sources = {"A": pair.reference, "B": pair.image} if pair.status else {}
     images = {letter: image for letter, image in sources.items() if image}
-    most = max((image.pixels[..., 0].size for image in images.values()), default=0)
-    large = most > visualization.MAX_PIXELS
+    pixel_count = max((image.pixels[..., 0].size for image in images.values()), default=0)
+    large = pixel_count > visualization.MAX_PIXELS
     displayed = {} if large else {key: visualization.displayed(x) for key, x in images.items()}
     return Entry(
         name=pair.name,
@@ -129,13 +129,13 @@ def _to_compress(entries: Sequence[Entry]) -> set[int]:
     The entries with the largest images are chosen, until the rest has at most EXACT characters.
     """
     sizes = [sum(map(len, entry.images.values())) for entry in entries]
-    left = sum(sizes) + sum(len(entry.section) for entry in entries)
+    characters = sum(sizes) + sum(len(entry.section) for entry in entries)
     chosen = set()
     for position in sorted(range(len(entries)), key=lambda position: -sizes[position]):
-        if left <= EXACT:
+        if characters <= EXACT:
             break
         chosen.add(position)
-        left -= sizes[position]
+        characters -= sizes[position]
     return chosen
 
 
@@ -216,7 +216,7 @@ def _check_table(result: Comparison) -> str:
     ):
         if value < 0.0:
             value, limit, where[name] = -value, BLUR * limit, "less in B"
-        figures = [CHECKS[name].amount(each, result.encoding) for each in (value, limit)]
+        figures = [CHECKS[name].amount(number, result.encoding) for number in (value, limit)]
         relation = (" &gt; " if value > limit else " ≤ ").join(figures)
         failed = value > limit and not result.same
         cells = [f'<span class="over">{relation}</span>' if failed else relation]
@@ -225,8 +225,10 @@ def _check_table(result: Comparison) -> str:
     return table("checks", ("check", "value and limit", "B is", "meaning of the limit"), rows)
 
 
-def _where(change: float, at: tuple[int, int], over: str) -> str:
-    return f"{'brighter' if change > 0.0 else 'darker'} at {at}; {over} over" if change else ""
+def _where(change: float, position: tuple[int, int], count: str) -> str:
+    return (
+        f"{'brighter' if change > 0.0 else 'darker'} at {position}; {count} over" if change else ""
+    )
 
 
 def _facts(pair: Pair) -> str:
@@ -242,9 +244,9 @@ def _facts(pair: Pair) -> str:
         rows[changed or key == "image"].append(row(escape(key), map(escape, values), mark))
     if not facts:
         return ""
-    first, others = (table("facts", ("", *facts), rows[each]) for each in (True, False))
+    shown, folded = (table("facts", ("", *facts), rows[differs]) for differs in (True, False))
     title = f"{len(rows[False])} {'equal ' * (len(facts) > 1)}properties"
-    return f"<div>{first}<details><summary>{title}</summary>{others}</details></div>"
+    return f"<div>{shown}<details><summary>{title}</summary>{folded}</details></div>"
 
 
 def _fact(image: ImageData) -> dict[str, str]:
@@ -259,26 +261,26 @@ def _fact(image: ImageData) -> dict[str, str]:
 def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
     """Return HTML of the available images and, if both were compared, their differences."""
     if large:
-        most = visualization.MAX_PIXELS
-        return f'<p class="note">Images of more than {most} pixels are not shown.</p>'
+        limit = visualization.MAX_PIXELS
+        return f'<p class="note">Images of more than {limit} pixels are not shown.</p>'
     if not displayed:
         return ""
     places = _places(pair)
     areas = ""
     if pair.reference and pair.image and pair.comparison is not None:
-        apart, largest = visualization.difference(pair.reference, pair.image)
-        shape = apart.shape
-        maps = {"difference": _source(visualization.brightest(apart, MAP))}
+        colors, largest = visualization.difference(pair.reference, pair.image)
+        shape = colors.shape
+        maps = {"difference": _source(visualization.brightest(colors, MAP))}
         flip = ""
         with suppress(InputError):  # FLIP needs an optional package
             maps["FLIP"] = _source(visualization.small_heat_map(*displayed.values()))
             flip = '<label><input type="checkbox" class="flip">FLIP</label>'
         caption = _legend(largest, pair.comparison.encoding, flip)
         figures = _figure("difference", caption, shape, maps, places)
-        both = {letter: IMAGE + letter for letter in displayed}
-        figures += _figure("both", _SWAP, shape, both, {})
+        placeholders = {letter: IMAGE + letter for letter in displayed}
+        figures += _figure("both", _SWAP, shape, placeholders, {})
         for name, place in places.items():
-            areas += _enlarged(name, place, {**displayed, "difference": apart})
+            areas += _enlarged(name, place, {**displayed, "difference": colors})
         areas = f'<div class="places">{areas}</div>'
     else:
         figures = "".join(
@@ -322,11 +324,11 @@ def _enlarged(
     x, y, side = place
     crops = ""
     for label, pixels in images.items():
-        size = [min(AROUND[side], each) for each in pixels.shape[:2]]
+        size = [min(AROUND[side], extent) for extent in pixels.shape[:2]]
         centre = y + side // 2, x + side // 2
         top, left = (
-            min(max(at - each // 2, 0), most - each)
-            for at, each, most in zip(centre, size, pixels.shape, strict=False)
+            min(max(middle - length // 2, 0), extent - length)
+            for middle, length, extent in zip(centre, size, pixels.shape, strict=False)
         )
         crop = np.ascontiguousarray(pixels[top : top + size[0], left : left + size[1]])
         mark = _mark((x - left, y - top, side), crop.shape, "square")
@@ -364,7 +366,7 @@ def _mark(place: tuple[int, int, int], shape: Sequence[int], kind: str) -> str:
     x, y, side = place
     sides = {"left": x / shape[1], "top": y / shape[0]}
     sides |= {"width": side / shape[1], "height": side / shape[0]}
-    style = ";".join(f"{name}:{100.0 * each:.4f}%" for name, each in sides.items())
+    style = ";".join(f"{name}:{100.0 * fraction:.4f}%" for name, fraction in sides.items())
     return f'<i class="mark {kind}" style="{style}"></i>'
 
 

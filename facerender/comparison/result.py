@@ -141,7 +141,7 @@ class Comparison:
     @property
     def failed(self) -> tuple[str, ...]:
         """Names of the checks that the reasons report."""
-        return tuple(each.split()[0].rstrip(":") for each in self.reasons)
+        return tuple(reason.split()[0].rstrip(":") for reason in self.reasons)
 
     @property
     def scene_changed(self) -> bool:
@@ -157,8 +157,8 @@ class Comparison:
             for key, values in self.metadata.items()
             if not (self.scene_changed and key in DRIVER_KEYS)
         ]
-        more = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
-        return f" (metadata: {', '.join(changed[:_FACTS] + more)})" if changed else ""
+        remainder = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
+        return f" (metadata: {', '.join(changed[:_FACTS] + remainder)})" if changed else ""
 
     @property
     def limit_factor(self) -> float:
@@ -181,7 +181,7 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all metrics, for JSON."""
-        names = [each.name for each in fields(self) if each.name not in ("limits", "images")]
+        names = [metric.name for metric in fields(self) if metric.name not in ("limits", "images")]
         metrics = {name: getattr(self, name) for name in names}
         factor = {"limit_factor": self.limit_factor}
         verdict = {"same": self.same, "failed": self.failed}

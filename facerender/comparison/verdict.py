@@ -55,36 +55,36 @@ def reasons_of(
     wrong = _wrong(result, over)
     blocks = [*_of_blocks(result, images)]
     holes = not wrong.any() and result.holes > HOLES
-    others = [] if wrong.any() or blocks or holes else [*_subtle(result)][:1]
+    subtle = [] if wrong.any() or blocks or holes else [*_subtle(result)][:1]
     uncovered = result.coverage > result.limits.coverage
-    if not (wrong.any() or blocks or holes or others or uncovered):
+    if not (wrong.any() or blocks or holes or subtle or uncovered):
         return (), ""
     height, width = over.shape
     rows = strips(height, width, result.point_at[1], result.block_at[1])
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
     if _samples_differ(result, images) and (
-        uncovered or "texture" in str(others) or (wrong.any() and _at_edge(over[wrong]))
+        uncovered or "texture" in str(subtle) or (wrong.any() and _at_edge(over[wrong]))
     ):
         cause = SAMPLES
 
     def because(likely: str) -> str:
-        known = result.scene_changed and likely == cause
-        return "" if known else f": perhaps {likely}"
+        explained = result.scene_changed and likely == cause
+        return "" if explained else f": perhaps {likely}"
 
     reasons = [f"{block}{because(cause)}{_estimate(result, cause)}" for block in blocks]
-    reasons += [f"{other}{because(cause)}" for other in others]
+    reasons += [f"{failure}{because(cause)}" for failure in subtle]
     fault = ""
     if wrong.any():
-        seen = np.concatenate([wrong[strip] for strip in rows])
-        most = change.share(seen) > 0.5
-        fault = _fault(result, over, wrong) if most or _lonely(change, seen) else ""
+        examined = np.concatenate([wrong[strip] for strip in rows])
+        dominant = change.share(examined) > 0.5
+        fault = _fault(result, over, wrong) if dominant or _lonely(change, examined) else ""
         if cause == SAMPLES or (fault == "false highlights" and cause in (LIGHT, EXPOSURE)):
             fault = ""
         if fault and blocks and _explained(result, wrong, statistics):
             reasons = [f"{block}{because(fault)}{_estimate(result, fault)}" for block in blocks]
         text = f"{_pixels(result, over[wrong])}{because(fault or cause)}"
-        reasons.insert(0 if most else len(reasons), text)
+        reasons.insert(0 if dominant else len(reasons), text)
     elif holes:
         fault = "" if cause == GEOMETRY else "missing pixels"
         reasons.append(
@@ -104,20 +104,20 @@ def reasons_of(
 def changes_of(one: Mapping[str, str], other: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Return both texts of all metadata that changed, keyed by name and, for a value such as
     Light(azimuth=1), also by the name of the changed field."""
-    found = {}
+    changes = {}
     for key in one:
         if other.get(key, one[key]) == one[key]:
             continue
-        fields = [dict(_FIELD.findall(each)) for each in (one[key], other[key])]
-        kinds = {each.partition("(")[0] for each in (one[key], other[key])}
+        fields = [dict(_FIELD.findall(text)) for text in (one[key], other[key])]
+        kinds = {text.partition("(")[0] for text in (one[key], other[key])}
         if len(kinds) > 1 or not all(fields):
-            found[key] = _apart(one[key], other[key]), _apart(other[key], one[key])
+            changes[key] = _apart(one[key], other[key]), _apart(other[key], one[key])
             continue
         for name in dict.fromkeys([*fields[0], *fields[1]]):
-            values = [_plain(each.get(name, "default")) for each in fields]
+            values = [_plain(image_fields.get(name, "default")) for image_fields in fields]
             if values[0] != values[1]:
-                found[f"{key} {name}"] = values[0], values[1]
-    return found
+                changes[f"{key} {name}"] = values[0], values[1]
+    return changes
 
 
 def _plain(value: str) -> str:
@@ -125,11 +125,11 @@ def _plain(value: str) -> str:
     return re.sub(r"^\((\S+), \1, \1\)$", r"\1", value)[:_LONG]
 
 
-def _apart(value: str, other: str) -> str:
+def _apart(value: str, counterpart: str) -> str:
     """Return the beginning of a value, without the entries that another value has too."""
-    entries = _SEPARATOR.split(other)
-    apart = ", ".join(each for each in _SEPARATOR.split(value) if each not in entries)
-    return apart[:_LONG] or "none"
+    entries = _SEPARATOR.split(counterpart)
+    text = ", ".join(entry for entry in _SEPARATOR.split(value) if entry not in entries)
+    return text[:_LONG] or "none"
 
 
 def _samples_differ(result: Comparison, images: tuple[ImageData, ImageData]) -> bool:
@@ -157,11 +157,11 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     if (np.abs(over) == SLIVER).any():
         return f"slivers: {pixels} like slivers at edges, limit {result.sliver_limit:.0f}"
     point = abs(result.point)
-    by = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
+    amount = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
     at_edge = " at edges" if _at_edge(over) else ""
     return (
-        f"point: {pixels} from the surroundings in the other image by up to {by}{at_edge}, worst "
-        f"at {result.point_at}, limit {result.limits.point:g}"
+        f"point: {pixels} from the surroundings in the other image by up to {amount}{at_edge}, "
+        f"worst at {result.point_at}, limit {result.limits.point:g}"
     )
 
 
@@ -192,19 +192,19 @@ def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> flo
     x, y = result.block_at
     parts = [image.rows(slice(y, y + BLOCK)) for image in images]
     full = np.minimum(*(alpha[:, x : x + BLOCK] for _, alpha in parts)) >= FULL
-    one, other = (
+    mean_a, mean_b = (
         color[:, x : x + BLOCK][full].mean(axis=0, dtype=np.float64) for color, _ in parts
     )
-    change = other - one
+    change = mean_b - mean_a
     if result.encoding == "linear":
-        change /= np.maximum(np.abs(one), FLOOR)
+        change /= np.maximum(np.abs(mean_a), FLOOR)
     return float(max(change, key=abs))
 
 
 def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> bool:
     """Return whether every block over the limit contains a wrong pixel."""
-    over = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
-    return bool(block_sums(cell_sums(wrong.astype(np.float32)))[over].all())
+    failing = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
+    return bool(block_sums(cell_sums(wrong.astype(np.float32)))[failing].all())
 
 
 def _subtle(result: Comparison) -> Iterator[str]:
@@ -213,8 +213,8 @@ def _subtle(result: Comparison) -> Iterator[str]:
     limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
-        by, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
-        yield f"grain {by * result.grain:+.2g}{unit or ' of 255'}, limit {by * grain:g}{unit}"
+        scale, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
+        yield f"grain {scale * result.grain:+.2g}{unit or ' of 255'}, limit {scale * grain:g}{unit}"
     if not BLUR * -texture <= result.texture <= texture:
         yield f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %"
     x, y = result.shift
@@ -239,8 +239,8 @@ def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
 
 def _lonely(change: Change, wrong: Mask) -> bool:
     """Return whether the pixels around most wrong pixels hardly changed."""
-    around = filtered(np.where(wrong, np.float32(0.0), change.power), np.maximum)
-    return bool(np.median((around <= _LONELY * change.power)[wrong]) > 0.5)
+    surroundings = filtered(np.where(wrong, np.float32(0.0), change.power), np.maximum)
+    return bool(np.median((surroundings <= _LONELY * change.power)[wrong]) > 0.5)
 
 
 def _at_edge(over: NDArray[np.int8]) -> bool:

@@ -86,18 +86,18 @@ def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
 def signed_difference(a: ImageData, b: ImageData) -> NDArray[np.float32]:
     """Return b - a in the channel that differs most, (H, W)."""
 
-    def of(rows: slice) -> NDArray[np.float32]:
+    def worst_of(rows: slice) -> NDArray[np.float32]:
         signed = b.rows(rows)[0] - a.rows(rows)[0]
         worst = np.abs(signed).argmax(axis=-1)[..., None]
         return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
 
-    return np.concatenate([of(rows) for rows in strips(a)])
+    return np.concatenate([worst_of(rows) for rows in strips(a)])
 
 
 def other_coverage(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.bool_]:
     """Return a mask of the pixels of some rows that only one of two images covers."""
-    one, other = (image.rows(rows)[1] >= 0.5 for image in (a, b))
-    return np.asarray(one != other)
+    covered_a, covered_b = (image.rows(rows)[1] >= 0.5 for image in (a, b))
+    return np.asarray(covered_a != covered_b)
 
 
 def strips(image: ImageData) -> Iterator[slice]:
@@ -116,8 +116,8 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
     InputError : flip-evaluator is missing
     """
     step = _step(a, HEAT)
-    apart = np.maximum(a, b) - np.minimum(a, b)
-    worst_a, worst_b = _worst(apart.sum(axis=-1, dtype=np.uint16), step, a, b)
+    differences = np.maximum(a, b) - np.minimum(a, b)
+    worst_a, worst_b = _worst(differences.sum(axis=-1, dtype=np.uint16), step, a, b)
     return flip.heat_map(worst_a / 255.0, worst_b / 255.0, step)
 
 
@@ -136,16 +136,16 @@ def _worst(key: NDArray[Any], step: int, *images: Bytes) -> list[Bytes]:
     if step == 1:
         return [*images]
     height, width = (-(-side // step) for side in key.shape)
-    ends = [(0, height * step - key.shape[0]), (0, width * step - key.shape[1])]
+    padding = [(0, height * step - key.shape[0]), (0, width * step - key.shape[1])]
 
     def cells(pixels: NDArray[Any]) -> NDArray[Any]:
-        around = [*ends, *((0, 0) for _ in pixels.shape[2:])]
-        padded = np.pad(pixels, around, "edge")
+        pad_width = [*padding, *((0, 0) for _ in pixels.shape[2:])]
+        padded = np.pad(pixels, pad_width, "edge")
         split = padded.reshape(height, step, width, step, *pixels.shape[2:]).swapaxes(1, 2)
         return split.reshape(height, width, step * step, *pixels.shape[2:])
 
-    most = cells(key).argmax(axis=-1)[..., None, None]
-    return [np.take_along_axis(cells(each), most, axis=2)[:, :, 0] for each in images]
+    indices = cells(key).argmax(axis=-1)[..., None, None]
+    return [np.take_along_axis(cells(image), indices, axis=2)[:, :, 0] for image in images]
 
 
 def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:

@@ -301,16 +301,16 @@ def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GB
     """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")
-    found: list[dict[str, Any]] = [{} for _ in layers]
-    for name in (each.name for each in fields(GBuffer)):
+    sorted_attributes: list[dict[str, Any]] = [{} for _ in layers]
+    for name in (field.name for field in fields(GBuffer)):
         values = [getattr(layer, name) for layer in layers]
         if layers and isinstance(values[0], np.ndarray):
             stack = np.array(values)
             places = order.reshape(order.shape + (1,) * (stack.ndim - order.ndim))
             values = [*np.take_along_axis(stack, places, axis=0)]
-        for own, value in zip(found, values, strict=True):
-            own[name] = value
-    return [GBuffer(**own) for own in found]
+        for attributes, value in zip(sorted_attributes, values, strict=True):
+            attributes[name] = value
+    return [GBuffer(**attributes) for attributes in sorted_attributes]
 
 
 def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:

@@ -35,8 +35,8 @@ def current_context() -> HostContext | None:
     child process.
     """
     for find in (_egl, _glx, _osmesa):
-        if (found := find()) is not None and found.handle not in _inherited:
-            return found
+        if (context := find()) is not None and context.handle not in _inherited:
+            return context
     return None
 
 
@@ -72,8 +72,8 @@ def _loaded(*names: str) -> ctypes.CDLL | None:
 
 def _pointer(function: Any, *arguments: Any) -> int | None:
     function.restype = ctypes.c_void_p
-    result: int | None = function(*arguments)
-    return result
+    address: int | None = function(*arguments)
+    return address
 
 
 def _egl() -> HostContext | None:
@@ -100,24 +100,28 @@ def egl_in_use() -> Literal["software", "hardware"] | None:
         return None
     library.eglGetProcAddress.restype = ctypes.c_void_p
     names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT", b"eglQueryDeviceStringEXT"
-    found = [library.eglGetProcAddress(name) for name in names]
-    if not all(found):
+    functions = [library.eglGetProcAddress(name) for name in names]
+    if not all(functions):
         return None
     query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
     get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
     devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
-    query(found[0])(len(devices), devices, ctypes.byref(count))
+    query(functions[0])(len(devices), devices, ctypes.byref(count))
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
-    string = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)(found[2])
+    string = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)(functions[2])
     used = [
         string(device, 0x3055) or b""  # EGL_EXTENSIONS
         for device in devices[: count.value]
         # 0x3054 is EGL_VERSION: only an initialised display has a version.
-        if _pointer(library.eglQueryString, get(found[1])(0x313F, device, None), 0x3054)
+        if _pointer(library.eglQueryString, get(functions[1])(0x313F, device, None), 0x3054)
     ]
     if not used:
         return None
-    return "software" if all(b"EGL_MESA_device_software" in each for each in used) else "hardware"
+    return (
+        "software"
+        if all(b"EGL_MESA_device_software" in extensions for extensions in used)
+        else "hardware"
+    )
 
 
 def _glx() -> HostContext | None:
@@ -154,7 +158,7 @@ def _osmesa() -> HostContext | None:
         return None
     width, height, layout = (ctypes.c_int() for _ in range(3))
     buffer = ctypes.c_void_p()
-    outputs = [ctypes.byref(each) for each in (width, height, layout, buffer)]
+    outputs = [ctypes.byref(output) for output in (width, height, layout, buffer)]
     library.OSMesaGetColorBuffer(ctypes.c_void_p(context), *outputs)
 
     def rebind() -> None:
@@ -259,21 +263,28 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     back: list[tuple[Any, str, tuple[float, ...]]] = []
 
     def change(
-        name: str, old: tuple[float, ...], new: tuple[float, ...] | None, kind: Any = ctypes.c_int
+        name: str,
+        old_values: tuple[float, ...],
+        new_values: tuple[float, ...] | None,
+        kind: Any = ctypes.c_int,
     ) -> None:
-        back.append((kind, name, old))
-        if new is not None:
-            call(name, *new, kind=kind)
+        back.append((kind, name, old_values))
+        if new_values is not None:
+            call(name, *new_values, kind=kind)
 
     for name, (capability, needed) in CAPABILITIES.items():
         if name == "SAMPLE_SHADING" and not load("glMinSampleShading"):
             continue
         back.append((ctypes.c_int, _SWITCH[bool(is_enabled(capability))], (capability,)))
         call(_SWITCH[needed], capability)
-    for name, leading, queries, wanted in STATE:
+    for name, leading, queries, needed_integers in STATE:
         if load(name):
-            old = tuple(value for query in queries for value in integers(*query))
-            change(name, leading + old, None if wanted is None else leading + wanted)
+            state = tuple(value for query in queries for value in integers(*query))
+            change(
+                name,
+                leading + state,
+                None if needed_integers is None else leading + needed_integers,
+            )
     for name, kind, query, count, needed_floats in _FLOATS:
         change(name, floats(query, count), needed_floats, kind)
     active = integers(_ACTIVE_TEXTURE)

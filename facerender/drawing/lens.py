@@ -65,14 +65,14 @@ class Lens:
         A pixel is the mean of its taps, which are evenly distributed over the pixel.
         """
         width, height = self.size
-        found = np.empty((width * height, 4), dtype=np.float32)
+        distorted = np.empty((width * height, 4), dtype=np.float32)
         for count in np.unique(self.taps):
-            for own in _in_steps(np.flatnonzero(self.taps == count)):
-                total = np.zeros((len(own), 4), dtype=np.float32)
-                for place in self._tap_places(own, int(count)):
+            for pixels in _in_steps(np.flatnonzero(self.taps == count)):
+                total = np.zeros((len(pixels), 4), dtype=np.float32)
+                for place in self._tap_places(pixels, int(count)):
                     total += _interpolated(image, place)
-                found[own] = total / np.float32(count * count)
-        return found.reshape(height, width, 4)
+                distorted[pixels] = total / np.float32(count * count)
+        return distorted.reshape(height, width, 4)
 
     def nearest(self, gbuffer: GBuffer, view: View) -> GBuffer:
         """Return the distorted G-buffer: each pixel has the values of the nearest pixel of the
@@ -80,8 +80,8 @@ class Lens:
 
         view : view with the distortion
         """
-        values = {each.name: getattr(gbuffer, each.name) for each in fields(gbuffer)}
-        layers = tuple(self.nearest(each, view) for each in gbuffer.transparent_layers)
+        values = {field.name: getattr(gbuffer, field.name) for field in fields(gbuffer)}
+        layers = tuple(self.nearest(layer, view) for layer in gbuffer.transparent_layers)
         arrays = {
             name: self.nearest_values(value)
             for name, value in values.items()
@@ -93,8 +93,8 @@ class Lens:
         """Return the value of the nearest pixel of an undistorted image for each pixel."""
         columns, rows = self.places.astype(np.intp).T
         flat = image.reshape(math.prod(self.wide), *image.shape[2:])
-        found = flat[rows * self.wide[0] + columns]
-        return np.asarray(found.reshape(*self.size[::-1], *image.shape[2:]))
+        values = flat[rows * self.wide[0] + columns]
+        return np.asarray(values.reshape(*self.size[::-1], *image.shape[2:]))
 
     def _tap_places(self, pixels: NDArray[np.intp], count: int) -> Iterator[NDArray[np.float32]]:
         """Yield positions (N, 2) in the undistorted image: count x count per pixel."""
@@ -122,9 +122,12 @@ def lens_of(camera: Camera, size: tuple[int, int]) -> Lens:
 
 @lru_cache(maxsize=1)
 def _lens(
-    intrinsics: Intrinsics, own: tuple[int, int], coefficients: Coefficients, size: tuple[int, int]
+    intrinsics: Intrinsics,
+    camera_size: tuple[int, int],
+    coefficients: Coefficients,
+    size: tuple[int, int],
 ) -> Lens:
-    scale = np.divide(size, own)
+    scale = np.divide(size, camera_size)
     k = np.array(intrinsics)
     focal, middle = k[[0, 1], [0, 1]] * scale, k[:2, 2] * scale
     width, height = size
@@ -164,7 +167,7 @@ def _lens(
 
 
 def _in_steps(pixels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    return (pixels[first : first + _AT_ONCE] for first in range(0, len(pixels), _AT_ONCE))
+    return (pixels[start : start + _AT_ONCE] for start in range(0, len(pixels), _AT_ONCE))
 
 
 def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -184,10 +187,10 @@ def _interpolated(image: NDArray[np.float32], places: NDArray[np.float32]) -> ND
 
     Source: Keys (1981), "Cubic convolution interpolation for digital image processing".
     """
-    first = np.floor(places - 0.5)
-    fractions = places - 0.5 - first
-    x, y = (_weights(each) for each in fractions.T)
-    columns, rows = first.astype(np.intp).T - 1
+    origins = np.floor(places - 0.5)
+    fractions = places - 0.5 - origins
+    x, y = (_weights(fraction) for fraction in fractions.T)
+    columns, rows = origins.astype(np.intp).T - 1
     line, texel = image.strides[:2]
     # Each entry holds four neighbours of a row.
     runs = as_strided(image, (len(image), image.shape[1] - 3, 16), (line, texel, 4))

@@ -43,34 +43,34 @@ def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, st
     have the default; and "textures": "float", or "8-bit" if an 8-bit map was drawn
     """
     if scene.mesh not in _of_meshes:
-        values = {"mesh": _mesh(scene.mesh), **_materials(scene.mesh)}
-        _of_meshes[scene.mesh] = {name: _limited(text) for name, text in values.items()}
-    values = {"camera": repr(scene.camera)}
-    values |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
-    values |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
+        texts = {"mesh": _mesh(scene.mesh), **_materials(scene.mesh)}
+        _of_meshes[scene.mesh] = {name: _limited(text) for name, text in texts.items()}
+    texts = {"camera": repr(scene.camera)}
+    texts |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
+    texts |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
     if scene.environment is not None:
-        values["environment"] = _environment(scene.environment)
+        texts["environment"] = _environment(scene.environment)
     if scene.before is not None:
-        values["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
+        texts["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
     drawn = simplify(scene, shading).mesh
     parts = zip(drawn.parts, drawn.materials, strict=True)
-    maps = (each for pair in parts for each in part_maps(*pair, albedo, slope_filter=True))
-    values["textures"] = "float" if all(kind == "linear-color" for *_, kind in maps) else "8-bit"
-    return _of_meshes[scene.mesh] | {name: _limited(text) for name, text in values.items()}
+    maps = (map_ for pair in parts for map_ in part_maps(*pair, albedo, slope_filter=True))
+    texts["textures"] = "float" if all(kind == "linear-color" for *_, kind in maps) else "8-bit"
+    return _of_meshes[scene.mesh] | {name: _limited(text) for name, text in texts.items()}
 
 
 def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, str]:
     """Return the shading of an image as text: model, lobe, Fresnel and masking term, values that
     differ from the defaults, and the lobe of each part if lobes differ from the shading's."""
     shading, terms = resolved.shading, resolved.lighting.terms
-    values = {key: str(value) for key, value in shading.as_dict().items()}
+    texts = {key: str(value) for key, value in shading.as_dict().items()}
     for name in ("model", "lobe", "fresnel", "masking"):
-        values[name] = str(getattr(shading.term, name))
+        texts[name] = str(getattr(shading.term, name))
     parts = [part.terms for part in resolved.parts()] if only != "diffuse" else []
-    if any(own != terms for own in parts):
-        lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in parts]
-        values["lobe of each part"] = ", ".join(map(" and ".join, lobes))
-    return {name: _limited(text) for name, text in values.items()}
+    if any(part_terms != terms for part_terms in parts):
+        lobes = [dict.fromkeys(str(term.lobe) for term in part_terms) for part_terms in parts]
+        texts["lobe of each part"] = ", ".join(map(" and ".join, lobes))
+    return {name: _limited(text) for name, text in texts.items()}
 
 
 def _text(value: Any) -> str:
@@ -104,10 +104,10 @@ def _checksum(part: Part) -> int:
 def _materials(mesh: Mesh) -> dict[str, str]:
     """Return each factor and map of the materials as one text for all parts."""
     rows = {}
-    for each in fields(Material):
-        values = [_used(material, each.name) for material in mesh.materials]
-        if each.name in _ALWAYS or any(value != each.default for value in values):
-            rows[each.name] = _by_part(mesh, values)
+    for field in fields(Material):
+        values = [_used(material, field.name) for material in mesh.materials]
+        if field.name in _ALWAYS or any(value != field.default for value in values):
+            rows[field.name] = _by_part(mesh, values)
     return rows
 
 
@@ -128,7 +128,7 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
         names.setdefault(text, []).append(part.name or f"part{number}")
     if len(names) == 1:
         return next(iter(names))
-    return "; ".join(f"{text} ({', '.join(own)})" for text, own in names.items())
+    return "; ".join(f"{text} ({', '.join(part_names)})" for text, part_names in names.items())
 
 
 def _map(texture: Texture) -> str:

@@ -64,9 +64,9 @@ def check_before(scene: Scene) -> Scene:
             f"motion of {scene.mesh.name} needs the frame before: give the scene of that frame as "
             "Scene(..., before=SCENE)"
         )
-    own, other = ([part.faces for part in each.mesh.parts] for each in (scene, before))
-    pairs = zip(own, other, strict=False)
-    if len(own) != len(other) or not all(a is b or np.array_equal(a, b) for a, b in pairs):
+    faces, old_faces = ([part.faces for part in frame.mesh.parts] for frame in (scene, before))
+    pairs = zip(faces, old_faces, strict=False)
+    if len(faces) != len(old_faces) or not all(a is b or np.array_equal(a, b) for a, b in pairs):
         raise InputError(
             f"{scene.mesh.name} and {before.mesh.name} of the frame before have different "
             "triangles: give two poses of one mesh, from Mesh.with_positions"
@@ -112,27 +112,27 @@ def motion_vectors(
     """
     height, width = triangles.shape[:2]
     size = width, height
-    seen = triangles.reshape(-1, 4)
-    image = np.zeros_like(seen)
-    shown = np.flatnonzero(seen[:, 0])
-    owners = seen[shown, 0]
+    texels = triangles.reshape(-1, 4)
+    image = np.zeros_like(texels)
+    shown = np.flatnonzero(texels[:, 0])
+    owners = texels[shown, 0]
     for draw in drawn.draws:
         number = draw.uniforms["part"]
         pixels = shown[owners == number]
         if not len(pixels):
             continue
-        index = (seen[pixels, 1] * _INDEX_BASE + seen[pixels, 2]).astype(np.int64)
+        index = (texels[pixels, 1] * _INDEX_BASE + texels[pixels, 2]).astype(np.int64)
         index = index if draw.order is None else draw.order[index]
-        own, other = (each.mesh.parts[number - 1] for each in (scene, before))
-        visible, index = _unique(index, len(own.faces))
-        corners, old = (each.positions[own.faces[visible]] for each in (own, other))
+        part, old_part = (frame.mesh.parts[number - 1] for frame in (scene, before))
+        visible, index = _unique(index, len(part.faces))
+        corners, old_corners = (pose.positions[part.faces[visible]] for pose in (part, old_part))
         weights = _weights(rays, scene.mesh, corners, index, pixels)
-        now, _ = views[0].project(scene.mesh, _mean(corners, index, weights), size)
-        then, _ = views[1].project(before.mesh, _mean(old, index, weights), size)
-        moved = np.round(now - then, _DIGITS) + 0.0  # no -0
-        known = np.isfinite(moved).all(axis=1)
-        image[pixels[known], :2] = moved[known]
-        image[pixels[known], 3] = 1.0
+        position, _ = views[0].project(scene.mesh, _mean(corners, index, weights), size)
+        old_position, _ = views[1].project(before.mesh, _mean(old_corners, index, weights), size)
+        moved = np.round(position - old_position, _DIGITS) + 0.0  # no -0
+        finite = np.isfinite(moved).all(axis=1)
+        image[pixels[finite], :2] = moved[finite]
+        image[pixels[finite], 3] = 1.0
     return image.reshape(triangles.shape)
 
 
@@ -141,9 +141,9 @@ def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], ND
     np.unique takes ten times as long."""
     place = np.zeros(count, dtype=np.int64)
     place[index] = 1
-    found = np.flatnonzero(place)
-    place[found] = np.arange(len(found))
-    return found, place[index]
+    unique = np.flatnonzero(place)
+    place[unique] = np.arange(len(unique))
+    return unique, place[index]
 
 
 def _weights(
@@ -167,10 +167,10 @@ def _weights(
     a, b, c = np.moveaxis(places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
     x, y = (2.0 * rays.places[pixels] / size - 1.0).T
     weights = np.empty((3, len(pixels)))
-    for own, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
-        np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=own)
-        own += (p[2] * q[0] - p[0] * q[2])[index] * y
-        own += (p[0] * q[1] - p[1] * q[0])[index]
+    for weight, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
+        np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=weight)
+        weight += (p[2] * q[0] - p[0] * q[2])[index] * y
+        weight += (p[0] * q[1] - p[1] * q[0])[index]
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.maximum(weights / weights.sum(axis=0), 0.0)
     weights[:, ~np.isfinite(weights).all(axis=0)] = 1.0  # exactly edge-on
@@ -180,6 +180,6 @@ def _weights(
 def _mean(corners: Float, index: NDArray[np.int64], weights: Float) -> Float:
     """Return the weighted means (N, 3) of the corners of triangles."""
     means = np.zeros((len(index), 3))
-    for own, weight in enumerate(weights):
-        means += np.take(corners[:, own], index, axis=0) * weight[:, None]
+    for corner, weight in enumerate(weights):
+        means += np.take(corners[:, corner], index, axis=0) * weight[:, None]
     return means

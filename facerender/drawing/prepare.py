@@ -44,16 +44,18 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
         changes["m"] = shading.term.m
     if shading.ks is not None:
         changes |= {"ks": shading.ks, "specular_map": None}
-    if not shading.two_lobes and any(each.two_lobes for each in scene.mesh.materials):
+    if not shading.two_lobes and any(material.two_lobes for material in scene.mesh.materials):
         changes["lobe_weight"] = 1.0
     if not shading.normal_map:
         changes["normal_map"] = None
-    if not shading.scatter_samples and any(each.scattering for each in scene.mesh.materials):
+    if not shading.scatter_samples and any(
+        material.scattering for material in scene.mesh.materials
+    ):
         changes["scattering"] = None
     if shading.shadow_lights is not None:
         cast = [light.shadow and i in shading.shadow_lights for i, light in enumerate(scene.lights)]
         lights = zip(scene.lights, cast, strict=True)
-        scene = replace(scene, lights=tuple(replace(each, shadow=on) for each, on in lights))
+        scene = replace(scene, lights=tuple(replace(light, shadow=on) for light, on in lights))
     if scene.environment is not None and not shading.environment:
         scene = replace(scene, environment=None)
     if not shading.ambient:
@@ -87,26 +89,26 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
     anisotropy : maximum anisotropy of texture filtering
     """
     spared: dict[Texture, int] = {}
-    found: dict[tuple[Part, int, tuple[int, int]], int] = {}  # maps of one part share coordinates
+    levels: dict[tuple[Part, int, tuple[int, int]], int] = {}  # maps of one part share coordinates
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         for name, texture in _large(part, material):
             uv = coordinates(part, material, name)
             assert uv is not None
             key = part, id(uv), texture.size
-            if key not in found:
+            if key not in levels:
                 # The reference pose decides, so that the maps stay while the mesh moves.
-                own = scene.mesh, part.root, uv, texture.size
-                found[key] = levels_to_spare(*own, view, size, anisotropy)
-            spared[texture] = min(found[key], spared.get(texture, found[key]))
+                arguments = scene.mesh, part.root, uv, texture.size
+                levels[key] = levels_to_spare(*arguments, view, size, anisotropy)
+            spared[texture] = min(levels[key], spared.get(texture, levels[key]))
     if not any(spared.values()):
         return scene
 
     def coarser(mesh: Mesh) -> Mesh:
         materials = []
-        for part, each in zip(mesh.parts, mesh.materials, strict=True):
+        for part, original in zip(mesh.parts, mesh.materials, strict=True):
             maps: dict[str, Any]
-            maps = {name: map.coarser(spared[map]) for name, map in _large(part, each)}
-            materials.append(replace(each, **maps))
+            maps = {name: map.coarser(spared[map]) for name, map in _large(part, original)}
+            materials.append(replace(original, **maps))
         return replace(mesh, materials=tuple(materials))
 
     return _changed(scene, tuple(spared.items()), coarser)
@@ -178,16 +180,16 @@ def check_memory(
     mesh = scene.mesh
     maps: set[tuple[Texture, Kind]] = set()
     for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        maps |= {each[1:] for each in part_maps(part, material, albedo, slope_filter=True)}
-    kept = _ALWAYS + _OF_TRIANGLE * float(sum(len(part.faces) for part in mesh.parts))
+        maps |= {map_[1:] for map_ in part_maps(part, material, albedo, slope_filter=True)}
+    resident = _ALWAYS + _OF_TRIANGLE * float(sum(len(part.faces) for part in mesh.parts))
     decoding = 0.0
     for texture, kind in maps:
         chain = math.prod(texture.size) * (8 if kind == "linear-color" else 4) * 4.0 / 3.0
         image = 4.0 * math.prod(texture.decoded_size)
-        kept += chain if texture.coarse else 2.0 * chain
+        resident += chain if texture.coarse else 2.0 * chain
         decoding = max(decoding, image if texture.coarse else 2.0 * image + 0.25 * chain)
     drawing = _PROGRAMS + math.prod(size) * (_OF_PIXEL + samples * _OF_SAMPLE)
-    needed = (kept + max(decoding, drawing)) / MIB
+    needed = (resident + max(decoding, drawing)) / MIB
     if needed > (free := limit(most)):
         raise InputError(
             f"{mesh.name} at {size[0]} x {size[1]} with {samples} samples needs about "

@@ -66,8 +66,8 @@ class Program:
         head += f"#define ENVIRONMENT_RADIANCE {self.environment}\n" * bool(self.environment)
         light = "" if self.lights is None else self._terms() + self._lights()
         stages = {}
-        for stage, own, file in (("vert", "", self.vertex), ("frag", light, self.fragment)):
-            text = resolve_includes(f'#version {version}\n{head}{own}#include "host/{file}"\n')
+        for stage, code, file in (("vert", "", self.vertex), ("frag", light, self.fragment)):
+            text = resolve_includes(f'#version {version}\n{head}{code}#include "host/{file}"\n')
             stages[stage] = _COMMENT.sub("", text)  # comments are half of the text to compile
         return stages
 
@@ -78,7 +78,7 @@ class Program:
         slopes = "float m, float f0"
         if "TWO_LOBES" in self.features:
             slopes = "float m, float second_m, float lobe_weight, float f0"
-        lines = [f"    if (term == {i}) return {each};" for i, each in enumerate(branches)]
+        lines = [f"    if (term == {i}) return {branch};" for i, branch in enumerate(branches)]
         return "\n".join(
             [
                 f"{self.prelude}#define SPECULAR",
@@ -252,7 +252,7 @@ def fixed_attributes(part: Part) -> dict[str, NDArray[np.floating[Any]]]:
         "in_color": part.colors,
         "in_uv2": part.uv2,
     }
-    return {name: values for name, values in columns.items() if values is not None}
+    return {name: column for name, column in columns.items() if column is not None}
 
 
 def table_attributes(part: Part) -> NDArray[np.float32]:
@@ -270,8 +270,8 @@ def table_attributes(part: Part) -> NDArray[np.float32]:
 def table_texels(part: Part) -> int:
     """Return the number of texels per triangle in the triangle table of a part: plane, normal,
     fixed attributes and tangent plane."""
-    fixed = (each for name, each in fixed_attributes(part).items() if name != "in_uv2")
-    return 5 + sum(int(each.shape[1]) for each in fixed)
+    fixed = (column for name, column in fixed_attributes(part).items() if name != "in_uv2")
+    return 5 + sum(int(column.shape[1]) for column in fixed)
 
 
 def table_features(part: Part) -> tuple[str, ...]:

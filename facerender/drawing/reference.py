@@ -85,9 +85,9 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     image = terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
     for layer in gbuffer.transparent_layers:
         assert layer.opacity is not None
-        over = layer.opacity[..., None].astype(np.float64)
-        behind = 1.0 - (1.0 - layer.transmission) * over
-        image = over * layers(layer, scene, shading).sum(shading) + behind * image
+        opacity = layer.opacity[..., None].astype(np.float64)
+        behind = 1.0 - (1.0 - layer.transmission) * opacity
+        image = opacity * layers(layer, scene, shading).sum(shading) + behind * image
     return image
 
 
@@ -106,20 +106,20 @@ def scattered(
     from facerender.scenes.scattering import scattering_of
     from facerender.terms.scattering import scatter, scatter_area
 
-    if (found := scattering_of(simplify(scene, shading), (width, height))) is None:
+    if (scattering := scattering_of(simplify(scene, shading), (width, height))) is None:
         return change
-    number = np.array([*found.numbers, 0])[gbuffer.part]
+    number = np.array([*scattering.numbers, 0])[gbuffer.part]
     place, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
-    for index, gaussians in enumerate(found.profiles, 1):
-        own = number == index
-        depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
-        scale = found.pixels / (depth * found.millimetres)
+    for index, gaussians in enumerate(scattering.profiles, 1):
+        pixels = number == index
+        depth = (place[pixels] - gbuffer.view.position) @ gbuffer.view.forward
+        scale = scattering.pixels / (depth * scattering.millimetres)
         light = scatter(
-            terms.light, place, number, area, own,
-            scale=scale, unit=found.millimetres, gaussians=gaussians,
+            terms.light, place, number, area, pixels,
+            scale=scale, unit=scattering.millimetres, gaussians=gaussians,
             samples=shading.scatter_samples,
         )  # fmt: skip
-        change[own] = terms.albedo[own] * (light - terms.light[own])
+        change[pixels] = terms.albedo[pixels] * (light - terms.light[pixels])
     return change
 
 
@@ -174,8 +174,8 @@ class _Pixels:
         if material.two_lobes:
             assert gbuffer.second_m is not None
             assert gbuffer.lobe_weight is not None
-            own = term.second(material.second_slope)
-            second_m = np.broadcast_to(own.slope(values(gbuffer.second_m)), m.shape)
+            second = term.second(material.second_slope)
+            second_m = np.broadcast_to(second.slope(values(gbuffer.second_m)), m.shape)
             lobe_weight = values(gbuffer.lobe_weight)
         return cls(
             position,
@@ -196,8 +196,11 @@ class _Pixels:
             return None
         lobes = [(self.m, self.weight)]
         if self.second_m is not None and self.lobe_weight is not None:
-            first = self.lobe_weight * self.weight
-            lobes = [(self.m, first), (self.second_m, (1.0 - self.lobe_weight) * self.weight)]
+            first_weight = self.lobe_weight * self.weight
+            lobes = [
+                (self.m, first_weight),
+                (self.second_m, (1.0 - self.lobe_weight) * self.weight),
+            ]
         means = (w * cook_torrance_albedo_mean(m, material.f0) for m, w in lobes)
         bare = _Coupling(lobes, material.f0, self.weight, np.sum([*means], axis=0))
         return replace(bare, camera=bare.towards(dot(self.n, self.v)))
@@ -223,29 +226,29 @@ def layers(
     light_of, albedo_of = (
         np.zeros((2, *gbuffer.normalised_position.shape)) if scatters else (None, None)
     )
-    own = [shading.of(light) or shading.term for light in range(len(scene.lights))]
-    terms = [resolved.allowed(term) for term in own]
+    light_terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
+    terms = [resolved.allowed(term) for term in light_terms]
     for index, material in enumerate(scene.mesh.materials):
         covered = gbuffer.part == index
         if not covered.any():
             continue
         pixels = _Pixels.of(gbuffer, covered, material, shading.term)
         coupling = pixels.coupling(material, shading)
-        left = coupling.left(coupling.mean) if coupling else 1.0
-        entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * left
+        factor = coupling.left(coupling.mean) if coupling else 1.0
+        entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * factor
         ambient[covered] = pixels.albedo * entered
         for light, (source, by_part) in enumerate(zip(scene.lights, terms, strict=True)):
             visible = gbuffer.visibility[covered][:, light, None] if source.shadow else None
             l, spread, specular[light][covered] = _lit(
                 pixels, material, by_part[index], source, scene, visible
             )
-            left = coupling.left(coupling.towards(dot(pixels.n, l))) if coupling else 1.0
-            diffuse[covered] += pixels.albedo * spread * left
-            entered = entered + spread * left
+            factor = coupling.left(coupling.towards(dot(pixels.n, l))) if coupling else 1.0
+            diffuse[covered] += pixels.albedo * spread * factor
+            entered = entered + spread * factor
         if light_of is not None and albedo_of is not None:
             light_of[covered], albedo_of[covered] = entered, pixels.albedo
-    more = light_of, albedo_of, gbuffer.emission
-    return Layers(ambient, diffuse, specular, environment, *more)
+    optional_images = light_of, albedo_of, gbuffer.emission
+    return Layers(ambient, diffuse, specular, environment, *optional_images)
 
 
 def _lit(
@@ -273,12 +276,12 @@ def _lit(
         k = half_sum(s)
         spread = irradiance * cosine_disc(cosine, s, k)[:, None]
         variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
-    value = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
+    brdf = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
     if pixels.second_m is not None and pixels.lobe_weight is not None:
         second = term.second(material.second_slope)
-        other = second.brdf(n, l, v, slope_filtered(pixels.second_m, variance), material.f0)
-        value = pixels.lobe_weight * value + (1.0 - pixels.lobe_weight) * other
-    return l, spread, received * (pixels.weight * value)[:, None]
+        second_brdf = second.brdf(n, l, v, slope_filtered(pixels.second_m, variance), material.f0)
+        brdf = pixels.lobe_weight * brdf + (1.0 - pixels.lobe_weight) * second_brdf
+    return l, spread, received * (pixels.weight * brdf)[:, None]
 
 
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
@@ -307,8 +310,8 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
             total *= coupling.left(coupling.mean)
         lobes = [(pixels.m, pixels.weight)]
         if pixels.second_m is not None and pixels.lobe_weight is not None:
-            first = pixels.lobe_weight * pixels.weight
-            lobes = [(pixels.m, first), (pixels.second_m, pixels.weight - first)]
+            first_weight = pixels.lobe_weight * pixels.weight
+            lobes = [(pixels.m, first_weight), (pixels.second_m, pixels.weight - first_weight)]
         term = replace(shading.term, lobe="exact", m=None)
         brdf = partial(term.brdf, f0=material.f0)
         for m, weight in lobes * bool(samples and material.ks > 0.0):
@@ -337,8 +340,8 @@ class _Coupling:
 
     def towards(self, cosine: Float) -> Float:
         """Return the specular albedo (N,) in each direction, given its cosine to the normal."""
-        each = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
-        return np.asarray(np.sum([*each], axis=0))
+        albedos = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
+        return np.asarray(np.sum([*albedos], axis=0))
 
     def left(self, albedo: Float) -> Float:
         """Return the factor of the diffuse term for a light, (N, 1).

@@ -166,11 +166,11 @@ class Renderer:
     def _check_size(self) -> None:
         with self.context.drawing() as gl:
             limits = gl.info
-        most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
-        if max(self.size) > most:
+        limit = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
+        if max(self.size) > limit:
             raise ContextError(
                 f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} allows at most "
-                f"{most} pixels a side; give a smaller size"
+                f"{limit} pixels a side; give a smaller size"
             )
 
     @classmethod
@@ -315,15 +315,15 @@ class Renderer:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
         before, aspect = check_before(scene), self.size[0] / self.size[1]
         views = view_of(scene, aspect), view_of(before, aspect)
-        lens, own, flat = _lens(scene, self.size), self, scene
+        lens, renderer, flat = _lens(scene, self.size), self, scene
         if lens:
-            own, flat = self._of_size(lens.wide), lens.undistorted(scene)
-        view = view_of(flat, own.size[0] / own.size[1])
-        resolved = own._resolved(flat, shading, view, 1)
+            renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
+        view = view_of(flat, renderer.size[0] / renderer.size[1])
+        resolved = renderer._resolved(flat, shading, view, 1)
         drawn = triangle_pass(resolved, view)
-        (triangles,) = own._draw([drawn], resolved.scene)
+        (triangles,) = renderer._draw([drawn], resolved.scene)
         triangles = lens.nearest_values(triangles) if lens else triangles
-        rays = Rays(view, own.size, lens.places if lens else pixel_centres(self.size))
+        rays = Rays(view, renderer.size, lens.places if lens else pixel_centres(self.size))
         return motion_vectors(scene, before, views, drawn, triangles, rays)
 
     def landmarks(
@@ -373,12 +373,12 @@ class Renderer:
             return lens.nearest(drawn, view)
         resolved = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
         with self._layer_lock:
-            over = [
+            layers = [
                 layer
                 for blended_part in (blended_parts(resolved.scene, view) if blended else ())
                 for layer in self._layers(resolved, view, blended_part)
             ]
-        return replace(self._gbuffer(resolved, view)[0], transparent_layers=tuple(over))
+        return replace(self._gbuffer(resolved, view)[0], transparent_layers=tuple(layers))
 
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
@@ -413,19 +413,19 @@ class Renderer:
             passes = with_shadows(resolved, view, self.size, passes)
         textures: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
-            before = self._sized(replace(surface.target, number=1 - surface.target.number))
-            textures[PREVIOUS_LAYER] = self._resources.targets[before].color_attachments[-1]  # type: ignore[assignment]
+            prior_target = self._sized(replace(surface.target, number=1 - surface.target.number))
+            textures[PREVIOUS_LAYER] = self._resources.targets[prior_target].color_attachments[-1]  # type: ignore[assignment]
         names = surface_images(scene, blended_part is not None)
         images = dict(zip(names, self._draw(passes, scene, textures), strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
-        seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
+        visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if number := len(lighting.shadowed):
-            look = light_visibility_pass(resolved, view, visibility, blended_part)
-            seen_by = [visibility.drawn(), look] if visibility else [look]
-            passes = with_shadows(resolved, view, self.size, seen_by)
+            light_pass = light_visibility_pass(resolved, view, visibility, blended_part)
+            light_passes = [visibility.drawn(), light_pass] if visibility else [light_pass]
+            passes = with_shadows(resolved, view, self.size, light_passes)
             fractions = self._draw(passes, scene, textures)
-            seen[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
+            visibilities[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -436,7 +436,7 @@ class Renderer:
             specular_weight=albedo[..., 3],
             occlusion=uv[..., 2],
             uv=uv[..., :2],
-            visibility=seen,
+            visibility=visibilities,
             view=view,
             space=(*scene.mesh.center.tolist(), scene.mesh.radius),
             second_m=None if lobes is None else lobes[..., 0],
@@ -535,7 +535,7 @@ class Renderer:
             resized._check_size()
             with self._layer_lock, self.context.drawing() as gl:
                 resources = self._resources
-                for target in [each for each in resources.targets if each.size in self._sizes]:
+                for target in [key for key in resources.targets if key.size in self._sizes]:
                     for cache in (resources.targets, resources.scopes, resources.images_held):
                         cache.pop(target, None)
                 gl.gc()
@@ -554,20 +554,20 @@ class Renderer:
     # --- OpenGL ----------------------------------------------------------------------------------
 
     def _draw(
-        self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
+        self, passes: list[Pass], scene: Scene, inputs: Mapping[str, moderngl.Texture] = {}
     ) -> list[NDArray[np.float32]]:
         """Draw passes in order, and return the images of the last pass.
 
-        known : further textures that the passes may read, keyed by uniform name
+        inputs : further textures that the passes may read, keyed by uniform name
         """
-        textures = dict(known)
+        textures = dict(inputs)
         with self.context.drawing() as gl:
             self._resources.settle()
             if scene.environment is not None:
                 textures[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
-                if (own := self._sized(step.target)) is not step.target:
-                    step = replace(step, target=own)
+                if (sized_target := self._sized(step.target)) is not step.target:
+                    step = replace(step, target=sized_target)
                 target = self._resources.draw(step, scene.mesh, textures)
                 kind = step.target
                 if kind.samples > 1 and kind.values == "color" and kind.resolved:

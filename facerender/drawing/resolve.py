@@ -70,16 +70,16 @@ class Lighting:
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
         """Sort the lights of a scene. If a light uses ``shading.term``, this term gets index 0."""
-        own = [shading.of(light) for light in range(len(scene.lights))]
-        first = [shading.term] if shading.term in own else []
-        terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
+        light_terms = [shading.of(light) for light in range(len(scene.lights))]
+        first = [shading.term] if shading.term in light_terms else []
+        terms = tuple(dict.fromkeys([*first, *(term for term in light_terms if term is not None)]))
         sorted_: dict[tuple[str, int, bool], list[int]] = {
             (kind, number, shadow): []
             for kind in sorted(LIGHT_KINDS)
             for number in (*range(len(terms)), -1)
             for shadow in (False, True)
         }
-        for index, (light, term) in enumerate(zip(scene.lights, own, strict=True)):
+        for index, (light, term) in enumerate(zip(scene.lights, light_terms, strict=True)):
             number = -1 if term is None else terms.index(term)
             sorted_[light.kind.name, number, light.shadow].append(index)
         groups, maps = [], 0
@@ -175,7 +175,7 @@ class ResolvedScene:
         ------
         InputError : m lies outside the lobe's domain, and ``shading.outside`` is "error"
         """
-        return [term.for_slopes(*ends, self.shading.outside) for ends in self.slopes]
+        return [term.for_slopes(*limits, self.shading.outside) for limits in self.slopes]
 
     def parts(self, specular: bool = True) -> list[ResolvedPart]:
         """Return the parts with their terms. For errors see :meth:`allowed`.

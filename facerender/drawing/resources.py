@@ -95,7 +95,7 @@ class Geometry:
         if columns:
             rows = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
             fixed = gl.buffer(rows)
-        widths = {name: values.shape[1] for name, values in columns.items()}
+        widths = {name: column.shape[1] for name, column in columns.items()}
         moving = gl.buffer(setup.vertices, dynamic=True)
         return cls(setup, moving, fixed, widths, gl.buffer(setup.faces))
 
@@ -200,11 +200,14 @@ def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
     """Write items (N, ...) to the first texels of a texture, row by row."""
     values = np.ascontiguousarray(values).reshape(len(values), -1)
     width = values.shape[1] // texture.components
-    whole = len(values) // IN_ROW
-    for first, rows, columns in ((0, whole, IN_ROW), (whole, 1, len(values) - whole * IN_ROW)):
+    full_rows = len(values) // IN_ROW
+    for first_row, rows, columns in (
+        (0, full_rows, IN_ROW),
+        (full_rows, 1, len(values) - full_rows * IN_ROW),
+    ):
         if rows and columns:
-            own = values[first * IN_ROW : first * IN_ROW + rows * columns]
-            texture.write(own, (0, first, columns * width, rows))
+            block = values[first_row * IN_ROW : first_row * IN_ROW + rows * columns]
+            texture.write(block, (0, first_row, columns * width, rows))
 
 
 class Resources:
@@ -242,9 +245,9 @@ class Resources:
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
         textures = (self.panoramas, self.selected, self.textures)
-        others = (self.geometries, self.programs, self.targets, self.scopes, self.screen_arrays)
-        for made in (*textures, *others, self.images_held):
-            made.clear()
+        objects = (self.geometries, self.programs, self.targets, self.scopes, self.screen_arrays)
+        for cache in (*textures, *objects, self.images_held):
+            cache.clear()
         self.context.gl.gc()
 
     def settle(self) -> None:
@@ -315,23 +318,23 @@ class Resources:
 
     def _switch(self, step: Pass, draw: Draw) -> None:
         """Set blending and face culling for a draw."""
-        gl, over = self.context.gl, draw.depth == "blend"
-        enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or over)
+        gl, blended = self.context.gl, draw.depth == "blend"
+        enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or blended)
         gl.enable_only(enabled | moderngl.CULL_FACE * (draw.double_sided is False))
-        gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
+        gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if blended else moderngl.ONE
         gl.cull_face = "front"  # the image is drawn upside down, so front and back swap
 
     @contextmanager
     def _to_coverage(self, on: bool) -> Iterator[None]:
         """If `on`, convert alpha to sample coverage and replace alpha by 1 in the with block."""
         gl = self.context.gl
-        for each in _TO_COVERAGE * on:
-            gl.enable_direct(each)
+        for capability in _TO_COVERAGE * on:
+            gl.enable_direct(capability)
         try:
             yield
         finally:
-            for each in _TO_COVERAGE * on:
-                gl.disable_direct(each)
+            for capability in _TO_COVERAGE * on:
+                gl.disable_direct(capability)
 
     def _draw(
         self, draw: Draw, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
@@ -358,8 +361,8 @@ class Resources:
             maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
             for name, source, kind in maps:
                 if program.get(name, None):
-                    own = self.texture(name, source, kind)  # before use(): uploads bind unit 0
-                    textures[name] = own
+                    map_ = self.texture(name, source, kind)  # before use(): uploads bind unit 0
+                    textures[name] = map_
         if draw.part is not None and draw.depth == "marked":
             table = self.geometries[draw.part.root].table
             assert table is not None
@@ -367,7 +370,7 @@ class Resources:
         if draw.order is not None and program.get(SELECTED_TRIANGLES, None):
             assert draw.part is not None
             textures[SELECTED_TRIANGLES] = self._selected(draw.part, draw.order)
-        used = [each for each in textures.items() if program.get(each[0], None)]
+        used = [binding for binding in textures.items() if program.get(binding[0], None)]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
             set_uniforms(program, {name: unit})
@@ -380,17 +383,17 @@ class Resources:
         smallest maps come first, because an image is decoded again for each part that uses it.
         """
         maps = {
-            each: None
+            map_: None
             for part, material in zip(mesh.parts, mesh.materials, strict=True)
-            for each in part_maps(part, material, self.albedo_kind, slope_filter)
-            if each[1].coarse
+            for map_ in part_maps(part, material, self.albedo_kind, slope_filter)
+            if map_[1].coarse
         }
         if not maps:
             return
         costly: tuple[Kind, ...] = ("normal", "color", "data")
         with self.context.drawing():
             for name, source, kind in sorted(
-                maps, key=lambda each: (costly.index(each[2]), math.prod(each[1].size))
+                maps, key=lambda map_: (costly.index(map_[2]), math.prod(map_[1].size))
             ):
                 self.texture(name, source, kind)
 
@@ -402,10 +405,10 @@ class Resources:
         """
         gl, size = self.context.gl, kind.size or self.size
         if kind.depth_of is not None and area is not None:
-            least = self.targets[kind].size if kind in self.targets else (0, 0)
+            minimum = self.targets[kind].size if kind in self.targets else (0, 0)
             right, top = (-(-(area[i] + area[i + 2]) // _STEP) * _STEP for i in (0, 1))
-            size = min(size[0], max(right, least[0])), min(size[1], max(top, least[1]))
-            if size != least:
+            size = min(size[0], max(right, minimum[0])), min(size[1], max(top, minimum[1]))
+            if size != minimum:
                 self.targets.pop(kind, None)
                 gl.gc()
         if kind not in self.targets:
@@ -422,11 +425,11 @@ class Resources:
                     for color in colors:
                         color.filter = moderngl.NEAREST, moderngl.NEAREST
                 if kind.depth_of is None:
-                    made = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
+                    target = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
                 else:
-                    made = gl.framebuffer(colors)
-                    self._share_depth(self.target(kind.depth_of), made)
-                self.targets[kind] = made
+                    target = gl.framebuffer(colors)
+                    self._share_depth(self.target(kind.depth_of), target)
+                self.targets[kind] = target
                 self.scopes[kind] = gl.scope(self.targets[kind])
             except moderngl.Error as error:
                 raise ContextError(
@@ -466,25 +469,25 @@ class Resources:
         """Return the geometry of a part, which is uploaded on first use. Positions and normals are
         uploaded again if the pose, or the mesh's centre or radius, has changed."""
         setup, root = triangle_setup_of(part, mesh), part.root
-        made = self.geometries.get(root)
-        if made is None:
+        geometry = self.geometries.get(root)
+        if geometry is None:
             self.context.gl.gc()
-            made = self.geometries[root] = Geometry.of(self.context.gl, root, setup)
-        elif made.setup is not setup:
-            made.show(setup)
-        return made
+            geometry = self.geometries[root] = Geometry.of(self.context.gl, root, setup)
+        elif geometry.setup is not setup:
+            geometry.show(setup)
+        return geometry
 
     def _draw_table(self, part: Part, mesh: Mesh) -> None:
         """Draw the triangle table of a part, unless it is up to date."""
-        gl, made = self.context.gl, self.geometry(part, mesh)
-        if made.table is None:
+        gl, geometry = self.context.gl, self.geometry(part, mesh)
+        if geometry.table is None:
             self._settled = False
             gl.gc()
-            made.table = TriangleTable.of(gl, part.root)
-        table = made.table
-        if table.setup is made.setup:
+            geometry.table = TriangleTable.of(gl, part.root)
+        table = geometry.table
+        if table.setup is geometry.setup:
             return
-        _fill(table.vertices, made.setup.vertices)
+        _fill(table.vertices, geometry.setup.vertices)
         columns = table.attributes.width // IN_ROW
         macros = *table_features(part), f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
@@ -496,7 +499,7 @@ class Resources:
         table.target.use()
         gl.enable_only(moderngl.NOTHING)
         self._screen(program).render(vertices=3)
-        table.setup = made.setup
+        table.setup = geometry.setup
 
     def _screen(self, program: moderngl.Program) -> moderngl.VertexArray:
         """Return the vertex array of a program that draws one triangle over the target."""
@@ -546,8 +549,8 @@ class Resources:
                 f"{source.name} is {width} x {height} texels: this driver allows at most {limit} a "
                 "side; give a smaller map"
             )
-        first = levels[0][:1, :1].copy()  # sets the unpack alignment to 1 for all levels
-        texture = gl.texture((1, 1), components, first, 0, 1, dtype, internal_format=internal)
+        first_texel = levels[0][:1, :1].copy()  # sets the unpack alignment to 1 for all levels
+        texture = gl.texture((1, 1), components, first_texel, 0, 1, dtype, internal_format=internal)
         texture.use(0)
         self._reserve(internal, [level.shape for level in levels], layout, data_type)
         upload = self.context.function("glTexSubImage2D", *[ctypes.c_int] * 8, ctypes.c_void_p)

@@ -74,7 +74,7 @@ class TriangleSetup:
     @cached_property
     def planes(self) -> NDArray[np.float32]:
         """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
-        columns, faces = (np.ascontiguousarray(own.T) for own in (self.positions, self.faces))
+        columns, faces = (np.ascontiguousarray(array.T) for array in (self.positions, self.faces))
         corners, normals = map(np.stack, face_normals([*columns], faces))
         normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
         return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
@@ -96,18 +96,18 @@ class TriangleSetup:
         clip = self.bounds @ view.matrix
         if clip[:, 3].min() <= 0.0:
             return Area(0, 0, *size)
-        at = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
-        start = np.clip(np.floor(at.min(axis=0)), 0, size).astype(int)
-        end = np.clip(np.ceil(at.max(axis=0)), 0, size).astype(int)
+        corners = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
+        start = np.clip(np.floor(corners.min(axis=0)), 0, size).astype(int)
+        end = np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(int)
         return Area(*start.tolist(), *(end - start).tolist())
 
 
 def around(areas: Sequence[Area]) -> Area:
     """Return the bounds of several areas. Empty areas are ignored."""
-    seen = [area for area in areas if not area.empty] or [NO_AREA]
-    left, low = min(area.left for area in seen), min(area.low for area in seen)
-    right = max(area.left + area.width for area in seen)
-    return Area(left, low, right - left, max(area.low + area.height for area in seen) - low)
+    non_empty = [area for area in areas if not area.empty] or [NO_AREA]
+    left, low = min(area.left for area in non_empty), min(area.low for area in non_empty)
+    right = max(area.left + area.width for area in non_empty)
+    return Area(left, low, right - left, max(area.low + area.height for area in non_empty) - low)
 
 
 _made: WeakKeyDictionary[Part, TriangleSetup] = WeakKeyDictionary()
@@ -116,7 +116,7 @@ _made: WeakKeyDictionary[Part, TriangleSetup] = WeakKeyDictionary()
 def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
     """Return the triangle setup of a part of a mesh, from a cache. Meshes with the same centre and
     radius share one setup."""
-    known = _made.get(part)
-    if known is None or known.space != (*mesh.center.tolist(), mesh.radius):
-        _made[part] = known = TriangleSetup.of(part, mesh)
-    return known
+    setup = _made.get(part)
+    if setup is None or setup.space != (*mesh.center.tolist(), mesh.radius):
+        _made[part] = setup = TriangleSetup.of(part, mesh)
+    return setup

@@ -46,8 +46,13 @@ def drawable(mesh: Mesh) -> Mesh:
         )
         plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
         strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
-        one = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None, "scattering": None}
-        materials.append(replace(material, **{**removed, **plain, **strengths, **one}))
+        reflectance = {
+            "second_slope": 1.0,
+            "lobe_weight": 1.0,
+            "lobe_map": None,
+            "scattering": None,
+        }
+        materials.append(replace(material, **{**removed, **plain, **strengths, **reflectance}))
     alphas = _alphas(mesh)
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
@@ -58,18 +63,20 @@ def drawable(mesh: Mesh) -> Mesh:
 def lost_features(mesh: Mesh) -> list[str]:
     """Return the names of the features of a mesh that the page does not draw."""
     alphas, materials = _alphas(mesh), mesh.materials
-    strengths = {(each.normal_strength, each.occlusion_strength) for each in materials}
-    blended = [part.name for part, own in zip(mesh.parts, alphas, strict=True) if own == "blend"]
-    more = [f"{len(blended) - MOST_NAMES} more"] if len(blended) > MOST_NAMES else []
-    names = f" ({', '.join([*blended[:MOST_NAMES], *more])})" if all(blended) else ""
-    found = {
+    strengths = {(material.normal_strength, material.occlusion_strength) for material in materials}
+    blended = [
+        part.name for part, alpha in zip(mesh.parts, alphas, strict=True) if alpha == "blend"
+    ]
+    remainder = [f"{len(blended) - MOST_NAMES} more"] if len(blended) > MOST_NAMES else []
+    names = f" ({', '.join([*blended[:MOST_NAMES], *remainder])})" if all(blended) else ""
+    features = {
         f"blended parts{names}": bool(blended),
         "masks": "mask" in alphas,
-        "emission": any(any(each.emissive) for each in materials),
+        "emission": any(any(material.emissive) for material in materials),
         "maps with second texture coordinates": any(map(_by_second, materials)),
         "map strengths": strengths != {(1.0, 1.0)},
     }
-    return [name for name, lost in found.items() if lost]
+    return [name for name, lost in features.items() if lost]
 
 
 def _alphas(mesh: Mesh) -> list[str]:
@@ -98,9 +105,10 @@ def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]
     facts = {
         "steps": steps | {"vertex": VERTEX_STEPS},
         "parts": parts,
-        "columns": [list(values.shape) for values in columns],
+        "columns": [list(column.shape) for column in columns],
         "maps": [
-            {"kind": kind, "wrap": own.wrap, "nearest": own.nearest} for own, kind in textures
+            {"kind": kind, "wrap": texture.wrap, "nearest": texture.nearest}
+            for texture, kind in textures
         ],
     }
     return facts, zlib.compress(b"".join(map(_planes, columns)), 9), textures
@@ -133,7 +141,7 @@ def _part(
     if part.occlusion is not None:
         values["occlusion"] = part.occlusion[:, None] * VERTEX_STEPS
     arrays = {name: len(columns) + i for i, name in enumerate(values)}
-    columns += [np.round(each).astype(np.int64) for each in values.values()]
+    columns += [np.round(column).astype(np.int64) for column in values.values()]
     uniforms: Mapping[str, Any] = part_uniforms(part, material)
     return {
         "features": surface_features(part, material, Shading()),
@@ -158,13 +166,13 @@ def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.where(low[:, None], folded, flat[:, :2]))
 
 
-def _planes(values: NDArray[np.int64]) -> bytes:
+def _planes(column: NDArray[np.int64]) -> bytes:
     """Encode integers (N, K) so that deflate compresses them well.
 
     The result contains the differences of successive rows, with the sign in the lowest bit. The
     four bytes of each difference are stored in four separate planes.
     """
-    steps = np.diff(values, axis=0, prepend=0)
+    steps = np.diff(column, axis=0, prepend=0)
     folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
     return folded.view(np.uint8).reshape(-1, 4).T.tobytes()
 

@@ -84,13 +84,13 @@ def explorer_page(
     if any(omitted.values()):
         names = ", ".join([*omitted["mesh"], *omitted["scene"]])
         warn(f"the explorer shows {mesh.name} without {names}")
-    whole, mesh = mesh, drawable(mesh)
+    full_mesh, mesh = mesh, drawable(mesh)
     lights, ambient = job.lights, job.ambient
     if job.environment is not None and not lights:
         lights, ambient = Scene.lights, Scene.ambient
     mesh_facts, arrays, textures = packed(mesh)
-    scale, offset = whole.radius / mesh.radius, (whole.center - mesh.center) / mesh.radius
-    framed = region_of(whole, job.camera.frame) or whole
+    scale, offset = full_mesh.radius / mesh.radius, (full_mesh.center - mesh.center) / mesh.radius
+    framed = region_of(full_mesh, job.camera.frame) or full_mesh
     factors = {name: job.material[name] for name in TERM_FACTORS if name in job.material}
     facts = {
         "version": __version__,
@@ -98,7 +98,7 @@ def explorer_page(
         "mesh": _words(job),
         "center": mesh.center.tolist(),
         "radius": mesh.radius,
-        "target": (target_of(whole, job.camera) * scale + offset).tolist(),
+        "target": (target_of(full_mesh, job.camera) * scale + offset).tolist(),
         "profile": (framed.profile * scale).round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
         **mesh_facts,
@@ -120,7 +120,7 @@ def explorer_page(
         _json("facts", facts),
         _bytes("geometry", arrays),
         _bytes("sources", sources),
-        *(_bytes(f"map-{i}", encoded(*each)) for i, each in enumerate(textures)),
+        *(_bytes(f"map-{i}", encoded(*pair)) for i, pair in enumerate(textures)),
     ]
     body = _text("explorer.html") + "".join(data)
     files = [_BROWSER / "explorer.css", *(_BROWSER / f"{name}.js" for name in _SCRIPTS)]
@@ -143,10 +143,10 @@ def _check(job: Job) -> None:
 
 def _term(term: Term) -> dict[str, Any]:
     """Return the values of a shading's controls; ``constant`` is the constant m of a plan."""
-    own = {"model": term.model, "fresnel": term.fresnel, "masking": term.masking}
+    terms = {"model": term.model, "fresnel": term.fresnel, "masking": term.masking}
     lobe = term.lobe
     power = asdict(lobe) if isinstance(lobe, GPower) else {}
-    return {**own, "lobe": "g-power" if power else lobe, "constant": term.m, **power}
+    return {**terms, "lobe": "g-power" if power else lobe, "constant": term.m, **power}
 
 
 def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
@@ -158,35 +158,37 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
         for number, light in enumerate(job.lights)
         if light.shadow and (drawn is None or number in drawn)
     ]
-    around = "the environment map" + (
+    environment = "the environment map" + (
         "" if job.lights else " (the default lights and ambient light replace the map)"
     )
-    others = [name for name in shading.as_dict() if name not in _DRAWN and name not in _OWN_NOTE]
-    image = [
-        each.name
-        for each in fields(ImageSettings)
-        if each.name != "size" and getattr(job.image, each.name) != each.default
+    parameters = [
+        name for name in shading.as_dict() if name not in _DRAWN and name not in _OWN_NOTE
     ]
-    found = {
+    image = [
+        field.name
+        for field in fields(ImageSettings)
+        if field.name != "size" and getattr(job.image, field.name) != field.default
+    ]
+    features = {
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
-        around: job.environment is not None,
-        "second lobes": shading.two_lobes and any(each.two_lobes for each in materials),
+        environment: job.environment is not None,
+        "second lobes": shading.two_lobes and any(material.two_lobes for material in materials),
         "subsurface scattering": shading.scatter_samples > 0
-        and any(each.scattering for each in materials),
+        and any(material.scattering for material in materials),
         "the coupled diffuse term": shading.diffuse != Shading.diffuse,
-        f"{', '.join(others)} of the shading": bool(others),
+        f"{', '.join(parameters)} of the shading": bool(parameters),
         f"{', '.join(image)} of the image": bool(image),
         "the planned level of detail": job.planned is not None,
         "all frames but one": plays,
     }
-    return [name for name, omitted in found.items() if omitted]
+    return [name for name, omitted in features.items() if omitted]
 
 
 def _aim(camera: Camera) -> dict[str, Any]:
     """Return the fields of a camera's framing that differ from their defaults."""
     fields = {"frame": camera.frame, "target": camera.target}
-    return {name: own for name, own in fields.items() if own != getattr(Camera, name)}
+    return {name: value for name, value in fields.items() if value != getattr(Camera, name)}
 
 
 def registry() -> dict[str, Any]:
@@ -222,7 +224,7 @@ def _ranges() -> dict[str, Any]:
     light = ("azimuth", "elevation", "radius", "irradiance")
     term = {name: range_of(Material, name) for name in ("m", "f0", "ks")}
     return {
-        "term": {name: pair(each) for name, each in (term | dict(ranges_of(GPower))).items()},
+        "term": {name: pair(limits) for name, limits in (term | dict(ranges_of(GPower))).items()},
         "camera": {name: pair(range_of(Camera, name)) for name in _CAMERA},
         "light": {name: pair(range_of(Light, name)) for name in light},
         "exposure": pair(EXPOSURES),
@@ -317,9 +319,11 @@ def _words(job: Job) -> dict[str, Any]:
     arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True) | green)]
     load = f"fr.load_mesh({', '.join(arguments)})"
     select = f".select({', '.join(keywords(selected))})" if selected else ""
-    pose = {name: own for name, own in asdict(job.pose).items() if own != getattr(Pose(), name)}
-    own = {n: each for n, each in job.material.items() if n not in (*TERM_FACTORS, *_UNDRAWN)}
-    materials = [f"--part {shlex.quote(part_text(*each))}" for each in job.parts.items()]
+    pose = {
+        name: value for name, value in asdict(job.pose).items() if value != getattr(Pose(), name)
+    }
+    factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *_UNDRAWN)}
+    materials = [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
     for name, table in job.parts.items():
         select += f".with_material({', '.join([repr(name), *keywords(table)])})"
     python = (f"fr.with_occlusion({load})" if occlusion else load) + _posed(job.pose) + select
@@ -329,7 +333,10 @@ def _words(job: Job) -> dict[str, Any]:
         ),
         "maps": options(maps),
         "python": f"fr.tracked({python})" if job.pose.track else python,
-        "material": {"toml": toml_text([("", own)]).strip().splitlines(), "python": keywords(own)},
+        "material": {
+            "toml": toml_text([("", factors)]).strip().splitlines(),
+            "python": keywords(factors),
+        },
         "pose": toml_text([("[pose]", pose)]) if pose else "",
     }
 
@@ -342,10 +349,12 @@ def _posed(pose: Pose) -> str:
         every = f"{{name: own[{frame}] for name, own in {load}.items()}}"
         return f".with_positions({every if npz else f'{load}[{frame}]'})"
     words = [
-        f"{name}={own!r}" for name in ("clip", "time") if (own := getattr(pose, name)) is not None
+        f"{name}={value!r}"
+        for name in ("clip", "time")
+        if (value := getattr(pose, name)) is not None
     ]
-    values = [*([repr(dict(pose.weights))] if pose.weights else []), *words]
-    return f".with_pose({', '.join(values)})" if values else ""
+    arguments = [*([repr(dict(pose.weights))] if pose.weights else []), *words]
+    return f".with_pose({', '.join(arguments)})" if arguments else ""
 
 
 def _text(name: str) -> str:

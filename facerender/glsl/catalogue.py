@@ -53,8 +53,8 @@ def _functions(name: str) -> list[Function]:
     header = _comment(text[: text.index("#ifndef")])
     result = []
     for comment, kind, function, parameters in _FUNCTION.findall(text):
-        own = _comment(comment)
-        known = _keyed(header) | _keyed(own)
+        description = _comment(comment)
+        texts = _keyed(header) | _keyed(description)
         parameters = " ".join(parameters.split())
         names = [parameter.split()[1] for parameter in parameters.split(", ")]
         result.append(
@@ -62,13 +62,13 @@ def _functions(name: str) -> list[Function]:
                 function,
                 f"{kind} {function}({parameters})",
                 file,
-                _sentence(own or header),
-                {name: known[name] for name in names},
-                known["formula"],
-                known["unit"],
-                known.get("returns", ""),
-                known["error"],
-                known["source"],
+                _sentence(description or header),
+                {name: texts[name] for name in names},
+                texts["formula"],
+                texts["unit"],
+                texts.get("returns", ""),
+                texts["error"],
+                texts["source"],
             )
         )
     return result

@@ -93,17 +93,21 @@ def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
     """Return m of both lobes as GLSL: numbers if the term has a constant m, otherwise variables.
     The second string is "" if there is one lobe."""
     second = None if second_slope is None else term.second(second_slope).slope("second_m")
-    first, other = (
-        each if isinstance(each, str) else repr(float(each))
-        for each in (term.slope("m"), second or "")
+    first_m, second_m = (
+        slope if isinstance(slope, str) else repr(float(slope))
+        for slope in (term.slope("m"), second or "")
     )
-    return first, other
+    return first_m, second_m
 
 
 def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
     """Return the call for one lobe, or for two lobes the weighted mean of both calls."""
-    first, other = (code.format(m=each, **macros) for each in (m, second))
-    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}" if second else first
+    first_call, second_call = (code.format(m=slope, **macros) for slope in (m, second))
+    return (
+        f"lobe_weight * {first_call} + (1.0 - lobe_weight) * {second_call}"
+        if second
+        else first_call
+    )
 
 
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:

@@ -63,11 +63,11 @@ def scan(text: str) -> Scan:
     if "/*" in text or "\\\n" in text:
         text = _COMMENT_OR_STRING.sub(_blank_behind_directive, text)
         code = _blanked(text)
-    found = []
+    directives = []
     for match in _DIRECTIVE.finditer(code):
-        rest = _blanked(match[2]) if "//" in match[2] else match[2]
-        found.append(Directive(match.start(), match.end(), match[1], rest.strip()))
-    return Scan(text, tuple(found), _guarded(code, found))
+        words = _blanked(match[2]) if "//" in match[2] else match[2]
+        directives.append(Directive(match.start(), match.end(), match[1], words.strip()))
+    return Scan(text, tuple(directives), _guarded(code, directives))
 
 
 def _guarded(code: str, directives: list[Directive]) -> bool:
@@ -79,8 +79,8 @@ def _guarded(code: str, directives: list[Directive]) -> bool:
     if names != ("ifndef", "define", [first.rest]) or not _NOTHING.fullmatch(around):
         return False
     depth = 0
-    for each in directives[:-1]:
-        depth += (each.name in IF) - (each.name == "endif")
+    for directive in directives[:-1]:
+        depth += (directive.name in IF) - (directive.name == "endif")
         if depth == 0:
             return False
     return last.name == "endif"
@@ -160,31 +160,34 @@ class Includes:
         path : path of the text's file; "" for text without a file
         """
         text, directives, guarded = scan(text)
-        source, at = len(self.files), 0
+        source, position = len(self.files), 0
         counts: list[int] = []  # Number of inserted files before each open condition.
         if path:
             self._parts.append(f"#line 1 {source}  // {self.files[-1]}\n")
-        for each in directives[1:-1] if guarded else directives:
-            if each.name in IF:
+        for directive in directives[1:-1] if guarded else directives:
+            if directive.name in IF:
                 self._scopes.append(set())
                 counts.append(len(self.files))
-            elif each.name in ("elif", "else", "endif"):
-                self._check_open(bool(counts), each, text, path)
+            elif directive.name in ("elif", "else", "endif"):
+                self._check_open(bool(counts), directive, text, path)
                 self._scopes[-1] = set()
-                before = counts[-1]
-                if each.name == "endif":
+                count = counts[-1]
+                if directive.name == "endif":
                     self._scopes.pop()
                     counts.pop()
-                if len(self.files) > before:  # Compilers ignore #line in a skipped branch.
-                    self._parts += text[at : each.end], f"\n#line {_line(text, each) + 1} {source}"
-                    at = each.end
-            elif each.name == "include":
-                self._parts.append(text[at : each.start])
-                if found := self._found(each, text, path):
-                    self.append_file(found)
-                    self._parts.append(f"\n#line {_line(text, each) + 1} {source}")
-                at = each.end
-        self._parts.append(text[at:])
+                if len(self.files) > count:  # Compilers ignore #line in a skipped branch.
+                    self._parts += (
+                        text[position : directive.end],
+                        f"\n#line {_line(text, directive) + 1} {source}",
+                    )
+                    position = directive.end
+            elif directive.name == "include":
+                self._parts.append(text[position : directive.start])
+                if file := self._found(directive, text, path):
+                    self.append_file(file)
+                    self._parts.append(f"\n#line {_line(text, directive) + 1} {source}")
+                position = directive.end
+        self._parts.append(text[position:])
         self._check_closed(not counts, path)
 
     def _found(self, include: Directive, text: str, path: str) -> str:
@@ -197,19 +200,19 @@ class Includes:
         beside = [os.path.dirname(path) or "."] if path and match[1] else []
         folders = [*beside, self._root]
         try:
-            found = _first(name, folders)
-            if found is None and beside:
+            file = _first(name, folders)
+            if file is None and beside:
                 folders.insert(1, os.path.dirname(os.path.realpath(path)))
-                found = _first(name, folders)
+                file = _first(name, folders)
         except OSError as error:
             raise self._error(include, text, path, f"cannot read {name}: {reason(error)}") from None
-        if found is None:
+        if file is None:
             message = f"no file {name} in {' or '.join(dict.fromkeys(folders))}"
             raise self._error(include, text, path, message)
-        place, identity = found
-        being_read = [each for each, _ in self._chain]
+        place, identity = file
+        being_read = [file_identity for file_identity, _ in self._chain]
         if identity in being_read:
-            cycle = [each for _, each in self._chain[being_read.index(identity) :]]
+            cycle = [file_path for _, file_path in self._chain[being_read.index(identity) :]]
             message = f"include cycle {' -> '.join(map(self._name, [*cycle, place]))}"
             raise self._error(include, text, path, message)
         if len(self._chain) == DEEPEST:
@@ -223,22 +226,22 @@ class Includes:
     def _name(self, path: str) -> str:
         """Return a file's path below the include directory, or `path` if the file is elsewhere."""
         root = os.path.join(self._root, "")
-        whole = os.path.normpath(path)
-        if not whole.startswith(root):
-            whole = os.path.realpath(path)  # A link may lead into the library.
-        inside = whole.startswith(root)
-        return whole.removeprefix(root).replace(os.sep, "/") if inside else path
+        location = os.path.normpath(path)
+        if not location.startswith(root):
+            location = os.path.realpath(path)  # A link may lead into the library.
+        inside = location.startswith(root)
+        return location.removeprefix(root).replace(os.sep, "/") if inside else path
 
-    def _place(self, at: Directive, text: str, path: str) -> str:
-        line = _line(text, at)
+    def _place(self, directive: Directive, text: str, path: str) -> str:
+        line = _line(text, directive)
         return f"{self._name(path)}:{line}" if path else f"line {line}"
 
-    def _error(self, at: Directive, text: str, path: str, message: str) -> InputError:
-        return InputError(f"{self._place(at, text, path)}: {message}")
+    def _error(self, directive: Directive, text: str, path: str, message: str) -> InputError:
+        return InputError(f"{self._place(directive, text, path)}: {message}")
 
-    def _check_open(self, is_open: bool, each: Directive, text: str, path: str) -> None:
+    def _check_open(self, is_open: bool, directive: Directive, text: str, path: str) -> None:
         if not is_open:
-            raise self._error(each, text, path, f"#{each.name} without #if")
+            raise self._error(directive, text, path, f"#{directive.name} without #if")
 
     def _check_closed(self, closed: bool, path: str) -> None:
         if not closed:

@@ -101,9 +101,9 @@ def term_source(
     smallest_m : lowest m of the material; used if the term has no constant m
     two_lobes : whether to return the function with two lobes; both slopes remain parameters
     """
-    one = replace(term, m=None) if two_lobes else term
-    macros = term_macros(one, smallest_m)
-    return _flat(file_of(term, two_lobes), target, macros, term.lobe, one.m)
+    variant = replace(term, m=None) if two_lobes else term
+    macros = term_macros(variant, smallest_m)
+    return _flat(file_of(term, two_lobes), target, macros, term.lobe, variant.m)
 
 
 def _flat(
@@ -137,8 +137,8 @@ def _flat(
         if version:
             raise InputError(f"{name} contains {version}: leave out that line or the target")
         version = f"#version {TARGETS[target]}" if target in TARGETS else ""
-    own = path.is_relative_to(shader_dir())
-    label = flat.files[0] if own else path.name
+    in_library = path.is_relative_to(shader_dir())
+    label = flat.files[0] if in_library else path.name
     origin = f"{label.encode(errors='replace').decode()} with what it includes of facerender"
     slope = "" if m is None else f", m = {m:g} whatever the caller passes"
     head = [
@@ -158,7 +158,9 @@ def _flat(
             remedy = f"write this code in {language}"
             if target != "wgsl":
                 remedy += ", or convert the SPIR-V of target vulkan with spirv-cross"
-            raise InputError(f"{label if own else name} in {language}: {error}; {remedy}") from None
+            raise InputError(
+                f"{label if in_library else name} in {language}: {error}; {remedy}"
+            ) from None
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
@@ -204,11 +206,11 @@ def moderngl_includes(context: moderngl.Context) -> None:
 def _path(name: str) -> Path:
     root = shader_dir() / "facerender"
     stem = name.removeprefix("facerender/").removesuffix(".glsl")
-    own = Path(name)
-    if stem in library() and (stem == name or not os.path.isfile(own)):
+    host_file = Path(name)
+    if stem in library() and (stem == name or not os.path.isfile(host_file)):
         return root / f"{stem}.glsl"
-    if own.suffix or os.path.exists(own):
-        return own
+    if host_file.suffix or os.path.exists(host_file):
+        return host_file
     for file in library():
         path = root / f"{file}.glsl"
         if re.search(rf"^\w+ {re.escape(name)}\(", path.read_text(encoding="utf-8"), re.MULTILINE):
@@ -229,21 +231,21 @@ def _constant_slope(
 
     if any(model.two and has(model.two) for model in MODELS.values()):
         raise InputError(f"{name} has two slopes: leave m = {m:g} out")
-    used = sorted(filter(has, LOBES.values()), key=lambda each: each.name)
+    used = sorted(filter(has, LOBES.values()), key=lambda entry: entry.name)
     if not used:
         raise InputError(f"{name} does not use a slope: leave m = {m:g} out")
     if "facerender/lobe.glsl" in flat.files and not flat.is_defined("FR_LOBE"):
         raise InputError(f"m = {m:g} without a lobe: give a lobe, which determines m's domain")
     powers = list(dict.fromkeys(model.k for model in MODELS.values() if has(model)))
     powers = powers or list(TITLES)
-    for each in used if lobe is None else [lobe_entry(lobe)]:
+    for entry in used if lobe is None else [lobe_entry(lobe)]:
         for k in powers:
-            each.check(m, k)
+            entry.check(m, k)
 
     macros = {"FR_SLOPE(m)": str(float(m))}
     if isinstance(lobe, GPower):
         macros["FR_STEEPNESS(m, k)"] = str(float(lobe.factor / m**2 - lobe.offset))
-    for macro, coefficients in filter(None, (each.constants for each in used)):
+    for macro, coefficients in filter(None, (entry.constants for entry in used)):
         vectors = [coefficients(m, k) for k in powers]
         texts = [f"vec{len(a)}({', '.join(f'{x:#.9g}' for x in a)})" for a in vectors]
         choice = f"((k) == {powers[0]} ? {texts[0]} : {texts[-1]})"

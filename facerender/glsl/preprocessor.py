@@ -91,54 +91,56 @@ class Preprocessor(Includes):
         InputError : see :meth:`Includes.append_file`; or a line defines a macro of `chosen`
         """
         text, directives, guarded = scan(text)
-        at, depth = 0, len(self._conditionals)
-        for number, each in enumerate(directives):
+        position, depth = 0, len(self._conditionals)
+        for number, directive in enumerate(directives):
             if self._active:
-                self._parts.append(text[at : each.start])
-            at = each.end + 1
-            line = text[each.start : at]
-            if each.name in IF:
+                self._parts.append(text[position : directive.start])
+            position = directive.end + 1
+            line = text[directive.start : position]
+            if directive.name in IF:
                 guard = guarded and number == 0
                 self._conditionals.append(_Conditional(not self._active, guard))
-                self._branch(each, line)
-            elif each.name in ("elif", "else", "endif"):
-                self._check_open(len(self._conditionals) > depth, each, text, path)
-                if each.name != "endif":
-                    self._branch(each, line)
+                self._branch(directive, line)
+            elif directive.name in ("elif", "else", "endif"):
+                self._check_open(len(self._conditionals) > depth, directive, text, path)
+                if directive.name != "endif":
+                    self._branch(directive, line)
                 elif self._conditionals.pop().stays:
                     self._parts.append(line)
             elif self._active:
-                self._directive(each, line, text, path)
+                self._directive(directive, line, text, path)
         if self._active:
-            self._parts.append(text[at:])
+            self._parts.append(text[position:])
         self._check_closed(len(self._conditionals) == depth, path)
 
-    def _directive(self, each: Directive, line: str, text: str, path: str) -> None:
+    def _directive(self, directive: Directive, line: str, text: str, path: str) -> None:
         """Process a directive, other than #if to #endif, in a branch that may be taken."""
-        if each.name == "include":
-            self._scopes[1:] = [each.included for each in self._conditionals if each.open]
-            if found := self._found(each, text, path):
-                self.append_file(found)
+        if directive.name == "include":
+            self._scopes[1:] = [
+                conditional.included for conditional in self._conditionals if conditional.open
+            ]
+            if file := self._found(directive, text, path):
+                self.append_file(file)
                 self._parts.append("\n")
             return
-        if each.name == "version":
+        if directive.name == "version":
             if self.version:
-                raise self._error(each, text, path, "a second #version: remove one of them")
+                raise self._error(directive, text, path, "a second #version: remove one of them")
             self.version = line.strip()
             return
-        if each.name in ("define", "undef"):
-            self._store(each, text, path)
+        if directive.name in ("define", "undef"):
+            self._store(directive, text, path)
         self._parts.append(line)
 
     @property
     def _active(self) -> bool:
         return all(conditional.active for conditional in self._conditionals)
 
-    def _branch(self, each: Directive, line: str) -> None:
+    def _branch(self, directive: Directive, line: str) -> None:
         """Begin a branch of the innermost conditional."""
         current = self._conditionals[-1]
         bare = current.guard and not self._guards
-        truth = False if current.over else bare or self._truth(each.name, each.rest)
+        truth = False if current.over else bare or self._truth(directive.name, directive.rest)
         if truth is None and self._closed:
             raise InputError(
                 f"cannot evaluate {line.strip()}: use comparisons of macros, or defined()"
@@ -147,8 +149,8 @@ class Preprocessor(Includes):
         current.over |= truth is True
         current.included = set()
         if truth is None:
-            first = each.name == "elif" and not current.stays
-            self._parts.append(f"#if {each.rest}\n" if first else line)
+            becomes_if = directive.name == "elif" and not current.stays
+            self._parts.append(f"#if {directive.rest}\n" if becomes_if else line)
             current.stays = True
         elif truth and current.stays:
             self._parts.append("#else\n")
@@ -194,18 +196,18 @@ class Preprocessor(Includes):
             return 0
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
-    def _store(self, each: Directive, text: str, path: str) -> None:
+    def _store(self, directive: Directive, text: str, path: str) -> None:
         """Store a macro's value, unless a condition that remains in the text encloses the line."""
-        match = _MACRO.match(each.rest)
+        match = _MACRO.match(directive.rest)
         if match and match[1] in self._chosen:
             message = f"defines {match[1]}, which lobe or m sets: remove the line or the argument"
-            raise InputError(f"{self._place(each, text, path)} {message}")
-        if match and each.name == "undef":
+            raise InputError(f"{self._place(directive, text, path)} {message}")
+        if match and directive.name == "undef":
             self._macros.pop(match[1], None)
         elif match and not any(conditional.open for conditional in self._conditionals):
             self._macros[match[1]] = match[2]
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:
-    found = set(values)
-    return False if False in found else None if None in found else True
+    truths = set(values)
+    return False if False in truths else None if None in truths else True

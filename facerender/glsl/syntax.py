@@ -101,18 +101,18 @@ def tokens(text: str) -> list[Token]:
     ------
     InputError : the text contains a character that GLSL does not allow
     """
-    result, before, at = [], "", 0
-    while at < len(text):
-        match = _TOKEN.match(text, at)
+    result, space, position = [], "", 0
+    while position < len(text):
+        match = _TOKEN.match(text, position)
         if match is None:
-            raise InputError(f"not translated: {text[at]!r} is not a character of GLSL")
+            raise InputError(f"not translated: {text[position]!r} is not a character of GLSL")
         if match.lastgroup == "space":
-            before = match[0]
+            space = match[0]
         else:
-            result.append(Token(match.lastgroup or "", match[0], before))
-            before = ""
-        at = match.end()
-    result.append(Token("end", "", before))
+            result.append(Token(match.lastgroup or "", match[0], space))
+            space = ""
+        position = match.end()
+    result.append(Token("end", "", space))
     return result
 
 
@@ -139,10 +139,10 @@ def expanded(lines: Sequence[str]) -> list[Token]:
         if match is None:
             chunk.append(line)
             continue
-        directive, rest = match[1], re.sub(r"\s*//.*|/\*.*?\*/", "", match[2]).strip()
+        directive, content = match[1], re.sub(r"\s*//.*|/\*.*?\*/", "", match[2]).strip()
         if directive not in ("define", "undef", "line", "version"):
             raise InputError(f"not translated: {line.strip()}: remove the line")
-        define = _DEFINE.fullmatch(rest) if directive in ("define", "undef") else None
+        define = _DEFINE.fullmatch(content) if directive in ("define", "undef") else None
         if define is None:
             continue
         name, parameters, body = define[1], define[2], define[3]
@@ -161,35 +161,35 @@ def expanded(lines: Sequence[str]) -> list[Token]:
 
 def _exact(code: Sequence[Token]) -> Iterator[Token]:
     """Yield the tokens without precision qualifiers and precision statements."""
-    before, statement = "", False
+    space, statement = "", False
     for token in code:
         statement |= token.text == "precision"
         if statement or token.text in ("highp", "mediump", "lowp"):
-            before = before or token.before
+            space = space or token.before
             statement &= token.text != ";"
         else:
-            yield replace(token, before=before or token.before)
-            before = ""
+            yield replace(token, before=space or token.before)
+            space = ""
 
 
 def _replaced(
     code: Sequence[Token], macros: dict[str, _Macro], within: frozenset[str] = frozenset()
 ) -> list[Token]:
     result: list[Token] = []
-    at = 0
-    while at < len(code):
-        token, at = code[at], at + 1
+    index = 0
+    while index < len(code):
+        token, index = code[index], index + 1
         macro = macros.get(token.text) if token.kind == "name" else None
-        called = at < len(code) and code[at].text == "("
+        called = index < len(code) and code[index].text == "("
         if macro is None or token.text in within or (macro.parameters is not None and not called):
             result.append(token)
             continue
         body = list(macro.body)
         if macro.parameters is not None:
-            arguments, at = _arguments(code, at)
+            arguments, index = _arguments(code, index)
             values = dict(zip(macro.parameters, arguments, strict=False))
-            body = [each for word in body for each in _with(values.get(word.text, [word]), word)]
-            body = [replace(each, before=each.before if i else "") for i, each in enumerate(body)]
+            body = [part for word in body for part in _with(values.get(word.text, [word]), word)]
+            body = [replace(word, before=word.before if i else "") for i, word in enumerate(body)]
         if len(body) == 3 and (body[0].text, body[2].text) == ("(", ")"):
             body = body[1:2]
         result += _with(_replaced(body, macros, within | {token.text}), token)
@@ -198,16 +198,20 @@ def _replaced(
 
 def _with(code: Sequence[Token], place: Token) -> list[Token]:
     """Return tokens with the comments and spaces of `place` in front of the first token."""
-    return [replace(each, before=each.before if i else place.before) for i, each in enumerate(code)]
+    return [
+        replace(token, before=token.before if i else place.before) for i, token in enumerate(code)
+    ]
 
 
-def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
-    """Return the arguments of a macro call, and the index of the token after the call; at : index
-    of the opening parenthesis."""
+def _arguments(code: Sequence[Token], index: int) -> tuple[list[list[Token]], int]:
+    """Return the arguments of a macro call, and the index of the token after the call.
+
+    index : index of the opening parenthesis
+    """
     arguments: list[list[Token]] = [[]]
     depth = 0
-    while at < len(code):
-        token, at = code[at], at + 1
+    while index < len(code):
+        token, index = code[index], index + 1
         depth += (token.text in "([") - (token.text in ")]")
         if depth == 0:
             break
@@ -215,7 +219,7 @@ def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
             arguments.append([])
         elif depth > 1 or token.text != "(":
             arguments[-1].append(token)
-    return arguments, at
+    return arguments, index
 
 
 class Parser:
@@ -252,12 +256,12 @@ class Parser:
     def _next(self) -> Token:
         return self._code[self._at]
 
-    def _take(self, *wanted: str) -> Token:
+    def _take(self, *expected: str) -> Token:
         token = self._next
         if token.kind == "end":
             raise self._error("the text ends too early")
-        if wanted and token.text not in wanted:
-            raise self._error(f"{' or '.join(wanted)} is missing before {token.text!r}")
+        if expected and token.text not in expected:
+            raise self._error(f"{' or '.join(expected)} is missing before {token.text!r}")
         self._at += 1
         return token
 
@@ -290,34 +294,36 @@ class Parser:
         self._name = name.text
         self._take("(")
         parameters: list[Token | Node] = []
-        known = Function(type_, [])
+        function = Function(type_, [])
         while self._next.text != ")":
             first, qualifier = self._at, "in"
             while self._next.text in QUALIFIERS | {"out", "inout"}:
                 word = self._take().text
                 qualifier = word if word in ("out", "inout") else qualifier
-            kind, own = self._type(), self._take().text
+            kind, parameter = self._type(), self._take().text
             if self._next.text == "[":
                 raise self._array()
-            known.parameters.append((qualifier, kind, own))
-            parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, own))
+            function.parameters.append((qualifier, kind, parameter))
+            parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, parameter))
             if self._next.text == ",":
                 parameters.append(self._take())
         head: list[Token | Node] = [*self._code[start : start + 3], *parameters, self._take(")")]
-        self._add(name.text, known)
+        self._add(name.text, function)
         if self._next.text == ";":
             return Node("prototype", [*head, self._take()], type_, name.text)
-        self._scopes.append({own: kind for _, kind, own in known.parameters})
-        self._function = known
+        self._scopes.append({parameter: kind for _, kind, parameter in function.parameters})
+        self._function = function
         body = self._block()
         self._scopes.pop()
         return Node("function", [*head, body], type_, name.text)
 
     def _add(self, name: str, function: Function) -> None:
         """Store the signature of a function or prototype."""
-        first = self.functions.setdefault(name, function)
-        one, other = ([kind for _, kind, _ in each.parameters] for each in (first, function))
-        if one != other:
+        declared = self.functions.setdefault(name, function)
+        declared_types, types = (
+            [kind for _, kind, _ in signature.parameters] for signature in (declared, function)
+        )
+        if declared_types != types:
             raise self._error(f"an overload of the function {name!r}: give it another name")
         self.functions[name] = function
 
@@ -378,13 +384,13 @@ class Parser:
         parts: list[Token | Node] = list(self._code[start : self._at])
         while True:
             name = self._take()
-            own: list[Token | Node] = [name]
+            variable_parts: list[Token | Node] = [name]
             if self._next.text == "[":
                 raise self._array()
             if self._next.text == "=":
-                own += [self._take(), self._expression()]
+                variable_parts += [self._take(), self._expression()]
             self._scopes[-1][name.text] = type_
-            parts += [Node("variable", own, type_, name.text), self._take(",", ";")]
+            parts += [Node("variable", variable_parts, type_, name.text), self._take(",", ";")]
             if parts[-1] == self._code[self._at - 1] and self._code[self._at - 1].text == ";":
                 return Node("constants" if constant else "variables", parts, type_)
 
@@ -400,13 +406,13 @@ class Parser:
             sign, operand = self._take(), self._unary()
             self._assign(operand)
             return Node("prefix", [sign, operand], operand.type)
-        left = self._ternary()
-        if left.kind in ("name", "swizzle", "index") and self._next.text in _ASSIGN | _STEP:
-            self._assign(left)
+        expression = self._ternary()
+        if expression.kind in ("name", "swizzle", "index") and self._next.text in _ASSIGN | _STEP:
+            self._assign(expression)
             if self._next.text in _STEP:
-                return Node("postfix", [left, self._take()], left.type)
-            return Node("assign", [left, self._take(), self._expression()], left.type)
-        return left
+                return Node("postfix", [expression, self._take()], expression.type)
+            return Node("assign", [expression, self._take(), self._expression()], expression.type)
+        return expression
 
     def _expression(self) -> Node:
         """Parse an expression that itself assigns nothing; functions that it calls may assign."""
@@ -429,10 +435,10 @@ class Parser:
         if self._next.text != "?":
             return condition
         self._conditions += 1
-        question, yes = self._take(), self._expression()
-        colon, no = self._take(":"), self._ternary()
+        question, if_true = self._take(), self._expression()
+        colon, if_false = self._take(":"), self._ternary()
         self._conditions -= 1
-        return Node("ternary", [condition, question, yes, colon, no], yes.type)
+        return Node("ternary", [condition, question, if_true, colon, if_false], if_true.type)
 
     def _binary(self, level: int) -> Node:
         if level == len(_LEVELS):
@@ -466,11 +472,11 @@ class Parser:
                 )
             else:
                 dot, field_ = self._take(), self._take()
-                own = field_.text.translate(_COMPONENTS)
-                if node.type not in VECTORS or not re.fullmatch("[xyzw]{1,4}", own):
+                components = field_.text.translate(_COMPONENTS)
+                if node.type not in VECTORS or not re.fullmatch("[xyzw]{1,4}", components):
                     raise self._error(f"{field_.text!r} of a {node.type}")
-                field_ = replace(field_, text=own)
-                scalar, count = VECTORS[node.type][0], len(own)
+                field_ = replace(field_, text=components)
+                scalar, count = VECTORS[node.type][0], len(components)
                 node = Node("swizzle", [node, dot, field_], _vector(scalar, count), field_.text)
         return node
 
@@ -504,9 +510,9 @@ class Parser:
                 parts.append(self._take())
         parts.append(self._take(")"))
         arguments = [part for part in parts if isinstance(part, Node)]
-        own = SQUARE.get(name.text, name.text)
-        if own in TYPES:
-            return Node("construct", parts, own, own)
+        type_ = SQUARE.get(name.text, name.text)
+        if type_ in TYPES:
+            return Node("construct", parts, type_, type_)
         if name.text in self.functions:
             function = self.functions[name.text]
             for argument, (qualifier, _, _) in zip(arguments, function.parameters, strict=False):
@@ -524,7 +530,7 @@ class Parser:
             raise self._error(f"the unknown function {name.text}")
         result = RESULTS[name.text]
         if result == "widest":
-            result = max((each.type for each in arguments), key=lambda kind: kind in VECTORS)
+            result = max((node.type for node in arguments), key=lambda kind: kind in VECTORS)
         return Node("built-in", parts, result, name.text)
 
 

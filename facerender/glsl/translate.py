@@ -103,13 +103,13 @@ class Writer:
         """Write a call of a built-in function. Scalars among vector arguments become vectors,
         except the third argument of mix."""
         arguments = self.arguments(node)
-        texts = [self.bare(each) for each in arguments]
-        widest = next((each.type for each in arguments if each.type in VECTORS), "")
-        for i, each in enumerate(arguments):
-            if widest and each.type in SCALARS and not (node.name == "mix" and i == 2):
+        texts = [self.bare(argument) for argument in arguments]
+        widest = next((argument.type for argument in arguments if argument.type in VECTORS), "")
+        for i, argument in enumerate(arguments):
+            if widest and argument.type in SCALARS and not (node.name == "mix" and i == 2):
                 texts[i] = self.splat(widest, texts[i])
-            elif "\n" in _before(each):
-                texts[i] = _before(each) + texts[i]
+            elif "\n" in _before(argument):
+                texts[i] = _before(argument) + texts[i]
         name = "atan2" if node.name == "atan" and len(arguments) == 2 else node.name
         closing = _before(node.parts[-1])
         called = self.functions.get(name, name)
@@ -150,7 +150,9 @@ def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, s
 class _CLike(Writer):
     """A language with C's syntax; `constant` is the qualifier of its global constants."""
 
-    types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
+    types = _spelled(
+        {"vector": "{}{}", "matrix": "float{}x{}"}, {scalar: scalar for scalar in SCALARS}
+    )
     constant: ClassVar[str]
 
     def write_constants(self, node: Node) -> str:
@@ -190,9 +192,9 @@ class Hlsl(_CLike):
 
     def write_binary(self, node: Node) -> str:
         left, sign, right = node.parts
-        types = [each.type for each in (left, right) if isinstance(each, Node)]
-        matrices = [each in MATRICES for each in types]
-        numbers = any(each in SCALARS for each in types)
+        types = [operand.type for operand in (left, right) if isinstance(operand, Node)]
+        matrices = [type_ in MATRICES for type_ in types]
+        numbers = any(type_ in SCALARS for type_ in types)
         if isinstance(sign, Token) and sign.text == "*" and any(matrices) and not numbers:
             return f"{_before(node)}mul({self.bare(right)}, {self.bare(left)})"
         return super().write_binary(node)
@@ -240,17 +242,17 @@ class Wgsl(Writer):
         return _before(node).rstrip(" \n")
 
     def write_function(self, node: Node) -> str:
-        known = self._known[node.name]
+        function = self._known[node.name]
         self._function = node.name
-        self._pointers = {name for qualifier, _, name in known.parameters if qualifier != "in"}
-        self._assigned = known.assigned
+        self._pointers = {name for qualifier, _, name in function.parameters if qualifier != "in"}
+        self._assigned = function.assigned
         parameters: list[str] = []
         copies = []
         for part in self.arguments(node)[:-1]:
             name, type_ = self.word(part.name), self.types[part.type]
             if part.kind != "in":
                 type_ = f"ptr<function, {type_}>"
-            elif part.name in known.assigned:
+            elif part.name in function.assigned:
                 copies.append(f"\n    var {name} = {name}_given;")
                 name += "_given"
             gap = _before(part)
@@ -273,14 +275,15 @@ class Wgsl(Writer):
         for part in self.arguments(node):
             value = "".join(map(self.text, part.parts[1:]))
             word = "var" if part.name in self._assigned or not value else fixed
-            same = [each.type == part.type for each in self.arguments(part)]  # One item: the value.
-            type_ = "" if word == "let" and same == [True] else f": {self.types[part.type]}"
+            # One item: the value.
+            same_type = [node.type == part.type for node in self.arguments(part)]
+            type_ = "" if word == "let" and same_type == [True] else f": {self.types[part.type]}"
             texts.append(f"{word} {self.word(part.name)}{type_}{value};")
         return _before(node) + " ".join(texts)
 
     def write_ternary(self, node: Node) -> str:
-        condition, _, yes, _, no = (self.bare(part) for part in node.parts)
-        return f"{_before(node)}select({no}, {yes}, {condition})"
+        condition, _, if_true, _, if_false = (self.bare(part) for part in node.parts)
+        return f"{_before(node)}select({if_false}, {if_true}, {condition})"
 
     def write_prefix(self, node: Node) -> str:
         sign, operand = node.parts
@@ -293,8 +296,8 @@ class Wgsl(Writer):
     def _step(self, gap: str, operand: Token | Node, sign: str) -> str:
         """Write ++ or --. WGSL has them only for integers, so other types add or subtract 1.0."""
         if isinstance(operand, Node) and operand.type not in ("int", "uint"):
-            one = Node("number", [Token("number", "1.0", " ")], "float")
-            added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), one], operand.type)
+            step = Node("number", [Token("number", "1.0", " ")], "float")
+            added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), step], operand.type)
             return gap + self.bare(added)
         return gap + self.bare(operand) + sign
 
@@ -312,13 +315,13 @@ class Wgsl(Writer):
         target, sign, value = node.parts
         if not (isinstance(target, Node) and target.kind == "swizzle" and len(target.name) > 1):
             return "".join(map(self.text, node.parts))
-        whole, result, operator = (self.bare(each) for each in (target.parts[0], value, sign))
+        vector, text, operator = (self.bare(part) for part in (target.parts[0], value, sign))
         if operator != "=":
-            result = f"{self.bare(target)} {operator[:-1]} ({result})"
+            text = f"{self.bare(target)} {operator[:-1]} ({text})"
         parts = " ".join(
-            f"{whole}.{each} = parts.{'xyzw'[i]};" for i, each in enumerate(target.name)
+            f"{vector}.{component} = parts.{'xyzw'[i]};" for i, component in enumerate(target.name)
         )
-        return f"{_before(node)}{{ let parts = {result}; {parts} }}"
+        return f"{_before(node)}{{ let parts = {text}; {parts} }}"
 
     def write_expression(self, node: Node) -> str:
         text = self.text(node.parts[0])
@@ -334,9 +337,9 @@ class Wgsl(Writer):
         parts = node.parts
         text = "".join(map(self.text, parts[:4])) + self._braced(parts[4])
         if len(parts) > 5:
-            other = parts[6]
-            chained = isinstance(other, Node) and other.kind == "if"
-            text += self.text(parts[5]) + (self.text(other) if chained else self._braced(other))
+            branch = parts[6]
+            chained = isinstance(branch, Node) and branch.kind == "if"
+            text += self.text(parts[5]) + (self.text(branch) if chained else self._braced(branch))
         return text
 
     def write_for(self, node: Node) -> str:

@@ -101,9 +101,9 @@ def _pillow(name: str, kind: str, frames: Iterator[NDArray[np.uint8]], fps: floa
 
     images = map(Image.fromarray, frames)
     step = max(10, round(100.0 / fps) * 10) if kind == "gif" else round(1000.0 / fps)
-    more = {"disposal": 1} if kind == "gif" else {"quality": QUALITY, "method": 3}
+    options = {"disposal": 1} if kind == "gif" else {"quality": QUALITY, "method": 3}
     next(images).save(
-        name, kind, save_all=True, append_images=images, duration=step, loop=0, **more
+        name, kind, save_all=True, append_images=images, duration=step, loop=0, **options
     )
 
 
@@ -169,11 +169,11 @@ def _sigpipe_ignored() -> Iterator[None]:
     if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGPIPE, before)
+        signal.signal(signal.SIGPIPE, handler)
 
 
 def _imageio_ffmpeg() -> Any:

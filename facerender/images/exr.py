@@ -53,7 +53,7 @@ def save_exr(
         low, high = (end.astype(np.float32) for end in shift_range)
         pixels = linear.astype(np.float32, copy=False)
         distances = (pixels - low, high - pixels)
-        steps = (np.ceil(each / _MOVE_STEP) * _MOVE_STEP for each in distances)
+        steps = (np.ceil(distance / _MOVE_STEP) * _MOVE_STEP for distance in distances)
         channels |= zip(_MOVED, map(half_above, steps), strict=True)
     write_bytes(path, exr_bytes(os.fspath(path), channels, metadata, rounded))
 
@@ -109,21 +109,24 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
             channels = clipped(", ".join(kinds))
             raise InputError(f"{path} has channels {channels}: give R, G, B and optionally A")
-        whole = len(names) > 2 and len({kinds[name] for name in names}) == 1
+        interleaved = len(names) > 2 and len({kinds[name] for name in names}) == 1
         # For a damaged file OpenEXR prints to standard output and standard error.
         with open(os.devnull, "w") as nothing, redirected_stderr(nothing), redirect_stdout(nothing):
-            file = OpenEXR.File(str(path), separate_channels=not whole)
-            header, found = file.header(), file.channels()
-        if whole:
-            pixels = found["".join(names)].pixels
+            file = OpenEXR.File(str(path), separate_channels=not interleaved)
+            header, file_channels = file.header(), file.channels()
+        if interleaved:
+            pixels = file_channels["".join(names)].pixels
         else:
-            pixels = np.stack([found[name].pixels for name in names], axis=-1)
+            pixels = np.stack([file_channels[name].pixels for name in names], axis=-1)
         if pixels.dtype != np.float16:
             pixels = pixels.astype(np.float32, copy=False)
         pixels = _in_window(pixels, header)
         shift_range = None
-        if all(name in found and found[name].pixels.shape == pixels.shape for name in _MOVED):
-            down, up = (found[name].pixels.astype(np.float32) for name in _MOVED)
+        if all(
+            name in file_channels and file_channels[name].pixels.shape == pixels.shape
+            for name in _MOVED
+        ):
+            down, up = (file_channels[name].pixels.astype(np.float32) for name in _MOVED)
             shift_range = PixelRange(-half_above(down - pixels), half_above(pixels + up))
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
@@ -153,8 +156,8 @@ def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
     """
     compression = header[b"compression"][0]
     if compression in (_DWAA, _DWAB):
-        value = header.get(b"dwaCompressionLevel")
-        level = struct.unpack("<f", value)[0] if value else _DWA_LEVEL
+        attribute = header.get(b"dwaCompressionLevel")
+        level = struct.unpack("<f", attribute)[0] if attribute else _DWA_LEVEL
         if not 0.0 <= level <= _HIGHEST_DWA_LEVEL:
             raise ValueError(f"DWA level {level:g} is outside [0, {_HIGHEST_DWA_LEVEL:g}]")
         return float(_DWA_LOSS * level / _DWA_LEVEL)
@@ -177,33 +180,33 @@ def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
     """
     if not content.startswith(_MAGIC):
         raise ValueError("it does not start with the EXR signature")
-    headers, at = [], 8
+    headers, offset = [], 8
     while True:
         header: dict[bytes, bytes] = {}
-        while content[at]:
-            end = content.index(0, at)
+        while content[offset]:
+            end = content.index(0, offset)
             start = content.index(0, end + 1) + 5
             (size,) = struct.unpack_from("<I", content, start - 4)
-            header[content[at:end]] = content[start : start + size]
-            at = start + size
+            header[content[offset:end]] = content[start : start + size]
+            offset = start + size
         headers.append(header)
-        at += 1
-        if not content[5] & _MULTIPART or not content[at]:
+        offset += 1
+        if not content[5] & _MULTIPART or not content[offset]:
             return headers
 
 
 def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
     """Return EXR's pixel type number of each channel, keyed by the channel name."""
-    channels, at, kinds = header[b"channels"], 0, {}
-    while channels[at]:
-        end = channels.index(0, at)
-        kinds[channels[at:end].decode()] = int.from_bytes(channels[end + 1 : end + 5], "little")
-        at = end + 17
+    channels, offset, kinds = header[b"channels"], 0, {}
+    while channels[offset]:
+        end = channels.index(0, offset)
+        kinds[channels[offset:end].decode()] = int.from_bytes(channels[end + 1 : end + 5], "little")
+        offset = end + 17
     return kinds
 
 
 def _checked_exr(
-    path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int
+    path: Path, headers: Sequence[Mapping[bytes, bytes]], size: int
 ) -> Mapping[bytes, bytes]:
     """Return the header of a flat image with one part. Raise InputError for an image that is deep,
     has several parts or is too large, before OpenEXR reads the pixels."""
@@ -213,9 +216,9 @@ def _checked_exr(
     if header.get(b"type", b"").startswith(b"deep"):
         raise InputError(f"{path} is a deep image: flatten it")
     count = len(_exr_channels(header))
-    for name, most in ((b"dataWindow", max(count, 4)), (b"displayWindow", 4)):
+    for name, channels in ((b"dataWindow", max(count, 4)), (b"displayWindow", 4)):
         left, top, right, bottom = struct.unpack("<4i", header[name])
-        check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * most, of)
+        check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * channels, size)
     return header
 
 

@@ -63,10 +63,12 @@ def _read_numpy(path: Path, content: bytes) -> ImageData:
             if len(names) > 1 and "linear" in names:
                 names = ["linear"]
             if len(names) != 1:
-                held = clipped(", ".join(names)) or "no array"
-                raise InputError(f"{path} contains {held}: name one array 'linear'")
+                listing = clipped(", ".join(names)) or "no array"
+                raise InputError(f"{path} contains {listing}: name one array 'linear'")
             (entry,) = (
-                each for each in file.infolist() if each.filename.removesuffix(".npy") == names[0]
+                zip_entry
+                for zip_entry in file.infolist()
+                if zip_entry.filename.removesuffix(".npy") == names[0]
             )
             with file.open(entry) as member:
                 return image_from_array(_array(member, str(path), len(content)), str(path))
@@ -76,10 +78,10 @@ def _read_numpy(path: Path, content: bytes) -> ImageData:
         raise InputError(f"{path} is not a NumPy file ({reason(error)}); save it again") from None
 
 
-def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
+def _array(file: IO[bytes], name: str, size: int) -> NDArray[Any]:
     """Read a NumPy array after a check of its header.
 
-    of : size of the file in bytes
+    size : size of the file in bytes
 
     Raises
     ------
@@ -92,7 +94,7 @@ def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
     if kind.hasobject:
         raise InputError(f"{name} contains Python objects, which are not read: give floats")
     if len(shape) in (2, 3):
-        check_pixels(name, shape[1], shape[0], kind.itemsize * math.prod(shape[2:]), of)
+        check_pixels(name, shape[1], shape[0], kind.itemsize * math.prod(shape[2:]), size)
         file.seek(0)
         return np.asarray(npy.read_array(file, allow_pickle=False))
     raise InputError(f"{name} has shape {clipped(str(shape))}: give (H, W, 3) or (H, W, 4)")
@@ -113,7 +115,7 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
     except Exception as error:  # Pillow's decoders raise many types
         raise InputError(f"{path} is damaged ({reason(error)}); save it again") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
-    data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
+    image_data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
     if "icc_profile" in image.info:
         try:
             pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
@@ -121,10 +123,14 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
             raise InputError(
                 f"{path} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
             ) from None
-        return replace(data, pixels=pixels, profile=profile, noise=_CONVERTED if profile else 0.0)
+        return replace(
+            image_data, pixels=pixels, profile=profile, noise=_CONVERTED if profile else 0.0
+        )
     gamma = image.info.get("gamma", SRGB_GAMMA)
     return (
-        data if abs(gamma - SRGB_GAMMA) <= 1e-4 else replace(data, color_space=f"gamma {gamma:.4g}")
+        image_data
+        if abs(gamma - SRGB_GAMMA) <= 1e-4
+        else replace(image_data, color_space=f"gamma {gamma:.4g}")
     )
 
 

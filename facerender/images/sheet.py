@@ -41,9 +41,9 @@ def arranged(
     size = min(max(width // 20, _TEXT[0]), _TEXT[1])
     band = round(1.5 * size) if any(titles) else 0
     across, down = width + gap, band + height + gap
-    whole = columns * across + gap, rows * down + gap
-    check_pixels(f"a sheet of {len(images)} images", *whole, _BYTES, math.inf)
-    pixels = np.full((*whole[::-1], 3), _PAPER, dtype=np.uint8)
+    sheet_size = columns * across + gap, rows * down + gap
+    check_pixels(f"a sheet of {len(images)} images", *sheet_size, _BYTES, math.inf)
+    pixels = np.full((*sheet_size[::-1], 3), _PAPER, dtype=np.uint8)
     for number, image in enumerate(images):
         top, left = gap + number // columns * down, gap + number % columns * across
         if band and titles[number]:

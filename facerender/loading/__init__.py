@@ -117,7 +117,7 @@ def cached_mesh(
     **maps: Path_ | None,
 ) -> Mesh | None:
     """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
-    paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
+    paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: path for n, path in maps.items()})
     orientation = Orientation(flip_v, normal_map_y)
     selected = names_of("parts", parts), names_of("hide", hide)
     files = MeshFiles(source_of(source), paths, orientation, allow_outside, as_is, *selected)
@@ -155,8 +155,8 @@ def _loaded(
     files = MeshFiles(file, paths, orientation, allow_outside, as_is, *selected)
     if not cache or textures:
         return _read(files, textures)[0]
-    if (found := files.find()) is not None:
-        return found
+    if (stored_mesh := files.find()) is not None:
+        return stored_mesh
     digest = files.digest()
     with noting() as warnings:
         mesh, references = _read(files, {})
@@ -177,20 +177,20 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
     """Split maps into image files and textures, both keyed by the field of :class:`Material`."""
     paths: dict[str, Path] = {}
     textures: dict[str, Texture] = {}
-    for name, value in sources.items():
-        if value is None:
+    for name, source in sources.items():
+        if source is None:
             continue
-        if isinstance(value, Texture):
-            textures[name] = value
-        elif isinstance(value, np.ndarray):
-            textures[name] = Texture.from_array(value, f"the array of {name}")
-        elif isinstance(value, str | os.PathLike):
-            check_path(name, value)
-            paths[name] = Path(value)
-        elif hasattr(value, "getbands"):  # a Pillow image: isinstance would import Pillow
-            textures[name] = Texture.from_image(value, f"the image of {name}")
+        if isinstance(source, Texture):
+            textures[name] = source
+        elif isinstance(source, np.ndarray):
+            textures[name] = Texture.from_array(source, f"the array of {name}")
+        elif isinstance(source, str | os.PathLike):
+            check_path(name, source)
+            paths[name] = Path(source)
+        elif hasattr(source, "getbands"):  # a Pillow image: isinstance would import Pillow
+            textures[name] = Texture.from_image(source, f"the image of {name}")
         else:
-            check_type(name, value, (), "a path, a texture, an array or a Pillow image")
+            check_type(name, source, (), "a path, a texture, an array or a Pillow image")
     return paths, textures
 
 
@@ -201,17 +201,17 @@ def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, Refe
     source = files.source
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        found, references = read(source, "albedo_map" in overrides, files.allow_outside)
+        pieces, references = read(source, "albedo_map" in overrides, files.allow_outside)
         millimetres = 1000.0 if source.suffix in GLTF else None
-        given = files.orientation.flip_v, millimetres, files.as_is
-        mesh = _assembled(found, source.name, *given).select(files.parts, files.hide)
+        options = files.orientation.flip_v, millimetres, files.as_is
+        mesh = _assembled(pieces, source.name, *options).select(files.parts, files.hide)
         return _mapped(mesh, overrides, files.orientation.normal_map_y), references
 
 
 def _assembled(
-    found: Sequence[Piece], name: str, flip_v: bool, millimetres: float | None, as_is: bool
+    raw_pieces: Sequence[Piece], name: str, flip_v: bool, millimetres: float | None, as_is: bool
 ) -> Mesh:
-    pieces = clean(found, name)
+    pieces = clean(raw_pieces, name)
     mark_skin(pieces)
     if not as_is:
         give_presets(pieces, name)
@@ -239,9 +239,9 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
             continue
         changes: dict[str, Any] = {}
         for field, texture in maps.items():
-            like = getattr(materials[i], field) or materials[i].albedo_map or texture
-            same = like.sampling == texture.sampling
-            changes[field] = texture if same else texture.sampled(*like.sampling)
+            template = getattr(materials[i], field) or materials[i].albedo_map or texture
+            matches = template.sampling == texture.sampling
+            changes[field] = texture if matches else texture.sampled(*template.sampling)
         if "albedo_map" in maps:
             changes["albedo"] = (1.0, 1.0, 1.0)
             parts[i] = replace(parts[i], colors=None)
@@ -249,6 +249,11 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
             changes["roughness_factor"] = 1.0
         materials[i] = replace(materials[i], **changes)
     if normal_map_y == "down":
-        turned = {own: own and own.turned_green() for own in {m.normal_map for m in materials}}
-        materials = [replace(each, normal_map=turned[each.normal_map]) for each in materials]
+        turned = {
+            original: original and original.turned_green()
+            for original in {material.normal_map for material in materials}
+        }
+        materials = [
+            replace(material, normal_map=turned[material.normal_map]) for material in materials
+        ]
     return replace(mesh, parts=tuple(parts), materials=tuple(materials))

@@ -56,21 +56,21 @@ def load_cameras(
     name = clipped(Path(path).name)
     if suffix == ".toml":
         scene = load_scene(path)
-        own = [scene["camera"]] if "camera" in scene else []
-        found = _named((("", each) for each in scene.get("cameras", own)), Path(path).stem)
+        single = [scene["camera"]] if "camera" in scene else []
+        cameras = _named((("", camera) for camera in scene.get("cameras", single)), Path(path).stem)
     else:
         content = read_file(path, "a camera file", MOST if suffix in GLTF else MOST_BYTES)
         try:
             if suffix in GLTF:
                 return gltf_cameras(content, name)
             tables = _json(content) if suffix == ".json" else _arrays(content)
-            found = _named([_camera(each, size) for each in tables], Path(path).stem)
+            cameras = _named([_camera(table, size) for table in tables], Path(path).stem)
         except InputError as error:
             place = "" if name in str(error) else f"{name}: "
             raise InputError(f"{place}{error}") from None
-    if not found:
+    if not cameras:
         raise InputError(f"{name} has no cameras: add [[cameras]]")
-    return found
+    return cameras
 
 
 def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
@@ -82,7 +82,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     InputError : the file is damaged, has no camera, or has an orthographic camera
     """
     document = document_of(chunks(content, name)[0], name)
-    found = []
+    cameras = []
     try:
         for node in scene_nodes(document)[1]:
             if "camera" in node.properties:
@@ -92,14 +92,14 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
                     raise InputError(
                         f"camera {shown(label)} of {name} is orthographic: give a perspective one"
                     )
-                found.append((label, _looking(node.world, camera["perspective"]["yfov"])))
+                cameras.append((label, _looking(node.world, camera["perspective"]["yfov"])))
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise damaged(name, str(error)) from None
-    if not found:
+    if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
-    return _named(found, "camera")
+    return _named(cameras, "camera")
 
 
 def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
@@ -111,12 +111,12 @@ def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
     return Camera(fov=math.degrees(yfov), extrinsics=pose.tolist())
 
 
-def _named(found: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
+def _named(pairs: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
     """Return cameras keyed by unique names; a missing or repeated name is replaced."""
     cameras: dict[str, Camera] = {}
-    for number, (name, camera) in enumerate(found):
-        own = name if name and name not in cameras else f"{name or stem}_{number:03d}"
-        cameras[own] = camera
+    for number, (name, camera) in enumerate(pairs):
+        key = name if name and name not in cameras else f"{name or stem}_{number:03d}"
+        cameras[key] = camera
     return cameras
 
 
@@ -137,7 +137,7 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
     """Return a table for each camera of a NumPy file."""
     try:
         with ZipFile(BytesIO(content)) as file:
-            if sum(each.file_size for each in file.infolist()) > MOST_BYTES:
+            if sum(entry.file_size for entry in file.infolist()) > MOST_BYTES:
                 raise ValueError(f"more than {MOST_BYTES} bytes")
         with np.load(BytesIO(content), allow_pickle=False) as arrays:
             values = {key: np.asarray(arrays[key]) for key in arrays.files}
@@ -152,14 +152,14 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
     depths = {"R": 2, "Rt": 2, "K": 2, "extrinsics": 2, "intrinsics": 2, "t": 1, "size": 1}
     tables: list[dict[str, Any]] = [{} for _ in range(min(count, MOST_CAMERAS))]
     for key, value in values.items():
-        each = depths.get(key, key in _DISTORTION)
+        depth = depths.get(key, key in _DISTORTION)
         if key == "t" and value.shape[-1:] == (1,):
             value = value[..., 0]
         if key in _DISTORTION:  # OpenCV writes one row or one column
             apart = several and value.ndim > 1 and len(value) == count and value[0].size > 1
             value = value.reshape(count, -1) if apart else value.reshape(-1)
-        shared = value.ndim == each
-        if not shared and not (several and value.ndim == each + 1 and len(value) == count):
+        shared = value.ndim == depth
+        if not shared and not (several and value.ndim == depth + 1 and len(value) == count):
             raise InputError(
                 f"{shown(key)} has {value.ndim} axes: give one matrix, or one per camera"
             )
@@ -182,15 +182,19 @@ def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
         fields["extrinsics"] = pose.tolist()
     if "Rt" in fields:
         pose = fields.pop("Rt")
-        whole = isinstance(pose, list) and len(pose) == 4 and pose[3] == [0, 0, 0, 1]
-        fields["extrinsics"] = pose[:3] if whole else pose
+        homogeneous = isinstance(pose, list) and len(pose) == 4 and pose[3] == [0, 0, 0, 1]
+        fields["extrinsics"] = pose[:3] if homogeneous else pose
     if "K" in fields:
         fields["intrinsics"] = fields.pop("K")
     for key in _DISTORTION:
         if key in fields:
-            own = fields.pop(key)
-            nested = isinstance(own, list) and all(isinstance(row, list) for row in own)
-            fields["distortion"] = [each for row in own for each in row] if nested else own
+            coefficients = fields.pop(key)
+            nested = isinstance(coefficients, list) and all(
+                isinstance(row, list) for row in coefficients
+            )
+            fields["distortion"] = (
+                [number for row in coefficients for number in row] if nested else coefficients
+            )
     if "width" in fields and "height" in fields:
         fields["size"] = [fields.pop("width"), fields.pop("height")]
     if "intrinsics" in fields and size is not None:

@@ -62,12 +62,12 @@ KNOWN = {name: [*_WHOLE.get(name, "").split(), *_WORDS.get(name, "").split()] fo
 
 def _words(name: str) -> list[str]:
     """Return the words of a name in lower case, without digits and separators."""
-    return [each.lower() for each in _WORD.findall(name)]
+    return [word.lower() for word in _WORD.findall(name)]
 
 
 def _by_letters(names: Mapping[str, str]) -> dict[str, str]:
     return {
-        "".join(_words(each)): preset for preset, text in names.items() for each in text.split()
+        "".join(_words(name)): preset for preset, text in names.items() for name in text.split()
     }
 
 
@@ -80,62 +80,62 @@ _EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
 def preset_for(name: str) -> str | None:
     """Return the preset of a part's or material's name, or None if the name is not known."""
     words = _words(name)
-    bare = [each for each in words if each not in _AFFIXES]
-    own = [each for each in bare if each not in _SIDES]
-    of_eye = own[1:] if own[:1] in (["eye"], ["eyes"]) else own
-    whole = (_WHOLE_BY_LETTERS.get("".join(each)) for each in (words, bare))
-    parts = (_WORDS_BY_LETTERS.get("".join(each)) for each in (own, of_eye))
-    return next(filter(None, (*whole, *parts)), None)
+    bare = [word for word in words if word not in _AFFIXES]
+    stem = [word for word in bare if word not in _SIDES]
+    of_eye = stem[1:] if stem[:1] in (["eye"], ["eyes"]) else stem
+    name_matches = (_WHOLE_BY_LETTERS.get("".join(candidate)) for candidate in (words, bare))
+    word_matches = (_WORDS_BY_LETTERS.get("".join(candidate)) for candidate in (stem, of_eye))
+    return next(filter(None, (*name_matches, *word_matches)), None)
 
 
 def mark_skin(pieces: Sequence[Piece]) -> None:
     """Set ``skin`` of each piece: false if its name or its material's name is a name of eyes,
     lashes, teeth or hair."""
-    for piece, known in zip(pieces, _presets_of(pieces), strict=True):
+    for piece, preset in zip(pieces, _presets_of(pieces), strict=True):
         names = {*_words(piece.name)}, {*_words(piece.material_name)}
-        other = any(words & _NOT_SKIN and not words & _SKIN for words in names)
-        piece.skin = known in (None, "skin", "lips") and not other
+        excluded = any(words & _NOT_SKIN and not words & _SKIN for words in names)
+        piece.skin = preset in (None, "skin", "lips") and not excluded
 
 
 def give_presets(pieces: Sequence[Piece], name: str) -> None:
     """Give presets to pieces with known names, and warn of it."""
-    found: dict[str, list[str]] = {}
+    part_names: dict[str, list[str]] = {}
     eyes = [piece for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
     eye_map = _eye_map() if eyes else None
-    for piece, known in zip(pieces, _presets_of(pieces), strict=True):
+    for piece, preset in zip(pieces, _presets_of(pieces), strict=True):
         if eyes and _stem(piece) == "msclera":
-            known = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
-        if known is None or not _is_bare(piece):
+            preset = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
+        if preset is None or not _is_bare(piece):
             continue
-        piece.material = changed(piece.material, {"preset": known})
-        if known == "skin" and np.ptp(piece.material.albedo) < _GREY:
+        piece.material = changed(piece.material, {"preset": preset})
+        if preset == "skin" and np.ptp(piece.material.albedo) < _GREY:
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
-        if eye_map and any(piece is each for each in eyes):
+        if eye_map and any(piece is eye for eye in eyes):
             _close_pupil(piece)
             white = (1.0, 1.0, 1.0)
             piece.material = replace(piece.material, albedo=white, albedo_map=eye_map)
         elif _stem(piece) == _LASHES and piece.uv is not None:
             piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
-        called = found.setdefault(known, [])
+        called = part_names.setdefault(preset, [])
         called.append(piece.name or piece.material_name)
-    if found:
-        all_ = "; ".join(f"{preset} for {', '.join(names)}" for preset, names in found.items())
+    if part_names:
+        all_ = "; ".join(f"{preset} for {', '.join(names)}" for preset, names in part_names.items())
         warn(f"{name}: presets by name: {clipped(all_, _LONGEST)}; --as-is keeps the file's own")
 
 
 def _presets_of(pieces: Sequence[Piece]) -> list[str | None]:
-    presets = [preset_for(each.material_name) or preset_for(each.name) for each in pieces]
+    presets = [preset_for(piece.material_name) or preset_for(piece.name) for piece in pieces]
     if {"lashes", "teeth"}.isdisjoint(presets):
         return presets
     return [
-        "sclera" if _stem(piece) in _EYES else known
-        for piece, known in zip(pieces, presets, strict=True)
+        "sclera" if _stem(piece) in _EYES else preset
+        for piece, preset in zip(pieces, presets, strict=True)
     ]
 
 
 def _is_bare(piece: Piece) -> bool:
     material = piece.material
-    mapped = any(getattr(material, each) is not None for each in MAPS)
+    mapped = any(getattr(material, key) is not None for key in MAPS)
     clear = material.alpha != "opaque" or material.transmission > 0.0
     return not mapped and not clear and piece.colors is None
 
@@ -143,7 +143,7 @@ def _is_bare(piece: Piece) -> bool:
 def _stem(piece: Piece) -> str:
     """Return the letters of a material's or part's name without sides, in lower case."""
     words = _words(piece.material_name or piece.name)
-    return "".join(each for each in words if each not in _SIDES)
+    return "".join(word for word in words if word not in _SIDES)
 
 
 # --- ICT-FaceKit ---------------------------------------------------------------------------------

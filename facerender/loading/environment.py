@@ -45,10 +45,10 @@ def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environm
 def _state(path: str) -> tuple[int, int]:
     """Return a file's modification time in ns and its size in bytes, to detect a change."""
     try:
-        found = Path(path).stat()
+        status = Path(path).stat()
     except (OSError, ValueError):
         return 0, 0  # reading the file reports the error
-    return found.st_mtime_ns, found.st_size
+    return status.st_mtime_ns, status.st_size
 
 
 @lru_cache(2)
@@ -57,9 +57,9 @@ def _panorama(path: str, written: int, size: int) -> Panorama:
 
 
 def _read(path: Path) -> NDArray[np.float32]:
-    what = wanted(str(path))
-    if suffix_of(path, _SUFFIXES, "environment", what, MAX_BYTES) == ".hdr":
-        return _read_hdr(read_file(path, what, MAX_BYTES), path)
+    description = wanted(str(path))
+    if suffix_of(path, _SUFFIXES, "environment", description, MAX_BYTES) == ".hdr":
+        return _read_hdr(read_file(path, description, MAX_BYTES), path)
     picture = read_image(path)
     if picture.encoding != "linear":
         raise InputError(f"environment {path} holds 8-bit values: give linear radiance")

@@ -33,8 +33,8 @@ def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
 def name_of(source: trimesh.Trimesh | trimesh.Scene) -> str:
     """Return a name for messages: the name in the source's metadata, or else the source's type."""
     facts = source.metadata
-    found = facts.get("name") or facts.get("file_name")
-    return clipped(found, 80) if isinstance(found, str) else f"a trimesh.{type(source).__name__}"
+    name = facts.get("name") or facts.get("file_name")
+    return clipped(name, 80) if isinstance(name, str) else f"a trimesh.{type(source).__name__}"
 
 
 def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
@@ -112,9 +112,9 @@ def piece_of(
     if vertices.shape[1:] != (3,):
         raise ValueError("its vertices do not have three coordinates")
     faces = np.asarray(geometry.faces, dtype=np.int64)
-    known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-    if not known.all():  # also drop the colours of these faces, which trimesh converts later
-        geometry.update_faces(known)
+    valid = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
+    if not valid.all():  # also drop the colours of these faces, which trimesh converts later
+        geometry.update_faces(valid)
         faces = np.asarray(geometry.faces, dtype=np.int64)
     normals = None
     if has_normals(geometry):
@@ -128,12 +128,12 @@ def piece_of(
     colors = None
     if visual.kind in ("vertex", "face"):
         colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
-    own = getattr(visual, "material", None)
+    source = getattr(visual, "material", None)
     uv2 = None
     if library is None:
-        material = _material(own, colors is not None, name, textures)
+        material = _material(source, colors is not None, name, textures)
     else:
-        look = library.look(getattr(own, "name", ""), colors is not None)
+        look = library.look(getattr(source, "name", ""), colors is not None)
         material = look.material
         if uv is not None:
             uv2 = None if look.second is None else look.second.applied(uv)
@@ -150,9 +150,9 @@ def piece_of(
         uv=uv,
         colors=colors,
         material=material,
-        out_of_range=int((~known).sum()),
+        out_of_range=int((~valid).sum()),
         uv2=uv2,
-        material_name=str(getattr(own, "name", None) or ""),
+        material_name=str(getattr(source, "name", None) or ""),
     )
 
 
@@ -177,11 +177,11 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
 def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
     """Convert a trimesh PBR material, which has glTF's factors and 8-bit colours."""
 
-    def texture(name: str, what: str) -> Texture | None:
+    def texture(name: str, kind: str) -> Texture | None:
         if (image := getattr(source, name)) is None:
             return None
-        own = Texture.from_image(image, f"the {what} map of {file}")
-        return textures.setdefault(id(image), own)
+        new_texture = Texture.from_image(image, f"the {kind} map of {file}")
+        return textures.setdefault(id(image), new_texture)
 
     color = source.baseColorFactor
     factors = np.ones(4) if color is None else np.append(np.asarray(color) / 255.0, 1.0)[:4]

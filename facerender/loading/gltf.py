@@ -118,12 +118,15 @@ class Primitive:
         content = bytes(self.buffers.view(draco["bufferView"]))
         try:
             decoded = DracoPy.decode(content)
-            found = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
+            arrays = {
+                attribute["unique_id"]: np.asarray(attribute["data"])
+                for attribute in decoded.attributes
+            }
             faces = getattr(decoded, "faces", None)
         except Exception as error:  # DracoPy raises several exceptions
             raise ValueError(f"{self.where}: DracoPy failed: {reason(error)}") from None
-        values = {key: found[i] for key, i in draco["attributes"].items() if i in found}
-        return values if faces is None else values | {"faces": np.asarray(faces)}
+        attributes = {key: arrays[i] for key, i in draco["attributes"].items() if i in arrays}
+        return attributes if faces is None else attributes | {"faces": np.asarray(faces)}
 
 
 def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
@@ -149,10 +152,10 @@ def _compact(
 
     Primitives may share a vertex array, so most of its vertices may belong to other primitives.
     """
-    known = (faces < count).all(axis=1)
-    out_of_range = len(faces) - int(known.sum())
+    valid = (faces < count).all(axis=1)
+    out_of_range = len(faces) - int(valid.sum())
     if out_of_range:
-        faces = faces[known]
+        faces = faces[valid]
     if count <= 3 * len(faces):
         return faces, slice(None), out_of_range
     vertices, inverse = np.unique(faces, return_inverse=True)
@@ -184,10 +187,10 @@ def head_bounds(
     height : y of the head's first joint
     """
     shares = np.where(of_head[joints], weights, 0.0).sum(axis=1)
-    own = positions[2.0 * shares > weights.sum(axis=1)]
-    if not len(own):
+    head = positions[2.0 * shares > weights.sum(axis=1)]
+    if not len(head):
         return None
-    low, high = own.min(axis=0), own.max(axis=0)
+    low, high = head.min(axis=0), head.max(axis=0)
     low[1] = max(low[1], height - _BELOW_JOINT * (high[1] - height))
     return np.array([low, high])
 
@@ -268,32 +271,32 @@ class _File:
         self.drawn = 0  # number of drawn vertices and faces
 
     def pieces(self) -> list[Piece]:
-        for each in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
-            self.warn(f"{self.name} uses {clipped(each, 60)}, which is not supported: ignored")
+        for extension in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
+            self.warn(f"{self.name} uses {clipped(extension, 60)}, which is not supported: ignored")
         meshes: dict[tuple[int, int | None, tuple[float, ...]], list[Piece]] = {}
         pieces = []
-        for each in self._instances():
-            key = each.mesh, each.skin, each.weights
+        for instance in self._instances():
+            key = instance.mesh, instance.skin, instance.weights
             if key not in meshes:
-                meshes[key] = self._mesh(each)
+                meshes[key] = self._mesh(instance)
             for piece in meshes[key]:
                 self._count_drawn(len(piece.positions) + len(piece.faces))
-                own = ".".join(filter(None, (each.name, piece.name)))
-                rig = self._rig_of(each, piece)
-                pieces.append(replace(placed(piece, each.world), name=own, rig=rig))
+                name = ".".join(filter(None, (instance.name, piece.name)))
+                rig = self._rig_of(instance, piece)
+                pieces.append(replace(placed(piece, instance.world), name=name, rig=rig))
         return pieces
 
     def _mesh(self, instance: _Instance) -> list[Piece]:
         mesh = self.document["meshes"][instance.mesh]
         head = None if instance.skin is None else self._head_joints(instance.skin)
-        found = []
+        pieces = []
         for i, primitive in enumerate(mesh["primitives"]):
             where = f"meshes[{instance.mesh}].primitives[{i}]"
             if piece := self._piece(primitive, where, instance, head):
-                found.append(piece)
-        if len(found) == 1:
-            found[0].name = ""  # the material's name is only needed to distinguish several pieces
-        return found
+                pieces.append(piece)
+        if len(pieces) == 1:
+            pieces[0].name = ""  # the material's name is only needed to distinguish several pieces
+        return pieces
 
     def _rig_of(self, instance: _Instance, piece: Piece) -> Rig | None:
         """Return the rig of a piece at an instance; None if no shape and no clip moves it."""
@@ -317,20 +320,20 @@ class _File:
     def _instances(self) -> list[_Instance]:
         """Return all visible mesh instances. An instance is named after its node or, if the node
         has no name, after its mesh."""
-        found: list[_Instance] = []
+        instances: list[_Instance] = []
         count = 0
         self.skeleton, nodes = scene_nodes(self.document)
-        self.worlds = {each.number: each.world for each in nodes}
+        self.worlds = {scene_node.number: scene_node.world for scene_node in nodes}
         self._read_clips()
-        for each in nodes:
-            node = each.properties
+        for scene_node in nodes:
+            node = scene_node.properties
             extensions = node.get("extensions", {})
             if "KHR_lights_punctual" in extensions:
                 self.warn(f"{self.name} has lights (KHR_lights_punctual): ignored; use --light")
-            if "mesh" not in node or not each.visible:
+            if "mesh" not in node or not scene_node.visible:
                 continue
             mesh = self.document["meshes"][node["mesh"]]
-            places = self._places(each.number, extensions.get("EXT_mesh_gpu_instancing"))
+            places = self._places(scene_node.number, extensions.get("EXT_mesh_gpu_instancing"))
             count += len(mesh["primitives"]) * len(places)
             check_count(count, self.name)
             name = node.get("name") or mesh.get("name") or ""
@@ -338,12 +341,14 @@ class _File:
             skin = node.get("skin")
             if skin is not None and self._joints(skin) is None:
                 skin = None
-            for own in places:
-                world = each.world if own is None else each.world @ own
+            for offset in places:
+                world = scene_node.world if offset is None else scene_node.world @ offset
                 if skin is not None:
                     world = np.eye(4)  # a skinned mesh ignores its node's transform
-                found.append(_Instance(node["mesh"], name, each.number, own, world, weights, skin))
-        return found
+                instances.append(
+                    _Instance(node["mesh"], name, scene_node.number, offset, world, weights, skin)
+                )
+        return instances
 
     def _read_clips(self) -> None:
         clips = self.rigs.clips()
@@ -468,18 +473,20 @@ class _File:
             rig=self._rig(base, base_normals, shapes, skin, instance),
         )
 
-    def _drawn_material(self, look: Look[TextureTransform], first: bool, second: bool) -> Material:
+    def _drawn_material(
+        self, look: Look[TextureTransform], has_uv: bool, has_uv2: bool
+    ) -> Material:
         """Return a look's material without the maps whose texture coordinates are missing."""
         material = look.material
-        if not first:
+        if not has_uv:
             if any(getattr(material, key) for key in MAPS):
                 self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
             return material
-        if second or not material.second_uv:
+        if has_uv2 or not material.second_uv:
             return material
         self.warn(f"{self.name} has no second texture coordinates: maps that use them are ignored")
-        without: dict[str, Any] = dict.fromkeys(material.second_uv)
-        return replace(material, second_uv=(), **without)
+        no_maps: dict[str, Any] = dict.fromkeys(material.second_uv)
+        return replace(material, second_uv=(), **no_maps)
 
     def _shapes(
         self, primitive: Primitive, has_normals: bool, instance: _Instance
@@ -515,14 +522,14 @@ class _File:
     ) -> Rig | None:
         if not shapes and not self.skeleton.clips:
             return None
-        own = None if normals is None else np.array(normals)
+        normals_copy = None if normals is None else np.array(normals)
         weights = instance.weights
         placed = instance.skin is None
         return Rig(
             self.skeleton,
             instance.node,
             np.array(positions),
-            own,
+            normals_copy,
             weights,
             shapes,
             skin,

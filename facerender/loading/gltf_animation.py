@@ -29,7 +29,7 @@ class RigReader:
 
     def __init__(self, buffers: Buffers) -> None:
         self.buffers, self.document = buffers, buffers.document
-        size = sum(each["byteLength"] for each in self.document["buffers"])
+        size = sum(buffer["byteLength"] for buffer in self.document["buffers"])
         self.left = min(_TIMES * size + _FEW, _MOST)  # number of values that may still be read
         # Keyed by the accessor's index: checked values, checked times, rows that are not 0.
         self.arrays: dict[int, NDArray[Any]] = {}
@@ -44,9 +44,9 @@ class RigReader:
         needed = rows * TYPES[accessor["type"]]
         if needed > self.left:
             raise ValueError("the file has too many animated values")
-        found = read(index)
+        result = read(index)
         self.left -= needed
-        return found
+        return result
 
     # --- clips -----------------------------------------------------------------------------------
 
@@ -55,8 +55,11 @@ class RigReader:
         animations = self.document.get("animations")
         if not isinstance(animations, list):
             return ()
-        given = [each.get("name") if isinstance(each, dict) else None for each in animations]
-        names = _named(given, "clip")
+        stored_names = [
+            animation.get("name") if isinstance(animation, dict) else None
+            for animation in animations
+        ]
+        names = _named(stored_names, "clip")
         return tuple(self._clip(i, name) for i, name in enumerate(names))
 
     def _clip(self, index: int, name: str) -> Clip:
@@ -93,7 +96,9 @@ class RigReader:
         targets = 0
         if "mesh" in node:
             primitives = self.document["meshes"][node["mesh"]]["primitives"]
-            targets = max((len(each.get("targets", ())) for each in primitives), default=0)
+            targets = max(
+                (len(primitive.get("targets", ())) for primitive in primitives), default=0
+            )
         if not targets:
             raise ValueError(f"{where} has weights for nodes[{number}], which has no morph targets")
         return targets
@@ -155,24 +160,26 @@ class RigReader:
         has_normals : whether the part has normals, which targets may move
         where : path of the primitive, for messages
         """
-        given = names if isinstance(names, list) else []
-        padded = [*given[: len(targets)], *[None] * (len(targets) - len(given))]
-        found = []
+        stored_names = names if isinstance(names, list) else []
+        padded = [*stored_names[: len(targets)], *[None] * (len(targets) - len(stored_names))]
+        shapes = []
         for i, (target, name) in enumerate(zip(targets, _named(padded, "shape"), strict=True)):
             rows: dict[str, _Rows] = {}
             try:
                 for key in ("POSITION", "NORMAL"):
                     if key in target and (has_normals or key == "POSITION"):
-                        own = f"{where}.targets[{i}]: {key}"
-                        rows[key] = self._moves(target[key], count, kept, own)
+                        target_path = f"{where}.targets[{i}]: {key}"
+                        rows[key] = self._moves(target[key], count, kept, target_path)
             except ValueError as error:
-                found.append(Shape(name, fault=clipped(str(error))))
+                shapes.append(Shape(name, fault=clipped(str(error))))
                 continue
             none = None, None
-            found.append(Shape(name, *rows.get("POSITION", none), *rows.get("NORMAL", none)))
-        return tuple(found)
+            shapes.append(Shape(name, *rows.get("POSITION", none), *rows.get("NORMAL", none)))
+        return tuple(shapes)
 
-    def _moves(self, index: int, count: int, kept: NDArray[np.int64] | slice, where: str) -> _Rows:
+    def _moves(
+        self, index: int, count: int, vertices: NDArray[np.int64] | slice, where: str
+    ) -> _Rows:
         """Return the kept rows of an accessor that are not 0."""
         accessor = self.document["accessors"][index]
         if (accessor["count"], TYPES[accessor["type"]]) != (count, 3):
@@ -181,15 +188,15 @@ class RigReader:
             rows, moves = self._read(index, self.buffers.rows)
             self.rows[index] = rows.astype(np.uint32), moves.astype(np.float32)
         rows, moves = self.rows[index]
-        if isinstance(kept, slice):
+        if isinstance(vertices, slice):
             return rows, moves
-        places = np.searchsorted(kept, rows)
-        own = np.isin(rows, kept)
-        return places[own].astype(np.uint32), moves[own]
+        places = np.searchsorted(vertices, rows)
+        mask = np.isin(rows, vertices)
+        return places[mask].astype(np.uint32), moves[mask]
 
 
 def _named(names: Iterable[Any], kind: str) -> list[str]:
     """Return a unique name of one line for each name. A name that is empty or no text becomes
     ``shape2`` for the second shape."""
-    given = (clipped(each, 80) if isinstance(each, str) else "" for each in names)
-    return [*unique(own or f"{kind}{i}" for i, own in enumerate(given, 1))]
+    clipped_names = (clipped(name, 80) if isinstance(name, str) else "" for name in names)
+    return [*unique(name or f"{kind}{i}" for i, name in enumerate(clipped_names, 1))]

@@ -47,8 +47,10 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
     mode, filter_ = view["mode"], view.get("filter", "NONE")
     shown = f"a view compressed with meshopt ({mode}, {count} x {size} bytes)"
     function, sizes, multiple = _MODES.get(mode, ("", (), 1))
-    own, filtered = _FILTERS.get(filter_, ("", (size,) if filter_ == "NONE" else ()))
-    if size not in sizes or size not in filtered or count % multiple:
+    filter_function, filter_sizes = _FILTERS.get(
+        filter_, ("", (size,) if filter_ == "NONE" else ())
+    )
+    if size not in sizes or size not in filter_sizes or count % multiple:
         raise ValueError(f"{shown} has an invalid mode, filter ({filter_}), count or size")
     if filter_ != "NONE" and mode != "ATTRIBUTES":
         raise ValueError(f"{shown} must not have the filter {filter_}")
@@ -66,8 +68,8 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
         raise ValueError(f"{shown} cannot be decoded")
     if filter_ == "COLOR":
         values = _rgba(values.view(f"u{size // 4}").reshape(-1, 4)).view(np.uint8).reshape(-1)
-    elif own:
-        getattr(functions, f"meshopt_{own}")(values.ctypes.data, count, size)
+    elif filter_function:
+        getattr(functions, f"meshopt_{filter_function}")(values.ctypes.data, count, size)
     return values.data
 
 
@@ -77,14 +79,14 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
     signed = encoded.view(encoded.dtype.str.replace("u", "i")).astype(np.int32)
     y, alpha = encoded[:, 0].astype(np.int32), encoded[:, 3].astype(np.int32)
     orange, green = signed[:, 1], signed[:, 2]
-    most = alpha.copy()
+    full_scale = alpha.copy()
     for bits in (1, 2, 4, 8):
-        most |= most >> bits
-    alpha = ((alpha << 1) & most) | (alpha & 1)
-    whole = np.stack([y + orange - green, y + green, y - orange - green, alpha], axis=1)
+        full_scale |= full_scale >> bits
+    alpha = ((alpha << 1) & full_scale) | (alpha & 1)
+    rgba = np.stack([y + orange - green, y + green, y - orange - green, alpha], axis=1)
     with np.errstate(all="ignore"):  # alpha may be 0 in a damaged file
-        scale = np.float32(np.iinfo(encoded.dtype).max) / most.astype(np.float32)
-        scaled = whole.astype(np.float32) * scale[:, None] + np.float32(0.5)
+        scale = np.float32(np.iinfo(encoded.dtype).max) / full_scale.astype(np.float32)
+        scaled = rgba.astype(np.float32) * scale[:, None] + np.float32(0.5)
         return scaled.astype(np.int64).astype(encoded.dtype)
 
 
@@ -157,8 +159,8 @@ class Buffers:
     ) -> NDArray[Any]:
         """Return elements of a view; ``shape`` is (count, components)."""
         content = self.view(view)
-        item = np.dtype(kind).itemsize
-        row = item * shape[1]
+        component_size = np.dtype(kind).itemsize
+        row = component_size * shape[1]
         stride = self.document["bufferViews"][view].get("byteStride") or row
         if stride < row:
             raise ValueError(f"bufferViews[{view}].byteStride = {stride} is less than {row}")
@@ -169,7 +171,7 @@ class Buffers:
             )
         if not shape[0]:
             return np.empty(shape, dtype=kind)
-        return np.ndarray(shape, kind, content, start, (stride, item))
+        return np.ndarray(shape, kind, content, start, (stride, component_size))
 
     def accessor(self, index: int) -> NDArray[Any]:
         """Return the values of an accessor, (count, components)."""
@@ -204,8 +206,8 @@ class Buffers:
             kind = COMPONENTS[accessor["componentType"]]
             shape = accessor["count"], TYPES[accessor["type"]]
             where = f"accessors[{index}]"
-            own, replacing = self._replacements(accessor["sparse"], kind, shape, where)
-            indices, last = np.unique(own[::-1], return_index=True)
+            all_indices, replacing = self._replacements(accessor["sparse"], kind, shape, where)
+            indices, last = np.unique(all_indices[::-1], return_index=True)
             values = _normalized(replacing[::-1][last], accessor)
         moves = np.zeros(len(values), dtype=bool)
         for column in values.T:
@@ -218,9 +220,9 @@ class Buffers:
         """Return the indices and values of the rows that a sparse accessor of a shape (count,
         components) replaces."""
 
-        def part(own: Doc, kind: str, width: int) -> NDArray[Any]:
-            start, shape = own.get("byteOffset", 0), (sparse["count"], width)
-            return self._elements(f"{where}.sparse", own["bufferView"], start, kind, shape)
+        def part(properties: Doc, kind: str, width: int) -> NDArray[Any]:
+            start, shape = properties.get("byteOffset", 0), (sparse["count"], width)
+            return self._elements(f"{where}.sparse", properties["bufferView"], start, kind, shape)
 
         kind_of_index = COMPONENTS[sparse["indices"].get("componentType", 5125)]
         indices = part(sparse["indices"], kind_of_index, 1)[:, 0]
@@ -233,6 +235,6 @@ class Buffers:
 def _normalized(values: NDArray[Any], accessor: Doc) -> NDArray[Any]:
     """Return integers of a normalised accessor as floats in [-1, 1], other values unchanged."""
     if accessor.get("normalized") and values.dtype.kind != "f":
-        most = np.float32(np.iinfo(values.dtype).max)
-        return np.asarray(np.maximum(values / most, np.float32(-1.0)))
+        largest = np.float32(np.iinfo(values.dtype).max)
+        return np.asarray(np.maximum(values / largest, np.float32(-1.0)))
     return values

@@ -224,24 +224,24 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     if how := conversion(data, declared):
         raise converted(name, how)
     if declared > len(data):
-        least = declared if len(data) >= 20 else "at least 20"
+        expected = declared if len(data) >= 20 else "at least 20"
         raise InputError(
-            f"{name} is truncated: it should have {least} bytes, but has {len(data)}; copy it "
+            f"{name} is truncated: it should have {expected} bytes, but has {len(data)}; copy it "
             "again as binary data"
         )
     if (version := struct.unpack_from("<I", data, 4)[0]) != 2:
         raise InputError(f"{name} is glTF version {version}: export it as version 2")
-    found: dict[int, memoryview] = {}
+    contents: dict[int, memoryview] = {}
     start = 12
     while start + 8 <= declared:
         length, kind = struct.unpack_from("<II", data, start)
         if start + 8 + length > declared:
             raise damaged(name, f"a chunk has {length} bytes, the file {declared}")
-        found.setdefault(kind, memoryview(data)[start + 8 : start + 8 + length])
+        contents.setdefault(kind, memoryview(data)[start + 8 : start + 8 + length])
         start += 8 + length
-    if _JSON not in found:
+    if _JSON not in contents:
         raise damaged(name, "it has no JSON chunk")
-    return bytes(found[_JSON]), found.get(_BINARY)
+    return bytes(contents[_JSON]), contents.get(_BINARY)
 
 
 def conversion(data: bytes | memoryview, size: int) -> str:
@@ -297,7 +297,7 @@ def document_of(text: bytes, name: str) -> Doc:
         raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
     if document.get("meshes", []) == []:
         raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
-    counts = {key: len(each) for key, each in document.items() if isinstance(each, list)}
+    counts = {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
     for key in tables.keys() & counts.keys():
         if counts[key] > MOST_ENTRIES:
             raise InputError(
@@ -317,10 +317,10 @@ def checked_animation(document: Doc, index: int) -> Doc:
     ------
     ValueError : the animation has an invalid property
     """
-    counts = {key: len(each) for key, each in document.items() if isinstance(each, list)}
+    counts = {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
     where = f"animations[{index}]"
-    found: Doc = _checked(document["animations"][index], "animation", where, counts)
-    return found
+    animation: Doc = _checked(document["animations"][index], "animation", where, counts)
+    return animation
 
 
 def damaged(name: str, what: str) -> InputError:
@@ -344,13 +344,13 @@ def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[s
     if shape[0] == "{":
         _expect(isinstance(value, dict), value, where, "an object")
         return {
-            key: _checked(each, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
-            for key, each in value.items()
+            key: _checked(entry, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
+            for key, entry in value.items()
         }
     if shape[0] == "[":
         _expect(isinstance(value, list), value, where, "a list")
         return [
-            _checked(each, shape[1:-1], f"{where}[{i}]", counts) for i, each in enumerate(value)
+            _checked(entry, shape[1:-1], f"{where}[{i}]", counts) for i, entry in enumerate(value)
         ]
     if shape[0] == "#":
         count = counts.get(shape[1:], 0)
@@ -362,16 +362,16 @@ def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[s
         _expect(
             isinstance(value, list) and len(value) == int(length), value, where, f"{length} numbers"
         )
-        return [_checked(each, inner, f"{where}[{i}]", counts) for i, each in enumerate(value)]
+        return [_checked(number, inner, f"{where}[{i}]", counts) for i, number in enumerate(value)]
     if shape == "any":
         return value
-    check, what = _VALUES[shape]
-    _expect(check(value), value, where, what)
+    check, description = _VALUES[shape]
+    _expect(check(value), value, where, description)
     if shape == "name":
         return value if isinstance(value, str) else ""
     return int(value) if shape in ("size", "component", "mode") else value
 
 
-def _expect(good: bool, value: Any, where: str, what: str) -> None:
+def _expect(good: bool, value: Any, where: str, description: str) -> None:
     if not good:
-        raise ValueError(f"{where} = {reprlib.repr(value)} is not {what}")
+        raise ValueError(f"{where} = {reprlib.repr(value)} is not {description}")

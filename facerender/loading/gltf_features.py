@@ -127,13 +127,13 @@ FEATURES = (
         "ignored with a warning; an error if the file requires it",
     ),
 )
-EXTENSIONS = {each.name: each for each in FEATURES if each.is_extension}
+EXTENSIONS = {feature.name: feature for feature in FEATURES if feature.is_extension}
 
 
 def unsupported(required: Sequence[str]) -> list[str]:
     """Return the required extensions that are not supported, sorted by name."""
     return sorted(
-        each
-        for each in set(required)
-        if each not in EXTENSIONS or EXTENSIONS[each].fate == "refused"
+        name
+        for name in set(required)
+        if name not in EXTENSIONS or EXTENSIONS[name].fate == "refused"
     )

@@ -52,12 +52,12 @@ class TextureTransform:
     @classmethod
     def of(cls, use: Doc) -> TextureTransform:
         """Return the transform of a material's reference to a texture."""
-        own = use.get("extensions", {}).get("KHR_texture_transform", {})
+        transform = use.get("extensions", {}).get("KHR_texture_transform", {})
         return cls(
-            own.get("texCoord", use.get("texCoord", 0)),
-            tuple(map(float, own.get("offset", (0.0, 0.0)))),
-            float(own.get("rotation", 0.0)),
-            tuple(map(float, own.get("scale", (1.0, 1.0)))),
+            transform.get("texCoord", use.get("texCoord", 0)),
+            tuple(map(float, transform.get("offset", (0.0, 0.0)))),
+            float(transform.get("rotation", 0.0)),
+            tuple(map(float, transform.get("scale", (1.0, 1.0)))),
         )
 
     def applied(self, uv: NDArray[Any]) -> NDArray[np.float64]:
@@ -122,7 +122,7 @@ class Materials:
         if not glossy:
             self._look_for_metal(metallic)
         factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
-        red, green, blue, opacity = (self._factor("albedo", each) for each in factor)
+        red, green, blue, opacity = (self._factor("albedo", channel) for channel in factor)
         albedo = (red, green, blue)
         lost = self.lost_images and maps.get("albedo_map") is None
         if lost and min(albedo) > 0.99:
@@ -169,26 +169,28 @@ class Materials:
 
     def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
         """Warn of the material's unsupported extensions that have an effect."""
-        for key, own in extensions.items():
+        for key, extension in extensions.items():
             feature = EXTENSIONS.get(key)
             if feature is None or feature.fate != "warned":
                 continue
-            if not feature.factor or np.any(own.get(feature.factor, 0.0)):
+            if not feature.factor or np.any(extension.get(feature.factor, 0.0)):
                 self.warn(f"{self.name} has {key}, which is not supported: {feature.how}")
 
-    def _factor(self, what: str, value: float, most: float = 1.0) -> float:
-        if not 0.0 <= value <= most:
-            warn(f"the {what} factor {value:.6g} of {self.name} is outside [0, {most:g}]: clamped")
-        return float(min(max(value, 0.0), most))
+    def _factor(self, name: str, value: float, high: float = 1.0) -> float:
+        if not 0.0 <= value <= high:
+            warn(f"the {name} factor {value:.6g} of {self.name} is outside [0, {high:g}]: clamped")
+        return float(min(max(value, 0.0), high))
 
-    def _strength(self, source: Doc, use: str, key: str, most: float) -> float:
-        return self._factor(f"{use}.{key}", source.get(use, {}).get(key, 1.0), most)
+    def _strength(self, source: Doc, use: str, key: str, high: float) -> float:
+        return self._factor(f"{use}.{key}", source.get(use, {}).get(key, 1.0), high)
 
     def _emissive(self, source: Doc, extensions: Doc) -> tuple[float, float, float]:
-        own = extensions.get("KHR_materials_emissive_strength", {})
-        strength = self._factor("emissiveStrength", own.get("emissiveStrength", 1.0), MOST_RADIANCE)
+        extension = extensions.get("KHR_materials_emissive_strength", {})
+        strength = self._factor(
+            "emissiveStrength", extension.get("emissiveStrength", 1.0), MOST_RADIANCE
+        )
         factor = source.get("emissiveFactor", (0.0, 0.0, 0.0))
-        red, green, blue = (strength * self._factor("emissive", each) for each in factor)
+        red, green, blue = (strength * self._factor("emissive", channel) for channel in factor)
         return red, green, blue
 
     def _f0(self, extensions: Doc) -> float:
@@ -210,18 +212,18 @@ class Materials:
     def _transmission(self, extensions: Doc, metallic: Doc) -> dict[str, Any]:
         """Return the fields transmission and refraction, and m from the roughness factor. Without a
         thickness the surface is thin and does not refract."""
-        own = extensions.get("KHR_materials_transmission", {})
-        passes = self._factor("transmission", own.get("transmissionFactor", 0.0))
+        transmission = extensions.get("KHR_materials_transmission", {})
+        passes = self._factor("transmission", transmission.get("transmissionFactor", 0.0))
         if not passes:
             return {}
-        if "transmissionTexture" in own:
+        if "transmissionTexture" in transmission:
             self.warn(f"{self.name} has a transmission map: ignored, only the factor is used")
         thickness = extensions.get("KHR_materials_volume", {}).get("thicknessFactor", 0.0)
         ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5) if thickness > 0.0 else 1.0
-        most = range_of(Material, "refraction").high
+        max_ior = range_of(Material, "refraction").high
         roughness = self._factor("roughness", metallic.get("roughnessFactor", 1.0))
         m = max(roughness * roughness, range_of(Material, "m").low)
-        return {"transmission": passes, "refraction": min(max(ior, 1.0), most), "m": m}
+        return {"transmission": passes, "refraction": min(max(ior, 1.0), max_ior), "m": m}
 
     def _look_for_metal(self, metallic: Doc) -> None:
         """Warn of a metallic material. This check decodes the metallic map unless it is large."""
@@ -230,9 +232,9 @@ class Materials:
         if factor <= 0.0:
             return
         source = None if use is None else self._source(self.document["textures"][use["index"]])
-        found = None if source is None else self.images.get(source)
-        if found is not None:
-            image = found[0]
+        record = None if source is None else self.images.get(source)
+        if record is not None:
+            image = record[0]
             if image.width * image.height > _MOST_LOOKED_AT:
                 self.warn(f"{self.name} has a metallic map: ignored, drawn as a dielectric")
                 return
@@ -250,11 +252,11 @@ class Materials:
     @staticmethod
     def _source(texture: Doc) -> Any:
         """Return the index of the image that is read for a texture; None without such an image."""
-        others = texture.get("extensions", {})
-        found = others.get("EXT_texture_webp", {}).get("source", texture.get("source"))
+        extensions = texture.get("extensions", {})
+        index = extensions.get("EXT_texture_webp", {}).get("source", texture.get("source"))
         for key in _INSTEAD:
-            found = others.get(key, {}).get("source") if found is None else found
-        return found
+            index = extensions.get(key, {}).get("source") if index is None else index
+        return index
 
     def _replaces(self, kind: str) -> bool:
         """Return whether the caller replaces the maps of a kind."""
@@ -280,7 +282,7 @@ class Materials:
             return None
         if source not in self.images:
             self.images[source] = self._image(source, kind)
-        if (found := self.images[source]) is None:
+        if (record := self.images[source]) is None:
             return None
         sampler = {}
         if "sampler" in texture:
@@ -289,12 +291,16 @@ class Materials:
         sampling: tuple[tuple[Wrap, Wrap], bool] = (u, v), sampler.get("magFilter") == _NEAREST
         key = source, channel, sampling
         if key not in self.sampled:
-            own = found[2] if channel == "alpha" else found[1]
-            if own is None:
+            image_texture = record[2] if channel == "alpha" else record[1]
+            if image_texture is None:
                 return None
             if isinstance(channel, int):
-                own = own.channel(channel, own.name)
-            self.sampled[key] = own.sampled(*sampling) if sampling != own.sampling else own
+                image_texture = image_texture.channel(channel, image_texture.name)
+            self.sampled[key] = (
+                image_texture.sampled(*sampling)
+                if sampling != image_texture.sampling
+                else image_texture
+            )
         return self.sampled[key]
 
     def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
@@ -307,8 +313,8 @@ class Materials:
                 content = bytes(self.buffers.view(entry["bufferView"]))
             elif "uri" not in entry:
                 raise ValueError(f"images[{index}] has neither uri nor bufferView")
-            elif (found := inline(entry["uri"])) is not None:
-                content = found
+            elif (inline_content := inline(entry["uri"])) is not None:
+                content = inline_content
             else:
                 shown = f"{clipped(entry['uri'], 80)} (named by {self.name})"
                 content = self.buffers.referred.read(entry["uri"], "an image file")

@@ -45,19 +45,19 @@ def scene_nodes(document: Doc) -> tuple[Skeleton, Sequence[SceneNode]]:
     else:
         children = {child for node in nodes for child in node.get("children", ())}
         roots = sorted(set(range(len(nodes))) - children)
-    found: dict[int, Node] = {}
+    tree: dict[int, Node] = {}
     visible: dict[int | None, bool] = {None: True}
     queue: list[tuple[int, int | None]] = [(index, None) for index in reversed(roots)]
     while queue:
         index, parent = queue.pop()
-        if index in found:
+        if index in tree:
             raise ValueError(f"nodes[{index}] has two parents, or is its own ancestor")
         node = nodes[index]
-        own_transforms = {key: tuple(node[key]) for key in _TRANSFORMS if key in node}
-        found[index] = Node(index, parent, **own_transforms)
-        own = node.get("extensions", {}).get("KHR_node_visibility", {})
-        visible[index] = visible[parent] and own.get("visible", True)
+        transforms = {key: tuple(node[key]) for key in _TRANSFORMS if key in node}
+        tree[index] = Node(index, parent, **transforms)
+        visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
+        visible[index] = visible[parent] and visibility.get("visible", True)
         queue += [(child, index) for child in reversed(node.get("children", []))]
-    skeleton = Skeleton(tuple(found.values()))
+    skeleton = Skeleton(tuple(tree.values()))
     worlds = skeleton.worlds({})
-    return skeleton, [SceneNode(i, nodes[i], worlds[i], visible[i]) for i in found]
+    return skeleton, [SceneNode(i, nodes[i], worlds[i], visible[i]) for i in tree]

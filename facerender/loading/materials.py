@@ -32,7 +32,7 @@ class Look(Generic[Transform]):
 
 def second_of(transforms: Iterable[Transform], first: Transform) -> Transform | None:
     """Return the first element of ``transforms`` that is not equal to ``first``, or None."""
-    return next((each for each in transforms if each != first), None)
+    return next((transform for transform in transforms if transform != first), None)
 
 
 class WarnOnce:
@@ -68,21 +68,21 @@ def image_of(content: bytes) -> Image:
 
 def unreadable(shown: str, kind: str, error: ValueError, fatal: bool) -> None:
     """Report an error of :func:`image_of`: raise InputError if ``fatal``, else warn."""
-    message, own = f"{shown} is not an image that can be read", "replace it"
+    message, advice = f"{shown} is not an image that can be read", "replace it"
     if isinstance(error, TooLarge):
-        message, _, own = f"{shown} {str(error).removeprefix('it ')}".partition("; ")
+        message, _, advice = f"{shown} {str(error).removeprefix('it ')}".partition("; ")
     if not fatal:
         warn(f"{message}: ignored")
         return
     option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
     remedy = f", or pass {option[kind]} FILE" if kind in option else ""
-    raise InputError(f"{message}; {own}{remedy}")
+    raise InputError(f"{message}; {advice}{remedy}")
 
 
 def missing_image(referred: References, name: str) -> None:
     """Warn of a missing image. If the mesh file's folder contains exactly one image, suggest it."""
     near = referred.folder.iterdir() if referred.folder else ()
-    beside = [each.name for each in near if each.suffix.lower() in SUFFIXES]
+    beside = [path.name for path in near if path.suffix.lower() in SUFFIXES]
     hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
     warn(
         f"{clipped(name, 80)} (named by {referred.name}) "

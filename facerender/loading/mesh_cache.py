@@ -49,7 +49,7 @@ _CHAINS: dict[str, Kind] = {
 
 _PLAIN_FIELDS = ("name", "skin", "source_count")
 _ARRAYS = tuple(
-    each.name for each in fields(Part) if each.name not in (*_PLAIN_FIELDS, "rest", "rig")
+    field.name for field in fields(Part) if field.name not in (*_PLAIN_FIELDS, "rest", "rig")
 )
 
 
@@ -74,11 +74,11 @@ class MeshFiles:
 
     def digest(self) -> str | None:
         """Return the name of the cache entry, or None if a file cannot be read."""
-        names = [self.source.path.name, *((field, each.name) for field, each in self.maps.items())]
+        names = [self.source.path.name, *((field, path.name) for field, path in self.maps.items())]
         options = self.orientation, self.allow_outside, self.as_is, self.parts, self.hide
         facts = __version__, _code(), names, self.source.suffix, options
         try:
-            maps = [read_file(each, "a file") for each in self.maps.values()]
+            maps = [read_file(path, "a file") for path in self.maps.values()]
             return digest_of(repr(facts), self.source.read(), *maps)
         except InputError:
             return None
@@ -91,22 +91,22 @@ class MeshFiles:
         if content is None:
             return None
         try:
-            found, warnings = self._unpacked(content)
+            mesh, warnings = self._unpacked(content)
         except Exception:  # another program may have damaged the entry
             return None
         for message in warnings:
             warn(message)
-        return found
+        return mesh
 
     def _unpacked(self, content: memoryview) -> tuple[Mesh | None, list[str]]:
         """Return mesh and warnings of a cache entry. The mesh is None if a referenced file has
         changed."""
         (length,) = _LENGTH.unpack_from(content)
         facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
-        if any(self._digest_of(each) != known for each, known in facts["files"].items()):
+        if any(self._digest_of(name) != digest for name, digest in facts["files"].items()):
             return None, []
         mesh = _mesh(facts, _arrays(content, _LENGTH.size + length, facts["arrays"]))
-        return mesh, [str(each) for each in facts["warnings"]]
+        return mesh, [str(message) for message in facts["warnings"]]
 
     def _digest_of(self, name: str) -> str | None:
         if self.source.folder is None:
@@ -130,9 +130,9 @@ class MeshFiles:
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of a missing image depends on other files in the mesh's folder
-        if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
+        if any(math.prod(texture.size) > LARGE for texture in _maps(mesh)):
             return  # storing the mesh would decode large maps at full resolution
-        files = {each: None if data is None else digest_of(data) for each, data in referred.items()}
+        files = {file: None if data is None else digest_of(data) for file, data in referred.items()}
         chains = _start(mesh)
 
         def write() -> None:
@@ -150,11 +150,11 @@ def _code() -> list[tuple[str, int, int]]:
     """Return path, size and modification time of each module, of this package or of a library, that
     reads meshes or decodes images."""
     specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
-    found = [Path(spec.origin) for spec in specs if spec and spec.origin]
+    paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "scenes"):
-        found += sorted((_PACKAGE / folder).glob("*.py"))
-    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "system/files.py"))
-    return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
+        paths += sorted((_PACKAGE / folder).glob("*.py"))
+    facts = ((path, path.stat()) for path in (*paths, _PACKAGE / "system/files.py"))
+    return [(str(path), status.st_size, status.st_mtime_ns) for path, status in facts]
 
 
 def _maps(mesh: Mesh) -> Iterator[Texture]:
@@ -168,10 +168,10 @@ def _start(mesh: Mesh) -> Chains:
     for material in mesh.materials:
         for name in (*MAPS, "property_map"):
             if (texture := getattr(material, name)) is not None:
-                known = chains.setdefault(texture, {})
+                futures = chains.setdefault(texture, {})
                 apart = name in PROPERTY_MAPS and not material.packs
                 if (kind := "data" if apart else _CHAINS.get(name)) is not None:
-                    known[kind] = texture.levels(kind)
+                    futures[kind] = texture.levels(kind)
     return chains
 
 
@@ -188,7 +188,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
 
     textures = []
     for texture, futures in chains.items():
-        levels = {kind: [number(each) for each in f.result()] for kind, f in futures.items()}
+        levels = {kind: [number(level) for level in f.result()] for kind, f in futures.items()}
         texels = None if levels else number(_grey_or_rgb(np.asarray(texture.rgb())))
         facts_of = {"name": texture.name, "wrap": texture.wrap, "nearest": texture.nearest}
         textures.append({**facts_of, "levels": levels, "texels": texels})
@@ -203,7 +203,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
             for part in mesh.parts
         ],
         "materials": [
-            {each.name: getattr(material, each.name) for each in fields(Material)}
+            {field.name: getattr(material, field.name) for field in fields(Material)}
             | {name: numbers.get(getattr(material, name)) for name in (*MAPS, "property_map")}
             for material in mesh.materials
         ],
@@ -211,17 +211,17 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "radius": mesh.radius,
         "profile": number(mesh.profile),
         "millimetres": mesh.millimetres,
-        "regions": {name: each and _plain(each) for name, each in find_regions(mesh).items()},
+        "regions": {name: region and _plain(region) for name, region in find_regions(mesh).items()},
         "textures": textures,
         "rigs": rigs.objects,
     }
-    facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
+    facts["arrays"] = [(array.dtype.str, array.shape) for array in arrays]
     head = json.dumps(facts, default=float).encode()
     pieces: list[bytes | memoryview] = [_LENGTH.pack(len(head)), head]
     size = _LENGTH.size + len(head)
-    for each in arrays:
-        pieces += [bytes(-size % _ALIGNMENT), each.data]
-        size += -size % _ALIGNMENT + each.nbytes
+    for array in arrays:
+        pieces += [bytes(-size % _ALIGNMENT), array.data]
+        size += -size % _ALIGNMENT + array.nbytes
     return pieces
 
 
@@ -236,7 +236,7 @@ class _RigWriter:
 
     def packed(self, value: Any) -> Any:
         if isinstance(value, tuple | list):
-            return [self.packed(each) for each in value]
+            return [self.packed(element) for element in value]
         if isinstance(value, np.ndarray):
             if id(value) not in self.known:
                 self.known[id(value)] = {"array": self.number(value)}
@@ -244,8 +244,10 @@ class _RigWriter:
         if not is_dataclass(value):
             return value
         if id(value) not in self.known:
-            own = {each.name: self.packed(getattr(value, each.name)) for each in fields(value)}
-            self.objects.append({"type": type(value).__name__, "fields": own})
+            packed_fields = {
+                field.name: self.packed(getattr(value, field.name)) for field in fields(value)
+            }
+            self.objects.append({"type": type(value).__name__, "fields": packed_fields})
             self.known[id(value)] = {"object": len(self.objects) - 1}
         return self.known[id(value)]
 
@@ -257,19 +259,19 @@ def _rigs(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> list[Rig 
     from facerender.scenes import rig
 
     kinds = (rig.Clip, rig.Node, rig.Rig, rig.Shape, rig.Skeleton, rig.Skin, rig.Track)
-    known = {each.__name__: each for each in kinds}
+    types = {kind.__name__: kind for kind in kinds}
     objects: list[Any] = []
 
     def unpacked(value: Any) -> Any:
         if isinstance(value, list):
-            return tuple(unpacked(each) for each in value)
+            return tuple(unpacked(element) for element in value)
         if not isinstance(value, dict):
             return value
         return objects[value["object"]] if "object" in value else arrays[value["array"]]
 
-    for each in facts["rigs"]:
-        own = {name: unpacked(value) for name, value in each["fields"].items()}
-        objects.append(known[each["type"]](**own))
+    for record in facts["rigs"]:
+        arguments = {name: unpacked(value) for name, value in record["fields"].items()}
+        objects.append(types[record["type"]](**arguments))
     return [unpacked(part["rig"]) for part in facts["parts"]]
 
 
@@ -294,26 +296,26 @@ def _arrays(
 
 
 def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
-    textures = [_texture(each, arrays) for each in facts["textures"]]
+    textures = [_texture(texture, arrays) for texture in facts["textures"]]
     materials = []
-    for each in facts["materials"]:
-        maps = {name: textures[each[name]] for name in MAPS if each[name] is not None}
-        packed = each.pop("property_map")
-        material = Material(**{**each, **dict.fromkeys(MAPS), **maps})
+    for record in facts["materials"]:
+        maps = {name: textures[record[name]] for name in MAPS if record[name] is not None}
+        packed = record.pop("property_map")
+        material = Material(**{**record, **dict.fromkeys(MAPS), **maps})
         if packed is not None:
-            own = pack(*material.properties, textures[packed])
-            vars(material)["property_map"] = own  # sets the cached property
+            property_map = pack(*material.properties, textures[packed])
+            vars(material)["property_map"] = property_map  # sets the cached property
         materials.append(material)
     columns: list[dict[str, Any]] = [
-        {name: None if each[name] is None else arrays[each[name]] for name in _ARRAYS}
-        for each in facts["parts"]
+        {name: None if part[name] is None else arrays[part[name]] for name in _ARRAYS}
+        for part in facts["parts"]
     ]
     rigs = _rigs(facts, arrays)
     return Mesh(
         facts["name"],
         tuple(
-            Part(**each, **{name: own[name] for name in _PLAIN_FIELDS}, rig=rig)
-            for each, own, rig in zip(columns, facts["parts"], rigs, strict=True)
+            Part(**part_arrays, **{name: part[name] for name in _PLAIN_FIELDS}, rig=rig)
+            for part_arrays, part, rig in zip(columns, facts["parts"], rigs, strict=True)
         ),
         tuple(materials),
         arrays[facts["bounds"]],
@@ -321,8 +323,8 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         arrays[facts["profile"]],
         facts["millimetres"],
         {
-            name: each and Region(**{**each, "center": np.array(each["center"])})
-            for name, each in facts["regions"].items()
+            name: region and Region(**{**region, "center": np.array(region["center"])})
+            for name, region in facts["regions"].items()
         },
     )
 

@@ -63,10 +63,10 @@ def _is_normal_map(image: Image) -> bool:
     if image.mode not in ("RGB", "RGBA", "P"):
         return False
     texels = image.convert("RGB").resize((_LOOKED_AT, _LOOKED_AT))
-    values = np.asarray(texels, dtype=np.float64)
-    if float(np.ptp(values, axis=-1).mean()) < _GREY:
+    levels = np.asarray(texels, dtype=np.float64)
+    if float(np.ptp(levels, axis=-1).mean()) < _GREY:
         return False
-    normals = values / 127.5 - 1.0
+    normals = levels / 127.5 - 1.0
     length = np.linalg.norm(normals, axis=-1)
     return bool((np.abs(length - 1.0) < 0.25).mean() > 0.9 and normals[..., 2].mean() > 0.5)
 
@@ -82,10 +82,10 @@ def _normals(image: Image) -> Image:
     normals = np.empty((height, width, 3), dtype=np.uint8)
     for top in range(0, height, _STRIP):
         start, end = max(top - 1, 0), min(top + _STRIP + 1, height)
-        own = slice(top - start, min(top + _STRIP, height) - start)
+        strip = slice(top - start, min(top + _STRIP, height) - start)
         rows = heights[start:end].astype(np.float32) * np.float32(DEPTH / scale)
         # A normal's x is minus the slope; y is plus the slope, because rows run down and y up.
-        slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[own]
+        slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[strip]
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
         normals[top : top + _STRIP] = np.round(unit * 127.5 + 127.5)
@@ -183,7 +183,7 @@ class Library:
         for line in dict.fromkeys(_LIBRARIES.findall(data)):
             for content in self._contents(text_of(line)):
                 self._parse(content)
-        self.text = "".join(f"newmtl {each}\n" for each in self.materials).encode()
+        self.text = "".join(f"newmtl {material}\n" for material in self.materials).encode()
 
     def _contents(self, line: str) -> Iterator[str]:
         """Yield the content of the MTL file with the name ``line``. If this file is missing, yield
@@ -193,25 +193,25 @@ class Library:
             return
         except FileNotFoundError:
             pass
-        found = False
+        any_file = False
         for word in line.split() if " " in line else ():
             try:
                 content = self.referred.read(word, "an MTL file")
             except FileNotFoundError:
                 continue
-            found = True
+            any_file = True
             yield text_of(content)
-        if found:
+        if any_file:
             del self.referred.files[line]
 
     def _parse(self, text: str) -> None:
         statements: dict[str, str] = {}
         for line in text.splitlines():
-            key, _, rest = line.strip().partition("#")[0].replace("\t", " ").partition(" ")
+            key, _, arguments = line.strip().partition("#")[0].replace("\t", " ").partition(" ")
             if key.lower() == "newmtl":
-                statements = self.materials.setdefault(" ".join(rest.split()), {})
-            elif rest.strip():
-                statements[key.lower()] = rest.strip()
+                statements = self.materials.setdefault(" ".join(arguments.split()), {})
+            elif arguments.strip():
+                statements[key.lower()] = arguments.strip()
 
     def look(self, name: str, has_colors: bool, tile: int = 0) -> Look[UvSpread]:
         """Return the look of a material, or the default look if the material is not defined.
@@ -232,25 +232,27 @@ class Library:
         statements = self.materials.get(name, {})
         named = [statements[key] for key in _MAPS if key in statements]
         if piece.uv is None or not len(piece.faces):
-            if any(UDIM in each for each in named):
+            if any(UDIM in statement for statement in named):
                 self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
             return {}
         middle = piece.uv[piece.faces].mean(axis=1)
         cells = np.floor(np.where(np.abs(middle) < 1e6, middle, 0.0)).astype(np.int64)
         tiles = 1001 + np.clip(cells[:, 0], 0, 9) + 10 * np.clip(cells[:, 1], 0, 899)
-        found = np.unique(tiles)
-        if not any(UDIM in each for each in named):
-            if len(found) > 1 and any(re.search(r"(?<!\d)1001(?!\d)", each) for each in named):
+        numbers = np.unique(tiles)
+        if not any(UDIM in statement for statement in named):
+            if len(numbers) > 1 and any(
+                re.search(r"(?<!\d)1001(?!\d)", statement) for statement in named
+            ):
                 self.warn(
-                    f"a map of {self.name} is UDIM tile 1001: drawn on all {len(found)} tiles; "
+                    f"a map of {self.name} is UDIM tile 1001: drawn on all {len(numbers)} tiles; "
                     f"write {UDIM} instead of 1001 to use one map per tile"
                 )
             return {}
-        if len(found) > _MOST_TILES:
+        if len(numbers) > _MOST_TILES:
             raise InputError(
-                f"{self.name} uses {len(found)} UDIM tiles, but the limit is {_MOST_TILES}"
+                f"{self.name} uses {len(numbers)} UDIM tiles, but the limit is {_MOST_TILES}"
             )
-        return {int(tile): np.asarray(tiles == tile) for tile in found}
+        return {int(tile): np.asarray(tiles == tile) for tile in numbers}
 
     def split(
         self, piece: Piece, name: str, tiles: Mapping[int, NDArray[np.bool_]]
@@ -284,7 +286,7 @@ class Library:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
         uses = self._uses(statements)
-        places = {key: each.uv for key, each in uses.items()}
+        places = {key: use.uv for key, use in uses.items()}
         first = places.get("albedo_map", next(iter(places.values()), _PLAIN))
         second = second_of(places.values(), first)
         maps: dict[str, Any] = {}
@@ -313,20 +315,20 @@ class Library:
         if "normal_map" in uses:
             changes["normal_strength"] = uses["normal_map"].strength
         changes["second_uv"] = tuple(
-            key for key, each in maps.items() if each and places[key] != first
+            key for key, texture in maps.items() if texture and places[key] != first
         )
         return Look(Material(**changes), first, second)
 
     def _numbers(self, statements: Mapping[str, str], key: str) -> list[float]:
         """Return the numbers of a statement; an empty list if a word is not a finite number."""
         try:
-            found = [float(each) for each in statements.get(key, "").split()]
+            numbers = [float(word) for word in statements.get(key, "").split()]
         except ValueError:
-            found = []
-        if key in statements and not (found and all(map(math.isfinite, found))):
+            numbers = []
+        if key in statements and not (numbers and all(map(math.isfinite, numbers))):
             self.warn(f"{self.name} has {key} {clipped(statements[key], 40)} in its MTL: ignored")
             return []
-        return found
+        return numbers
 
     def _within(self, key: str, value: float, low: float, high: float) -> float:
         if not low <= value <= high:
@@ -338,20 +340,20 @@ class Library:
 
     def _color(self, statements: Mapping[str, str], key: str) -> Vector | None:
         """Return a colour as linear RGB; the file stores sRGB."""
-        found = self._numbers(statements, key)
-        if not found:
+        numbers = self._numbers(statements, key)
+        if not numbers:
             return None
-        three = found[:3] if len(found) >= 3 else found[:1] * 3
-        most = MOST_RADIANCE if key == "ke" else 1.0
-        red, green, blue = (self._within(key, each, 0.0, most) for each in three)
+        rgb = numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3
+        high = MOST_RADIANCE if key == "ke" else 1.0
+        red, green, blue = (self._within(key, channel, 0.0, high) for channel in rgb)
         linear = np.minimum(srgb_to_linear(np.array([red, green, blue])), MOST_RADIANCE)
         return float(linear[0]), float(linear[1]), float(linear[2])
 
     def _opacity(self, statements: Mapping[str, str], has_map: bool) -> dict[str, Any]:
         """Return the fields alpha and opacity. Alpha is "blend" for an opacity below 1, else "mask"
         with an opacity map, else "opaque"."""
-        found = self._numbers({"d": statements.get("d", "1").replace("-halo", "")}, "d")
-        opacity = self._within("d", (found or [1.0])[0], 0.0, 1.0)
+        numbers = self._numbers({"d": statements.get("d", "1").replace("-halo", "")}, "d")
+        opacity = self._within("d", (numbers or [1.0])[0], 0.0, 1.0)
         if "d" not in statements and (tr := self._numbers(statements, "tr")):
             opacity = 1.0 - self._within("Tr", tr[0], 0.0, 1.0)
             if not opacity:  # exporters that write Tr 1 for all materials mean d 1
@@ -390,15 +392,15 @@ class Library:
 
     def _uses(self, statements: Mapping[str, str]) -> dict[str, _Map]:
         """Return the statements of maps, keyed by the field of the material."""
-        found: dict[str, _Map] = {}
+        uses: dict[str, _Map] = {}
         for key, (name, _) in _MAPS.items():
-            if key not in statements or name in found:
+            if key not in statements or name in uses:
                 continue
             use = self._options(statements[key], _MAPS[key][1])
             if use.name:
-                found[name] = use
+                uses[name] = use
                 use.channel = use.channel or ("normal" if key == "norm" else "")
-        return found
+        return uses
 
     def _options(self, text: str, kind: str) -> _Map:
         """Parse the statement of a map."""
@@ -413,7 +415,7 @@ class Library:
                     break
                 values.append(value)
                 text = text[len(value) :].lstrip()
-            numbers = [float(each) for each in values if _is_number(each)]
+            numbers = [float(argument) for argument in values if _is_number(argument)]
             if word == "-s":
                 scale[: len(numbers[:2])] = numbers[:2]
             elif word == "-o":
@@ -466,10 +468,10 @@ class Library:
             alpha = Texture.alpha_of(content, name)
             if alpha is not None:
                 return alpha
-        same = "image", name
-        texture = self.textures.get(same)
+        identity = "image", name
+        texture = self.textures.get(identity)
         if texture is None:
-            texture = self.textures[same] = Texture.of(content, name)
+            texture = self.textures[identity] = Texture.of(content, name)
         if key in ("opacity_map", "roughness_map", "specular_map"):
             return texture.channel(_CHANNELS.get(use.channel, 0), name)
         return texture

@@ -115,18 +115,18 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
 
 
 def _with_faces(keys: Sequence[Owners], has_faces: Sequence[bool]) -> list[Owners]:
-    return [*dict.fromkeys(key for key, own in zip(keys, has_faces, strict=True) if own)]
+    return [*dict.fromkeys(key for key, has_face in zip(keys, has_faces, strict=True) if has_face)]
 
 
 def _names(parts: Sequence[Owners]) -> list[str]:
-    found = [group or owner or material for owner, group, material in parts]
+    names = [group or owner or material for owner, group, material in parts]
     for which in (slice(1, 3), slice(0, 3)):
-        counts = Counter(found)
-        found = [
+        counts = Counter(names)
+        names = [
             name if counts[name] == 1 else b".".join(filter(None, key[which]))
-            for name, key in zip(found, parts, strict=True)
+            for name, key in zip(names, parts, strict=True)
         ]
-    return [name.decode("utf-8", "replace") for name in found]
+    return [name.decode("utf-8", "replace") for name in names]
 
 
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
@@ -145,16 +145,16 @@ def number_vertices(data: bytes, pieces: Sequence[Piece]) -> None:
         places = np.array(_VERTEX.findall(data), dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
     except ValueError:  # trimesh accepts more than three numbers without spaces between them
         return
-    known, first, counts = np.unique(_hashes(places), return_index=True, return_counts=True)
+    hashes, first, counts = np.unique(_hashes(places), return_index=True, return_counts=True)
     for piece in pieces:
         if len(pieces) == 1 and np.array_equal(piece.positions, places):
             continue
-        own = np.searchsorted(known, _hashes(piece.positions)).clip(max=len(known) - 1)
-        sources = first[own]
-        if not (counts[own] == 1).all():
-            if len(pieces) > 1 or (found := _by_faces(data, piece)) is None:
+        matches = np.searchsorted(hashes, _hashes(piece.positions)).clip(max=len(hashes) - 1)
+        sources = first[matches]
+        if not (counts[matches] == 1).all():
+            if len(pieces) > 1 or (face_sources := _by_faces(data, piece)) is None:
                 continue
-            sources = found
+            sources = face_sources
         if sources.max() < len(places) and (places[sources] == piece.positions).all():
             piece.sources, piece.source_count = sources, len(places)
 

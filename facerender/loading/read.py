@@ -58,7 +58,7 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
         raise ValueError("it has no PLY header")
     lines = [" ".join(line.split()) for line in text_of(data[:end]).splitlines()]
     lines = [line for line in lines if line]
-    rest = data[end:]
+    body = data[end:]
     is_text = any(line.startswith("format ascii") for line in lines)
     texture = None
     count = rows = needed = 0
@@ -73,12 +73,12 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
             needed += count * _least_bytes(words, is_text)
         elif (comment := TEXTURE_FILE.fullmatch(line.encode())) is not None:
             texture = comment[1].decode()
-    if needed > len(rest):
-        raise ValueError(f"its header declares at least {needed} bytes, but it has {len(rest)}")
-    if is_text and rest.count(b"\n") > rows + _SLACK:
+    if needed > len(body):
+        raise ValueError(f"its header declares at least {needed} bytes, but it has {len(body)}")
+    if is_text and body.count(b"\n") > rows + _SLACK:
         raise ValueError(f"its header declares {rows} lines, but it has more")
     renamed = [line.replace("element edge ", "element line ") for line in lines]
-    return "\n".join([*renamed, ""]).encode() + rest, texture
+    return "\n".join([*renamed, ""]).encode() + body, texture
 
 
 def _least_bytes(words: list[str], is_text: bool) -> int:
@@ -115,7 +115,7 @@ def check_faces(metadata: Mapping[str, Any]) -> None:
 def _check_indices(name: str, column: Any, elements: Mapping[str, Any]) -> None:
     if name not in _INDICES:
         return
-    has_uv = any(each in elements["vertex"]["properties"] for each in ("s", "u", "texture_u"))
+    has_uv = any(key in elements["vertex"]["properties"] for key in ("s", "u", "texture_u"))
     has_uv = has_uv or "texcoord" in elements["face"]["properties"]
     if has_uv and column.dtype != object and column.size and column.min() < 0:
         raise ValueError(f"a face uses vertex {column.min()}")
@@ -180,7 +180,7 @@ def _read_ply_or_stl(
         _give_texture(geometries, texture, references, not albedo_given)
     textures: dict[int, Texture] = {}
     lost = bool(references.missing())
-    pieces = [piece_of(each, name, textures, lost) for each in geometries]
+    pieces = [piece_of(geometry, name, textures, lost) for geometry in geometries]
     _clear(*geometries)
     check_count(len(pieces), name)
     _warn_of_missing(references, albedo_given)
@@ -205,8 +205,8 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     except Exception:  # trimesh raises several exceptions for an invalid reference
         lost = True
     if lost:
-        data, more = with_absolute(data)
-        out_of_range += more
+        data, dropped = with_absolute(data)
+        out_of_range += dropped
         if out_of_range and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
             raise ValueError(f"none of its {out_of_range} faces has valid references")
         geometries = _geometries(data, ".obj", name, library)
@@ -217,14 +217,14 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
         pieces[-1][1].name = names[number]
     pieces[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
-    pieces.sort(key=lambda each: each[0])
+    pieces.sort(key=lambda pair: pair[0])
     number_vertices(data, [piece for _, piece in pieces])
-    found = [
+    parts = [
         part for _, piece in pieces for part in _with_tiles(piece, piece.material_name, library)
     ]
-    check_count(len(found), name)
+    check_count(len(parts), name)
     _warn_of_missing(references, albedo_given)
-    return found
+    return parts
 
 
 def _warn_of_missing(references: References, albedo_given: bool) -> None:
@@ -236,8 +236,8 @@ def _warn_of_missing(references: References, albedo_given: bool) -> None:
 def _clear(*loaded: object) -> None:
     """Clear trimesh objects. They form reference cycles, which would keep vertices and maps in
     memory until the garbage collector runs."""
-    for each in loaded:
-        vars(each).clear()
+    for trimesh_object in loaded:
+        vars(trimesh_object).clear()
 
 
 def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece]:
@@ -260,19 +260,19 @@ def _geometries(
         **_OPTIONS.get(suffix, {}),
     )
     names = (scene.graph[node][1] for node in scene.graph.nodes_geometry)
-    instances = {each: scene.geometry[each] for each in names}
-    found = {
-        key: each
-        for key, each in instances.items()
-        if isinstance(each, trimesh.Trimesh) and len(each.faces)
+    instances = {key: scene.geometry[key] for key in names}
+    geometries = {
+        key: geometry
+        for key, geometry in instances.items()
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces)
     }
-    if not found:
-        points = any(len(getattr(each, "vertices", ())) for each in scene.geometry.values())
+    if not geometries:
+        points = any(len(getattr(geometry, "vertices", ())) for geometry in scene.geometry.values())
         raise _no_faces(name, points)
     _clear(scene)
-    for each in found.values():
-        check_faces(each.metadata)
-    return found
+    for geometry in geometries.values():
+        check_faces(geometry.metadata)
+    return geometries
 
 
 def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
@@ -282,8 +282,9 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
         for pattern in (rb"^f[ \t]+\d+/\d", rb"^f[ \t]+\d+/\d*/\d")
     )
     return any(
-        (uv and getattr(each.visual, "uv", None) is None) or (normals and not has_normals(each))
-        for each in geometries
+        (uv and getattr(geometry.visual, "uv", None) is None)
+        or (normals and not has_normals(geometry))
+        for geometry in geometries
     )
 
 
@@ -349,14 +350,14 @@ def _quiet() -> Iterator[None]:
         return record.thread != me
 
     loggers = [
-        each
-        for name, each in logging.root.manager.loggerDict.items()
-        if name.partition(".")[0] == "trimesh" and isinstance(each, logging.Logger)
+        logger
+        for name, logger in logging.root.manager.loggerDict.items()
+        if name.partition(".")[0] == "trimesh" and isinstance(logger, logging.Logger)
     ]
-    for each in loggers:
-        each.addFilter(is_of_another)
+    for logger in loggers:
+        logger.addFilter(is_of_another)
     try:
         yield
     finally:
-        for each in loggers:
-            each.removeFilter(is_of_another)
+        for logger in loggers:
+            logger.removeFilter(is_of_another)

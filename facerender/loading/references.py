@@ -61,14 +61,16 @@ class References:
         FileNotFoundError : the file is missing, or its path is not allowed
         InputError : the file is not a regular file, or all files together are too large
         """
-        if (known := self.files.get(name)) is not None:
-            return known
+        if (cached := self.files.get(name)) is not None:
+            return cached
         self.files[name] = None
-        found = self.folder and _place(self.folder, name, self.allow_outside)
-        if found is None:
+        path = self.folder and _place(self.folder, name, self.allow_outside)
+        if path is None:
             raise FileNotFoundError(self.why_not(name))
-        most = MOST - sum(len(each) for each in self.files.values() if each is not None)
-        content = self.files[name] = read_file(found, what, most)
+        remaining = MOST - sum(
+            len(content) for content in self.files.values() if content is not None
+        )
+        content = self.files[name] = read_file(path, what, remaining)
         return content
 
     def missing(self) -> list[str]:
@@ -86,9 +88,9 @@ class References:
 
 def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
     """Return the content of a file ``name`` to which a mesh file in ``folder`` refers, or None."""
-    found = _place(folder, name, allow_outside)
+    path = _place(folder, name, allow_outside)
     try:
-        return None if found is None else read_file(found, "a file")
+        return None if path is None else read_file(path, "a file")
     except InputError:
         return None
 
@@ -121,11 +123,11 @@ def text_of(content: bytes) -> str:
 def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
     """Find a referenced file at its path relative to ``folder``, or else by its file name in
     ``folder``. Return its path, or None if it does not exist or is not allowed."""
-    for each in (path for name in (name, *_recoded(name)) for path in _spellings(name)):
-        if allow_outside or _is_inside(folder, each):
+    for spelling in (path for name in (name, *_recoded(name)) for path in _spellings(name)):
+        if allow_outside or _is_inside(folder, spelling):
             try:
-                if os.path.exists(folder / each):
-                    return folder / each
+                if os.path.exists(folder / spelling):
+                    return folder / spelling
             except ValueError:  # an invalid file name
                 pass
     return None
@@ -164,7 +166,7 @@ def named_files(path: Path) -> list[Path]:
         if suffix == ".obj":
             lines = _names(_LIBRARY, path)
             libraries = [path.parent / name for line in lines for name in (line, *line.split())]
-            return libraries + [each for library in libraries for each in _maps(library)]
+            return libraries + [map_path for library in libraries for map_path in _maps(library)]
         if suffix == ".ply":
             return [path.parent / name for name in _names(TEXTURE_FILE, path)]
     except (ValueError, TypeError, RecursionError):  # loading the file reports the error
@@ -176,8 +178,8 @@ def _uris(path: Path) -> list[str]:
     """Return the external URIs of a glTF file. The file may be invalid."""
     document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
     tables = document if isinstance(document, dict) else {}
-    entries = [each for key in ("buffers", "images") for each in tables.get(key) or ()]
-    uris = [each.get("uri") for each in entries if isinstance(each, dict)]
+    entries = [entry for key in ("buffers", "images") for entry in tables.get(key) or ()]
+    uris = [entry.get("uri") for entry in entries if isinstance(entry, dict)]
     return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
 
 
@@ -191,7 +193,7 @@ def _maps(library: Path) -> list[Path]:
     names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
     tiled = {name for name in names if UDIM in name}
     patterns = (glob.escape(str(library.parent / name)) for name in sorted(tiled))
-    tiles = [each for pattern in patterns for each in glob.glob(pattern.replace(UDIM, _TILE))]
+    tiles = [tile for pattern in patterns for tile in glob.glob(pattern.replace(UDIM, _TILE))]
     return [*(library.parent / name for name in sorted(names - tiled)), *map(Path, tiles)]
 
 

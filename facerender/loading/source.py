@@ -102,8 +102,8 @@ def source_of(source: Any, kind: str | None = None) -> Source:
     if kind is not None:
         suffix = f".{str(kind).lower().removeprefix('.')}"
         if suffix not in FORMATS:
-            known = ", ".join(each[1:] for each in FORMATS)
-            raise InputError(f"unknown mesh kind {shown(kind)}; known: {known}")
+            kinds = ", ".join(key[1:] for key in FORMATS)
+            raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
     if source is None:
         source = data_dir("assets") / "head.glb"
     if isinstance(source, str | os.PathLike):
@@ -169,20 +169,22 @@ def _suffix_of(data: bytes, name: str) -> str:
 def check_format(data: bytes, suffix: str, name: str) -> None:
     """Raise InputError if the content has a known format that differs from the suffix."""
     start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
-    wanted = FORMATS[suffix]
+    format_name = FORMATS[suffix]
     for beginning, kind, remedy in _BEGINNINGS:
         if start.startswith(beginning):
-            raise InputError(f"{name} is not {wanted} but {kind}; {remedy}")
-    check_downloaded(start, f"{name} is not {wanted} but")
+            raise InputError(f"{name} is not {format_name} but {kind}; {remedy}")
+    check_downloaded(start, f"{name} is not {format_name} but")
     if start.startswith(b"<"):
-        raise InputError(f"{name} is not {wanted} but an XML file; download the file itself")
+        raise InputError(f"{name} is not {format_name} but an XML file; download the file itself")
     if data[257:262] == b"ustar":
-        raise InputError(f"{name} is not {wanted} but a tar archive; unpack it")
-    for beginning, other in _MESHES:
-        if start.startswith(beginning) and FORMATS[other] != wanted:
-            raise InputError(f"{name} is not {wanted} but {FORMATS[other]}; name it {other}")
-    if wanted != "glTF" and start.startswith(b"{"):
-        raise InputError(f"{name} is not {wanted} but {_json(data)}")
+        raise InputError(f"{name} is not {format_name} but a tar archive; unpack it")
+    for beginning, actual_suffix in _MESHES:
+        if start.startswith(beginning) and FORMATS[actual_suffix] != format_name:
+            raise InputError(
+                f"{name} is not {format_name} but {FORMATS[actual_suffix]}; name it {actual_suffix}"
+            )
+    if format_name != "glTF" and start.startswith(b"{"):
+        raise InputError(f"{name} is not {format_name} but {_json(data)}")
 
 
 def _json(data: bytes) -> str:

@@ -51,7 +51,7 @@ def _frame(path: str, frame: int) -> Any:
         raise InputError(f"{_name(path)} has {count} frames: frame = {frame} is not below {count}")
     if Path(path).suffix.lower() == ".npy":
         return arrays[""][frame]
-    return {name: values[frame] for name, values in arrays.items()}
+    return {name: array[frame] for name, array in arrays.items()}
 
 
 def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
@@ -69,7 +69,7 @@ def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
             arrays = {"": np.load(path, mmap_mode="r", allow_pickle=False)}
         else:
             with zipfile.ZipFile(path) as file:
-                needed = sum(each.file_size for each in file.infolist())
+                needed = sum(entry.file_size for entry in file.infolist())
             if needed > limit(None) * MIB:
                 raise ValueError(f"its arrays have {needed} bytes, more than the free memory")
             with np.load(path, allow_pickle=False) as file:
@@ -81,13 +81,13 @@ def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
     if not arrays:
         raise InputError(f"{name} has no arrays: give (frames, vertices, 3) for each part")
     counts = set()
-    for key, values in arrays.items():
-        if values.ndim != 3 or values.shape[2] != 3 or values.dtype.kind not in "fiu":
+    for key, array in arrays.items():
+        if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind not in "fiu":
             raise InputError(
-                f"{name}{f', array {clipped(key, 40)}' * bool(key)}, has the shape {values.shape} "
-                f"and type {values.dtype}: give numbers of shape (frames, vertices, 3)"
+                f"{name}{f', array {clipped(key, 40)}' * bool(key)}, has the shape {array.shape} "
+                f"and type {array.dtype}: give numbers of shape (frames, vertices, 3)"
             )
-        counts.add(len(values))
+        counts.add(len(array))
     if len(counts) > 1 or 0 in counts:
         raise InputError(f"the arrays of {name} have {sorted(counts)} frames: give equal numbers")
     return arrays

@@ -113,21 +113,21 @@ def _boxes(places: Sequence[Box], front: Sequence[tuple[float, float]]) -> list[
     for x, y, low, high in places:
         boxes.append((x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS))
         boxes.append((low - 2.0, y - 3.0, high + 2.0, y + 3.0))
-    for (x, y), (dearer, less) in pairwise(front):
-        boxes += [(x, y - 1.0, dearer, y + 1.0), (dearer - 1.0, y, dearer + 1.0, less)]
+    for (x, y), (next_x, next_y) in pairwise(front):
+        boxes += [(x, y - 1.0, next_x, y + 1.0), (next_x - 1.0, y, next_x + 1.0, next_y)]
     return boxes
 
 
-def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list[str]:
-    """Return names with lines to their points; ``taken`` are boxes that they do not overlap."""
+def _names(rows: Sequence[Row], places: Sequence[Box], boxes: list[Box]) -> list[str]:
+    """Return names with lines to their points; ``boxes`` are those that they do not overlap."""
     lines: list[str] = []
-    found: list[str] = []
+    texts: list[str] = []
     names: list[Box] = []
     points = [(x, y) for x, y, *_ in places]
     pairs = zip(rows, places, strict=True)
     for row, (x, y, *_) in sorted(pairs, key=lambda pair: pair[0].dominated):
         # Without free space, the name of a variant on the line overlaps no other name.
-        for obstacles in [[*taken, *names]] + [names] * (not row.dominated):
+        for obstacles in [[*boxes, *names]] + [names] * (not row.dominated):
             free = (
                 place
                 for place in product(_DISTANCES, _DIRECTIONS)
@@ -146,8 +146,8 @@ def _names(rows: Sequence[Row], places: Sequence[Box], taken: list[Box]) -> list
         if distance > _DISTANCES[1]:
             end = f"{x + 0.9 * distance * right:.1f} {y - 0.9 * distance * up:.1f}"
             lines.append(f'<path class="{_kind(row)}" d="M{x:.1f} {y:.1f}L{end}"/>')
-        found.append(_text(left, bottom, anchor, row.variant.name, f"name {_kind(row)}"))
-    return lines + found
+        texts.append(_text(left, bottom, anchor, row.variant.name, f"name {_kind(row)}"))
+    return lines + texts
 
 
 def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, int]) -> Box:
@@ -174,6 +174,6 @@ def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:
     left, top, right, bottom = box
     outside = left < _LEFT or top < _TOP or right > _RIGHT or bottom > _BOTTOM
     return outside or any(
-        left < other[2] and right > other[0] and top < other[3] and bottom > other[1]
-        for other in obstacles
+        left < obstacle[2] and right > obstacle[0] and top < obstacle[3] and bottom > obstacle[1]
+        for obstacle in obstacles
     )

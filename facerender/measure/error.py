@@ -141,9 +141,9 @@ def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     Image a is compared with b, and b with a; both are (H, W, 3).
     """
     worst = 0.0
-    for one, other in ((a, b), (b, a)):
+    for neighbours, pixels in ((a, b), (b, a)):
         for channel in range(3):
-            x, y = one[..., channel], other[..., channel]
+            x, y = neighbours[..., channel], pixels[..., channel]
             beyond = np.maximum(y - filtered(x, np.maximum), filtered(x, np.minimum) - y)
             worst = max(worst, float(beyond.max()))
     return worst
@@ -167,8 +167,10 @@ def block_error(
     worst = 0.0
     for channel in range(3):
         x, y = reference[..., channel], a[..., channel]
-        of = np.maximum(block_sums(cell_sums(np.abs(x) * inside)), FLOOR * np.maximum(count, 1.0))
-        change = np.abs(block_sums(cell_sums((y - x) * inside))) / of
+        divisor = np.maximum(
+            block_sums(cell_sums(np.abs(x) * inside)), FLOOR * np.maximum(count, 1.0)
+        )
+        change = np.abs(block_sums(cell_sums((y - x) * inside))) / divisor
         worst = max(worst, float(change[count >= BLOCK**2 // 4].max(initial=0.0)))
     return worst
 

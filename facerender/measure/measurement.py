@@ -247,8 +247,8 @@ class Measurement:
                 }
                 for measured in self.variants
             ],
-            **({"samples": [asdict(each) for each in self.samples]} if self.samples else {}),
-            **({"skin": [asdict(each) for each in self.skin]} if self.skin else {}),
+            **({"samples": [asdict(setting) for setting in self.samples]} if self.samples else {}),
+            **({"skin": [asdict(setting) for setting in self.skin]} if self.skin else {}),
             "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }

@@ -99,7 +99,7 @@ def pareto(measurement: Measurement, model: str, kind: CostKind) -> list[Row]:
         return 100.0 * image.largest if image else None
 
     rows = [Row(measured, kind.of(measured), error(measured)) for measured in variants]
-    marked = [replace(row, dominated=any(_dominates(other, row) for other in rows)) for row in rows]
+    marked = [replace(row, dominated=any(_dominates(rival, row) for rival in rows)) for row in rows]
 
     def order(row: Row) -> tuple[bool, float, float]:
         return row.cost is None, row.cost.value if row.cost else 0.0, row.error or 0.0
@@ -141,9 +141,9 @@ def recommended(measurement: Measurement, model: str) -> list[Recommendation]:
 def _dominates(a: Row, b: Row) -> bool:
     if a.variant.printed or not a.cost or not b.cost or a.error is None or b.error is None:
         return False
-    error, other = max(a.error, EXACT), max(b.error, EXACT)
+    error_a, error_b = max(a.error, EXACT), max(b.error, EXACT)
     cheaper = a.cost.high < b.cost.low  # overlapping intervals have no reliable order
-    return error <= other and (cheaper or (a.cost.low <= b.cost.high and error < other))
+    return error_a <= error_b and (cheaper or (a.cost.low <= b.cost.high and error_a < error_b))
 
 
 def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:

@@ -33,7 +33,9 @@ def display_error(
 
     Both images are linear, (H, W, 4).
     """
-    a, b = (linear_to_srgb(each[where][:, :3].astype(np.float64)) for each in (image, reference))
+    a, b = (
+        linear_to_srgb(pixels[where][:, :3].astype(np.float64)) for pixels in (image, reference)
+    )
     errors = np.abs(a - b).max(axis=-1)
     if not errors.size:
         return DisplayError(0.0, 0.0, 0.0)
@@ -77,7 +79,7 @@ def antialiasing(
     measured = []
     for (count, rate), time, draw in zip(settings, times, draws[1:], strict=True):
         image = draw().linear
-        at_edges, within = (display_error(image, reference, at) for at in (silhouette, inside))
+        at_edges, within = (display_error(image, reference, mask) for mask in (silhouette, inside))
         measured.append(SampleSetting(count, time, at_edges, within, rate))
     return measured
 
@@ -101,7 +103,10 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
     """
     measured: list[PartSetting] = []
     for part, settings in _parts(scene):
-        draws = [partial(renderer.render, each.scene, each.shading, samples=1) for each in settings]
+        draws = [
+            partial(renderer.render, setting.scene, setting.shading, samples=1)
+            for setting in settings
+        ]
         finest = draws[-1]().linear
         covered = finest[..., 3] == 1.0
         if not covered.any():
@@ -114,11 +119,11 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
 
 def _parts(scene: Scene) -> Iterator[tuple[str, list[_Setting]]]:
     """Yield each part of skin shading with its settings, from the simplest to the finest."""
-    mesh, (key, *others) = scene.mesh, scene.lights
-    others = [replace(light, shadow=False) for light in others]
+    mesh, (key, *other_lights) = scene.mesh, scene.lights
+    other_lights = [replace(light, shadow=False) for light in other_lights]
 
     def lit(radius: float, shadow: bool) -> Scene:
-        return replace(scene, lights=(replace(key, radius=radius, shadow=shadow), *others))
+        return replace(scene, lights=(replace(key, radius=radius, shadow=shadow), *other_lights))
 
     yield (
         f"shadow of a light of {_SOFT:g} degrees",

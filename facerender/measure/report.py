@@ -126,7 +126,9 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
 def content(measurement: Measurement) -> dict[str, Any]:
     """Return the content of measure.json: the measurement and the recommended variants."""
     best = [
-        each.as_dict() for model in measurement.models for each in recommended(measurement, model)
+        choice.as_dict()
+        for model in measurement.models
+        for choice in recommended(measurement, model)
     ]
     return {"recommended": best, **measurement.as_dict()}
 
@@ -189,8 +191,8 @@ def _page(measurement: Measurement, curves: Sequence[Figure], strips: Iterable[F
     """Return the page: one self-contained HTML file."""
     models, slope = measurement.models, measurement.settings.slope
     frames = " ".join(frame_advice(measurement, model) for model in models)
-    missing = "".join(f"<li>{escape(each)}</li>" for each in measurement.not_measured)
-    terms, *rest = (tables_of(measurement, kind) for kind in KINDS)
+    missing = "".join(f"<li>{escape(text)}</li>" for text in measurement.not_measured)
+    terms, *frame_tables = (tables_of(measurement, kind) for kind in KINDS)
     machine = f"{measurement.settings.mesh} on {measurement.environment.GL_RENDERER}"
     angles = _folded(
         "Error of the lobe over the angle", f'<div class="pair">{_figures(curves)}</div>'
@@ -206,7 +208,7 @@ def _page(measurement: Measurement, curves: Sequence[Figure], strips: Iterable[F
         _folded(
             "Cost of a whole frame",
             _trades(measurement, FRAME),
-            *(_html(table, "numbers costs") for tables in rest for table in tables),
+            *(_html(table, "numbers costs") for tables in frame_tables for table in tables),
         ),
         _folded(
             f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",
@@ -278,7 +280,7 @@ def _facts(measurement: Measurement) -> list[str]:
 
 
 def _figures(figures: Iterable[Figure]) -> str:
-    return "\n".join(figure(each.png, each.caption) for each in figures)
+    return "\n".join(figure(plot.png, plot.caption) for plot in figures)
 
 
 def _html(table: Table, kind: str) -> str:

@@ -108,12 +108,12 @@ def advice(measurement: Measurement, model: str) -> str:
     if not best:
         return f"{start}no variant has an error of at most {LIMITS[-1]:g} %."
     parts = []
-    for each in best:
-        limit = each.limits[0]
+    for choice in best:
+        limit = choice.limits[0]
         allowed = f" if an error of {limit:g} % is acceptable" if limit > EXACT else ""
-        parts.append(f'"{each.row.variant.name}"{allowed} ({_cost_and_error(each.row)})')
-    rest = f"; no variant with an error of at most {LIMITS[-1]:g} % is measurably cheaper"
-    return f"{start}use {', or '.join(parts)}{rest * (len(parts) == 1)}."
+        parts.append(f'"{choice.row.variant.name}"{allowed} ({_cost_and_error(choice.row)})')
+    ending = f"; no variant with an error of at most {LIMITS[-1]:g} % is measurably cheaper"
+    return f"{start}use {', or '.join(parts)}{ending * (len(parts) == 1)}."
 
 
 def _cost_and_error(row: Row) -> str:
@@ -142,12 +142,12 @@ def frame_advice(measurement: Measurement, model: str) -> str:
         and row.measured.cost.term_ns.high < term.low
         and (row.error or 0.0) <= LIMITS[-1]
     ]
-    found = f"No lobe {allowed} is measurably faster."
+    sentence = f"No lobe {allowed} is measurably faster."
     if faster:
-        found = f"Faster lobes {allowed}: {', '.join(faster)}."
+        sentence = f"Faster lobes {allowed}: {', '.join(faster)}."
     time = f"{_number(exact.value)} ms (95 % interval {_cell(exact)})"
     size = "{} x {} pixels".format(*measurement.settings.size)
-    return f"{MODELS[model]}: the exact lobe draws a frame of {size} in {time}. {found}"
+    return f"{MODELS[model]}: the exact lobe draws a frame of {size} in {time}. {sentence}"
 
 
 def recommendation_table(measurement: Measurement, model: str) -> Table:
@@ -155,14 +155,14 @@ def recommendation_table(measurement: Measurement, model: str) -> Table:
     error = ERRORS[measure_of(measurement, model)]
     frames = {row.variant.lobe: row.cost for row in pareto(measurement, model, FRAME) if row.cost}
     rows = []
-    for each in recommended(measurement, model):
-        variant, cost = each.row.variant, each.row.cost
+    for choice in recommended(measurement, model):
+        variant, cost = choice.row.variant, choice.row.cost
         macros = lobe_macros(variant.lobe) | ({"FR_SMALL_SLOPE": "0"} if variant.plain else {})
         rows.append(
             [
-                ", ".join(f"{limit:g}" for limit in each.limits),
+                ", ".join(f"{limit:g}" for limit in choice.limits),
                 variant.name,
-                _number(each.row.error),
+                _number(choice.row.error),
                 _number(cost.value if cost else None),
                 _cell(cost),
                 _cell(frames.get(variant.lobe)),
@@ -211,7 +211,7 @@ def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
     ratio = f"{cost / exact.value:.2f}" if cost is not None and exact else ""
     remarks = ["as published"] * row.variant.printed + ["dominated"] * row.dominated
     error = _number(row.error, NOT_MEASURED if row.variant.printed else "outside the domain")
-    extra = [_cell(value(row.measured)) for value in kind.columns.values()]
+    extra = [_cell(column(row.measured)) for column in kind.columns.values()]
     return [row.variant.name, ", ".join(remarks), _number(cost), ratio, error, *extra]
 
 
@@ -254,10 +254,10 @@ def error_tables(measurement: Measurement) -> list[Table]:
 def sample_table(measurement: Measurement) -> Table:
     """Return the table of cost and error by samples per pixel; without rows if not measured."""
     rows = []
-    for each in measurement.samples:
-        name = f"{each.samples}{', per-pixel shading' * (each.shading_rate == 'pixel')}"
-        errors = [*_levels(each.silhouette), *_levels(each.inside)]
-        values = (each.time.value, *errors, 100.0 * each.inside.over)
+    for measured in measurement.samples:
+        name = f"{measured.samples}{', per-pixel shading' * (measured.shading_rate == 'pixel')}"
+        errors = [*_levels(measured.silhouette), *_levels(measured.inside)]
+        values = (measured.time.value, *errors, 100.0 * measured.inside.over)
         rows.append([name, *map(_number, values)])
     return Table(
         "Samples per pixel: {} x {}".format(*measurement.settings.size),
@@ -270,9 +270,9 @@ def sample_table(measurement: Measurement) -> Table:
 def skin_table(measurement: Measurement) -> Table:
     """Return the table of cost and error of skin shading; without rows if not measured."""
     rows = []
-    for each in measurement.skin:
-        values = (each.time.value, *_levels(each.error), 100.0 * each.error.over)
-        rows.append([each.part, each.setting, *map(_number, values)])
+    for measured in measurement.skin:
+        values = (measured.time.value, *_levels(measured.error), 100.0 * measured.error.over)
+        rows.append([measured.part, measured.setting, *map(_number, values)])
     return Table(
         "Parts of skin shading: {} x {}".format(*measurement.settings.size),
         "Errors of the displayed image against the image with the part's last setting.",
@@ -295,8 +295,8 @@ def _table(
 ) -> Table:
     """Return a table without the columns that are empty or were not measured in any row."""
     columns = zip(head, zip(*rows, strict=True), strict=True) if rows else ()
-    kept = [(name, *cells) for name, cells in columns if {*cells} - {"", NOT_MEASURED}]
-    lines = list(zip(*kept, strict=True)) or [()]
+    filled = [(name, *cells) for name, cells in columns if {*cells} - {"", NOT_MEASURED}]
+    lines = list(zip(*filled, strict=True)) or [()]
     return Table(title, note, lines[0], lines[1:], dominated)
 
 
@@ -310,9 +310,9 @@ def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
 
 
 def _image_cells(error: ImageError) -> list[str]:
-    percent = [100.0 * each for each in (error.largest, error.percentile, error.block)]
-    others = (error.point, error.steps, error.steps_percentile, error.flip)
-    return [_number(value) for value in (*percent, *others)]
+    percent = [100.0 * fraction for fraction in (error.largest, error.percentile, error.block)]
+    absolute = (error.point, error.steps, error.steps_percentile, error.flip)
+    return [_number(value) for value in (*percent, *absolute)]
 
 
 def _cell(value: float | Interval | None) -> str:

@@ -77,5 +77,5 @@ def table(kind: str, head: Iterable[str], rows: Iterable[str], caption: str = ""
 def row(name: str, cells: Iterable[str], kind: str = "") -> str:
     """Return a row of a table from HTML cells; kind is the HTML class of the row."""
     marked = f' class="{kind}"' if kind else ""
-    values = "".join(f"<td>{cell}</td>" for cell in cells)
-    return f'<tr{marked}><th scope="row">{name}</th>{values}</tr>'
+    data_cells = "".join(f"<td>{cell}</td>" for cell in cells)
+    return f'<tr{marked}><th scope="row">{name}</th>{data_cells}</tr>'

@@ -76,14 +76,14 @@ class Budget:
         try:
             if match is None:
                 raise ValueError
-            value, below = float(match[1]), float(match[2] or 1.0)
-            limit = value / below
+            numerator, denominator = float(match[1]), float(match[2] or 1.0)
+            limit = numerator / denominator
         except (ValueError, ZeroDivisionError):
             raise InputError(f"budget {given!r} has an unknown unit: {remedy}") from None
         if not 0.0 <= limit < math.inf:
             fault = "is negative" if limit < 0.0 else "is not a finite number"
             raise InputError(f"budget {given} {fault}: {remedy}")
-        if isinstance(given, str) and value and not any(match.groups()[1:]):
+        if isinstance(given, str) and numerator and not any(match.groups()[1:]):
             raise InputError(f"budget {given!r} has no unit: {remedy}")
         if match[3]:
             return cls(limit / 100.0, "relative", exposure, fraction)

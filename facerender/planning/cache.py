@@ -46,8 +46,8 @@ def cached_plan(
             LevelOfDetail(**cached["detail"])
             if isinstance(cached["text"], str):
                 return cached
-    made = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
-    facts = made.as_dict()
+    new_plan = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
+    facts = new_plan.as_dict()
     if cache:
         disk_cache.write("plans", name, [json.dumps(facts).encode()])
     return facts
@@ -72,11 +72,11 @@ def _pieces(value: Any) -> Iterator[bytes]:
         facts = [getattr(value, name) for name in names] + [value.context.renderer]
         yield repr(facts).encode()
     elif isinstance(value, tuple):
-        for item in value:
-            yield from _pieces(item)
+        for element in value:
+            yield from _pieces(element)
         yield b")"
     elif hasattr(value, "__dataclass_fields__"):
-        for each in fields(value):
-            yield from _pieces(getattr(value, each.name))
+        for field in fields(value):
+            yield from _pieces(getattr(value, field.name))
     else:
         yield repr(value).encode() + b";"

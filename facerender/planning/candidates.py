@@ -97,14 +97,18 @@ def candidates(
         for shading, lights in product(_terms(scene, surface), kinds):
             if lights == () and shading != surface:
                 continue
-            own = shading
+            candidate = shading
             if lights != shading.specular_lights:
-                own = with_lights(shading, lights, shading.frontal_lights)
-            yield own
+                candidate = with_lights(shading, lights, shading.frontal_lights)
+            yield candidate
             if shading.term != shading.term.frontal:
-                order = [at for at in constants.frontal if own.of(at) and at not in near]
+                order = [
+                    light
+                    for light in constants.frontal
+                    if candidate.of(light) and light not in near
+                ]
                 for count in range(1, len(order)):
-                    yield with_lights(own, lights, sorted(near.union(order[:count])))
+                    yield with_lights(candidate, lights, sorted(near.union(order[:count])))
 
 
 def _surfaces(
@@ -113,36 +117,45 @@ def _surfaces(
     """Yield variants of the full shading; the specular terms keep all properties except m."""
     materials = scene.mesh.materials
     normal_maps, specular_maps = (
-        any(getattr(each, name) is not None for each in materials)
+        any(getattr(material, name) is not None for material in materials)
         for name in ("normal_map", "specular_map")
     )
     means = [constants.m] if full.term.m is None else []
     single = constants.single if full.two_lobes else ()
     changes = [*((full.two_lobes, m) for m in means), *((False, m) for m in single)]
     slopes = [(full.two_lobes, full.term.m)]
-    slopes += [(two, m) for two, m in changes if fits(full.replace(two_lobes=two, m=m))]
+    slopes += [
+        (two_lobes, m) for two_lobes, m in changes if fits(full.replace(two_lobes=two_lobes, m=m))
+    ]
     cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
-    scatters = any(each.scattering and each.diffuse_weight > 0.0 for each in materials)
+    scatters = any(material.scattering and material.diffuse_weight > 0.0 for material in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
-    around = scene.environment is not None and full.environment
-    samples = [each for each in ENVIRONMENT_SAMPLES if around and each < full.environment_samples]
+    has_environment = scene.environment is not None and full.environment
+    samples = [
+        count
+        for count in ENVIRONMENT_SAMPLES
+        if has_environment and count < full.environment_samples
+    ]
 
-    def of(name: str, others: Iterable[Any]) -> list[Any]:
-        whole = getattr(full, name)
-        return [whole, *(each for each in others if fits(replace(full, **{name: each})))]
+    def options(name: str, replacements: Iterable[Any]) -> list[Any]:
+        full_value = getattr(full, name)
+        return [
+            full_value,
+            *(value for value in replacements if fits(replace(full, **{name: value}))),
+        ]
 
     choices: dict[str, list[Any]] = {
-        "ks": of("ks", [constants.ks] if full.ks is None and specular_maps else []),
-        "shadow_lights": of("shadow_lights", cast),
-        "scatter_samples": of("scatter_samples", fewer),
-        "normal_map": of("normal_map", [False] if full.normal_map and normal_maps else []),
-        "ambient": of("ambient", [False] if full.ambient and np.any(scene.ambient) else []),
-        "diffuse": of("diffuse", {"lambert"} - {full.diffuse}),
-        "environment_samples": of("environment_samples", samples),
+        "ks": options("ks", [constants.ks] if full.ks is None and specular_maps else []),
+        "shadow_lights": options("shadow_lights", cast),
+        "scatter_samples": options("scatter_samples", fewer),
+        "normal_map": options("normal_map", [False] if full.normal_map and normal_maps else []),
+        "ambient": options("ambient", [False] if full.ambient and np.any(scene.ambient) else []),
+        "diffuse": options("diffuse", {"lambert"} - {full.diffuse}),
+        "environment_samples": options("environment_samples", samples),
     }
-    for (two_lobes, m), *values in product(slopes, *choices.values()):
-        own = dict(zip(choices, values, strict=True))
-        yield replace(full, term=replace(full.term, m=m), two_lobes=two_lobes, **own)
+    for (two_lobes, m), *combination in product(slopes, *choices.values()):
+        attributes = dict(zip(choices, combination, strict=True))
+        yield replace(full, term=replace(full.term, m=m), two_lobes=two_lobes, **attributes)
 
 
 def shadowed(scene: Scene, shading: Shading) -> list[int]:
@@ -172,11 +185,13 @@ def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
 
 
 def _lobes(k: int, smallest: float, largest: float) -> list[AnyLobe]:
-    ends = (smallest, largest)
-    first, *others = [name for name, lobe in LOBES.items() if lobe.belongs(ends, k).all()]
-    fits = [fit_g_power(k, g, *ends) for g in G_POWERS]
+    slopes = (smallest, largest)
+    first_name, *other_names = [
+        name for name, lobe in LOBES.items() if lobe.belongs(slopes, k).all()
+    ]
+    fits = [fit_g_power(k, g, *slopes) for g in G_POWERS]
     # Of lobes with equal costs, the search takes the first: the exact lobe, or a fitted g-power.
-    return [first, *(lobe for lobe in fits if lobe is not None), *others]
+    return [first_name, *(lobe for lobe in fits if lobe is not None), *other_names]
 
 
 def _factors(term: Term, full: Term) -> Iterator[Term]:
@@ -201,9 +216,9 @@ def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
     """
     differs = changed(shading, full)
     together = {"two lobes": SINGLE, "model": TERM}
-    made = {name: together[name] for name in differs if name in together}
-    inside = {each for names in made.values() for each in names}
-    return {name: (name,) for name in differs if name not in inside} | made
+    joint_groups = {name: together[name] for name in differs if name in together}
+    grouped = {decision for names in joint_groups.values() for decision in names}
+    return {name: (name,) for name in differs if name not in grouped} | joint_groups
 
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:

@@ -72,11 +72,11 @@ def decisions(
         full frame and of the plan
     bound : function that returns a lower bound of a shading's error
     """
-    made = groups(shading, choice.full)
+    changes = groups(shading, choice.full)
     for name in DECISIONS:
-        if name in made:
-            yield _changed(choice, shading, name, made[name], error)
-        elif any(name in names for names in made.values()):
+        if name in changes:
+            yield _changed(choice, shading, name, changes[name], error)
+        elif any(name in names for names in changes.values()):
             continue  # part of another decision
         elif (unchanged := _unchanged(choice, shading, name, otherwise, bound)) is not None:
             yield unchanged
@@ -86,17 +86,17 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
     """Yield the decisions on back faces, samples, shading rate and triangles."""
     if choice.frames is None:
         return
-    taken, before = choice.frames.taken, "full"
+    step_times, previous = choice.frames.taken, "full"
     for name in ("cull_back_faces", "samples", "shading_rate", "triangles"):
-        saved = (taken[before] - taken[name]) / taken["full"]
-        before = name
-        own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
-        if own != full:
-            alone_ = replace(drawn.finest, **{name: own})
+        saved = (step_times[previous] - step_times[name]) / step_times["full"]
+        previous = name
+        planned, full_value = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
+        if planned != full_value:
+            alone_ = replace(drawn.finest, **{name: planned})
             if name == "shading_rate":  # the error of "pixel" depends on the samples
                 alone_ = replace(alone_, samples=drawn.detail.samples)
             added = drawn.error(choice.full, alone_)
-            chosen, other = (_detail(name, each, drawn) for each in (own, full))
+            chosen, other = (_detail(name, value, drawn) for value in (planned, full_value))
             text = f"{chosen} instead of {other}: error {choice.budget.text(added)} on its own, "
             text += (
                 f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % "
@@ -104,9 +104,11 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
             )
             yield Decision(name, True, chosen, other, added, saved, text)
             continue
-        refused = (each for each in drawn.tried if getattr(each[0], name) != own)
+        refused = (attempt for attempt in drawn.tried if getattr(attempt[0], name) != planned)
         for detail, error in islice(refused, 1):
-            chosen, other = (_detail(name, each, drawn) for each in (own, getattr(detail, name)))
+            chosen, other = (
+                _detail(name, value, drawn) for value in (planned, getattr(detail, name))
+            )
             text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)}"
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
@@ -124,7 +126,7 @@ def _changed(
     names: Sequence[str],
     error: Callable[[Shading], float],
 ) -> Decision:
-    chosen, other = (_words(choice.scene, each, names) for each in (shading, choice.full))
+    chosen, other = (_words(choice.scene, variant, names) for variant in (shading, choice.full))
     added = error(alone(shading, choice.full, names))
     reverted = with_decisions(shading, choice.full, names)
     saved = choice.saved(shading, reverted)
@@ -141,30 +143,30 @@ def _unchanged(
     otherwise: Callable[[Shading], float],
     bound: Callable[[Shading], float],
 ) -> Decision | None:
-    own = choice.total(shading)
+    cost = choice.total(shading)
     names = SINGLE if name == "two lobes" else (name,)
     refused = [
-        with_decisions(shading, each, names)
-        for each in choice.refused
-        if name in changed(each, choice.full) and separable(shading, names)
+        with_decisions(shading, variant, names)
+        for variant in choice.refused
+        if name in changed(variant, choice.full) and separable(shading, names)
     ]
-    others = [
-        each
-        for each in (*choice.ordered, *filter(choice.is_priced, refused))
-        if name in (differs := changed(each, shading))
+    alternatives = [
+        alternative
+        for alternative in (*choice.ordered, *filter(choice.is_priced, refused))
+        if name in (differs := changed(alternative, shading))
         and set(differs) <= set(names)
-        and choice.total(each) < own
+        and choice.total(alternative) < cost
     ]
-    if not others:
+    if not alternatives:
         return None
-    nearest, error = others[0], math.inf
-    bounds = {each: bound(each) for each in others}
-    for each in sorted(others, key=bounds.__getitem__):
-        if bounds[each] >= error:
+    nearest, error = alternatives[0], math.inf
+    bounds = {alternative: bound(alternative) for alternative in alternatives}
+    for alternative in sorted(alternatives, key=bounds.__getitem__):
+        if bounds[alternative] >= error:
             break
-        if (added := otherwise(each)) < error:
-            nearest, error = each, added
-    chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
+        if (added := otherwise(alternative)) < error:
+            nearest, error = alternative, added
+    chosen, other = (_words(choice.scene, variant, names) for variant in (shading, nearest))
     saved = choice.saved(nearest, shading)
     text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)} and save "
     text += _fraction(choice, name, saved)
@@ -187,8 +189,8 @@ def _plain(light: Light) -> Light:
 
 def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     term = shading.term
-    known = {_plain(light): name for name, light in LIGHTS.items()}
-    lights = [known.get(_plain(light), f"light {i}") for i, light in enumerate(scene.lights)]
+    light_names = {_plain(light): name for name, light in LIGHTS.items()}
+    lights = [light_names.get(_plain(light), f"light {i}") for i, light in enumerate(scene.lights)]
     lit = [name for i, name in enumerate(lights) if shading.of(i)]
     dark = [lights[i] for i in shadowed(scene, shading)]
     near = [lights[i] for i in shading.frontal_lights]

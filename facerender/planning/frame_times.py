@@ -36,32 +36,32 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
     draws = [_frame(drawn, *frame) for frame in frames]
-    each = seconds(draws, _REPEATS)
-    medians = 1e3 * np.median(each[:, 0]) * np.median(each / each[:, :1], axis=0)
+    durations = seconds(draws, _REPEATS)
+    medians = 1e3 * np.median(durations[:, 0]) * np.median(durations / durations[:, :1], axis=0)
     times: dict[tuple[LevelOfDetail, Shading], float] = dict(
         zip(frames, medians.tolist(), strict=True)
     )
     prices = choice.total(full), choice.total(cheap)
 
     def line(detail: LevelOfDetail) -> Line:
-        own = times[detail, full], times[detail, cheap]
-        return Line.through((prices[0], own[0]), (prices[1], own[1]))
+        detail_times = times[detail, full], times[detail, cheap]
+        return Line.through((prices[0], detail_times[0]), (prices[1], detail_times[1]))
 
     driver = drawn.viewpoints[0].renderer.context.renderer
     source = f"drawn in turns on {driver}"
-    taken = {name: times[detail, full] for name, detail in steps.items()}
-    return Frames(line(drawn.finest), line(drawn.detail), taken, source)
+    step_times = {name: times[detail, full] for name, detail in steps.items()}
+    return Frames(line(drawn.finest), line(drawn.detail), step_times, source)
 
 
 def relative_time(full: Shading, shading: Shading, drawn: DrawnViews) -> Interval:
     """Draw a shading's frame and the full frame alternately; see
     :func:`facerender.pricing.frame.relative`."""
-    own = _frame(drawn, drawn.detail, shading)
-    return relative(own, _frame(drawn, drawn.finest, full), _ROUNDS, _SECONDS)
+    planned_frame = _frame(drawn, drawn.detail, shading)
+    return relative(planned_frame, _frame(drawn, drawn.finest, full), _ROUNDS, _SECONDS)
 
 
 def _frame(drawn: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
     """Return a function that draws up to _VIEWPOINTS of the viewpoints, one after the other."""
     step = max(len(drawn.viewpoints) // _VIEWPOINTS, 1)
-    few = drawn.viewpoints[::step][:_VIEWPOINTS]
-    return lambda: [draw(viewpoint, shading, detail) for viewpoint in few]
+    viewpoints = drawn.viewpoints[::step][:_VIEWPOINTS]
+    return lambda: [draw(viewpoint, shading, detail) for viewpoint in viewpoints]

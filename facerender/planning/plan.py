@@ -171,15 +171,15 @@ class Plan:
         """
         resolved = resolve(self.scene, self.shading)
         smallest = min(low for low, _ in resolved.slopes)
-        two = any(each.two_lobes for each in resolved.scene.mesh.materials)
-        flat = term_source(self.shading.term, smallest, target, two)
-        version, _, rest = flat.partition("\n") if flat.startswith("#") else ("", "", flat)
+        two_lobes = any(material.two_lobes for material in resolved.scene.mesh.materials)
+        source = term_source(self.shading.term, smallest, target, two_lobes)
+        version, _, body = source.partition("\n") if source.startswith("#") else ("", "", source)
         terms = [self.shading.of(light) for light in range(len(self.scene.lights))]
-        second = 1.0 if two else None
+        second = 1.0 if two_lobes else None
         calls = [call(replace(term, m=None), second) if term else "none" for term in terms]
         lines = [f"BRDF of light {light}: {text}" for light, text in enumerate(calls)]
         notes = [f"// {line}" for line in [*self.explain().splitlines(), *lines]]
-        return "\n".join(filter(None, [version, *notes, rest]))
+        return "\n".join(filter(None, [version, *notes, body]))
 
     def scene_toml(self) -> str:
         """Return a scene file for ``facerender render --scene``, with the chosen shading and level
@@ -231,9 +231,9 @@ class Plan:
         """
         if os.path.splitext(path)[1].lower() != ".png":
             raise InputError(f"{path}: an error map is a PNG file: give a name that ends in .png")
-        at = self.error_map / max(self.budget.limit, 1e-12)
-        heat = np.stack([np.interp(at, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
-        heat[at > 1.0] = _OVER
+        fractions = self.error_map / max(self.budget.limit, 1e-12)
+        heat = np.stack([np.interp(fractions, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
+        heat[fractions > 1.0] = _OVER
         comment = f"{self._error()}; white is {self.budget.text(self.budget.limit)}"
         save_png(path, np.round(heat).astype(np.uint8), {"Comment": comment})
 
@@ -248,14 +248,17 @@ class Plan:
         shown = f", exposure {self.budget.exposure:+g} stops" if self.budget.exposure else ""
         return f"{count}, {sizes} pixels{shown}; no guarantee for other cameras, sizes and poses"
 
-    def _elsewhere(self, other: Elsewhere) -> str:
+    def _elsewhere(self, elsewhere: Elsewhere) -> str:
         text, fraction = self.budget.text, self.budget.fraction
         within = (
-            f"{fraction} within {text(other.within)}, up to " if self.budget.within < 1.0 else ""
+            f"{fraction} within {text(elsewhere.within)}, up to "
+            if self.budget.within < 1.0
+            else ""
         )
         return (
-            f"{within}{text(other.maximum)} as rendered at azimuth {other.camera.azimuth:g}: plan "
-            "with all cameras and sizes, and each pose on its own"
+            f"{within}{text(elsewhere.maximum)} as rendered at azimuth "
+            f"{elsewhere.camera.azimuth:g}: plan with all cameras and sizes, and each "
+            "pose on its own"
         )
 
     def _error(self) -> str:
@@ -268,11 +271,13 @@ class Plan:
         pixels = "all pixels" if every else f"{fraction} of the pixels"
         parts = [f"budget {verdict}: {pixels} within {text(largest)}"]
         if self.shading != self.full:
-            at = "at pixel ({}, {})".format(*error.pixel)
-            at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
-            at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
-            most = ("99.9 %", error.percentile) if every else (fraction, error.within)
-            exact = f"up to {text(error.maximum)}, {at}; {most[0]} within {text(most[1])}"
+            place = "at pixel ({}, {})".format(*error.pixel)
+            place += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
+            place += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
+            quantile = ("99.9 %", error.percentile) if every else (fraction, error.within)
+            exact = (
+                f"up to {text(error.maximum)}, {place}; {quantile[0]} within {text(quantile[1])}"
+            )
             parts.append(f"at pixel centres {exact if error.maximum else '0, except for rounding'}")
         if error.drawn is not None:
             parts.append(f"as rendered up to {text(error.drawn)}")
@@ -282,9 +287,9 @@ class Plan:
 def _finite(value: Any) -> Any:
     """Replace non-finite numbers by None, since JSON cannot represent them."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _finite(member) for key, member in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [_finite(element) for element in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
@@ -332,8 +337,8 @@ def plan(
     """
     _check_types(scene, budget, full, cost, renderer)
     allowed = Budget.parse(budget, exposure, within)
-    at = (scene.camera,) if cameras is None else cameras_of(cameras)
-    task = _Task(scene, allowed, _checked(scene, full), at, cost, progress)
+    measured_cameras = (scene.camera,) if cameras is None else cameras_of(cameras)
+    task = _Task(scene, allowed, _checked(scene, full), measured_cameras, cost, progress)
     with ExitStack() as stack:
         return _planned(task, _renderers(renderer, sizes, stack))
 
@@ -375,30 +380,30 @@ def _renderers(
     """Return one renderer per size, all with the same options; ``stack`` closes new renderers."""
     if sizes is not None:
         sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
-    first = renderer or stack.enter_context(Renderer())
+    base = renderer or stack.enter_context(Renderer())
 
     def resized(size: tuple[int, int]) -> Renderer:
         return Renderer(
             size,
-            samples=first.samples,
-            backend=first.context.backend,  # type: ignore[arg-type]
-            anisotropy=first.anisotropy,
-            float_albedo=first.albedo_kind == "linear-color",
-            full_maps=first.full_maps,
-            memory=first.memory,
+            samples=base.samples,
+            backend=base.context.backend,  # type: ignore[arg-type]
+            anisotropy=base.anisotropy,
+            float_albedo=base.albedo_kind == "linear-color",
+            full_maps=base.full_maps,
+            memory=base.memory,
         )
 
     return [
-        first if size == first.size else stack.enter_context(resized(size))
-        for size in (sizes or [first.size])
+        base if size == base.size else stack.enter_context(resized(size))
+        for size in (sizes or [base.size])
     ]
 
 
 def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
-    scene, progress, sizes = task.scene, task.progress, [each.size for each in renderers]
+    scene, progress, sizes = task.scene, task.progress, [renderer.size for renderer in renderers]
     viewpoints = [
-        Viewpoint(replace(scene, camera=camera), each)
-        for each in renderers
+        Viewpoint(replace(scene, camera=camera), renderer)
+        for renderer in renderers
         for camera in task.cameras
     ]
     views = []
@@ -413,7 +418,9 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     choice = Choice(scene, task.full, task.budget, constants, task.cost, software, views)
     samples, drawn = renderers[0].samples, None
     pairs = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    layered = any(own.refracts or drawn_alpha(part, own) == "blend" for part, own in pairs)
+    layered = any(
+        material.refracts or drawn_alpha(part, material) == "blend" for part, material in pairs
+    )
     if samples > 1 or layered or task.cost == FRAME:
         drawn = DrawnViews(viewpoints, choice.full, choice.budget)
     framed = drawn if task.cost == FRAME else None  # set if the level of detail is chosen too
@@ -435,11 +442,11 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     maps = [view.errors(shading) for view in views]
     error = _error(maps, views, task.cameras, sizes, [*drawn.errors(shading)] if drawn else [])
     progress("decisions", 0.0)
-    own = partial(_largest_error, views, drawn, None)
-    finest = partial(_largest_error, views, drawn, drawn.finest if drawn else None)
-    made = [*decisions(choice, shading, finest, own, witnesses.error)]
+    detail_error = partial(_largest_error, views, drawn, None)
+    finest_error = partial(_largest_error, views, drawn, drawn.finest if drawn else None)
+    plan_decisions = [*decisions(choice, shading, finest_error, detail_error, witnesses.error)]
     if framed:
-        made = [*details(choice, framed), *made]
+        plan_decisions = [*details(choice, framed), *plan_decisions]
         maps = [*framed.maps(shading)] if framed.detail != framed.finest else maps
     return Plan(
         scene=choice.scene,
@@ -448,7 +455,11 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         error=error,
         cost=choice.measured_cost(shading, measured) if framed else choice.cost(shading),
         # Changes that fit, but save nothing, would look like changes that the search has missed.
-        decisions=tuple(each for each in made if each.changed or each.error > task.budget.limit),
+        decisions=tuple(
+            decision
+            for decision in plan_decisions
+            if decision.changed or decision.error > task.budget.limit
+        ),
         budget=choice.budget,
         cameras=task.cameras,
         sizes=tuple(dict.fromkeys(sizes)),
@@ -483,12 +494,14 @@ def _elsewhere(
     """Return the error at a camera that looks at the mesh, even if the first one does not."""
     if shading == choice.full and (framed is None or framed.detail == framed.finest):
         return None
-    first, count = task.cameras[0], len(task.cameras)
-    turned = ((first.azimuth + 45.0 / 2**n + 180.0) % 360.0 - 180.0 for n in range(count + 1))
-    others = (orbiting(first, azimuth=azimuth, target=None) for azimuth in turned)
-    camera = next(each for each in others if each not in task.cameras)
-    other = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
-    drawn = DrawnViews([other], choice.full, choice.budget)
+    first_camera, count = task.cameras[0], len(task.cameras)
+    azimuths = (
+        (first_camera.azimuth + 45.0 / 2**n + 180.0) % 360.0 - 180.0 for n in range(count + 1)
+    )
+    candidates = (orbiting(first_camera, azimuth=azimuth, target=None) for azimuth in azimuths)
+    camera = next(candidate for candidate in candidates if candidate not in task.cameras)
+    other_viewpoint = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
+    drawn = DrawnViews([other_viewpoint], choice.full, choice.budget)
     ((maximum, within),) = drawn.errors(shading, framed.detail if framed else None)
     return Elsewhere(camera, maximum, within)
 
@@ -508,12 +521,16 @@ def _error(
     """Return the error over all views, which are ordered by size, then by camera."""
     worst = _worst(maps)
     y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
-    covered = np.concatenate([each[view.counted] for each, view in zip(maps, views, strict=True)])
+    covered = np.concatenate(
+        [errors[view.counted] for errors, view in zip(maps, views, strict=True)]
+    )
     maximum, within = np.max(drawn, axis=0).tolist() if drawn else (None, None)
     number, camera = divmod(worst, len(cameras))
     return Error(
         maximum=float(covered.max()),
-        within=max(highest_but(each, view.spared) for each, view in zip(maps, views, strict=True)),
+        within=max(
+            highest_but(errors, view.spared) for errors, view in zip(maps, views, strict=True)
+        ),
         percentile=float(np.quantile(covered, 0.999)),
         camera=camera,
         size=sizes[number],

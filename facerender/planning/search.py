@@ -103,14 +103,14 @@ class Cost:
             )
         if self.measured is None:
             return "saves nothing: nothing cheaper is within the budget"
-        ends = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
+        interval = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
         if not self.saves:
             return (
-                f"saves nothing, so the plan is the full frame: the cheaper frame took {ends} of "
-                "its time. Repeat on an idle machine, or plan for fewer pixels: within 90%"
+                f"saves nothing, so the plan is the full frame: the cheaper frame took {interval} "
+                "of its time. Repeat on an idle machine, or plan for fewer pixels: within 90%"
             )
         return (
-            f"{ends} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
+            f"{interval} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
             f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, {self.source}"
         )
 
@@ -164,9 +164,9 @@ class Choice:
         self.costs: dict[Shading, float] = {}
         full_cost = self.total(full)
         priced = filter(self.is_priced, listed)
-        cheaper = [each for each in priced if self.total(each) < full_cost]
+        cheaper = [shading for shading in priced if self.total(shading) < full_cost]
         # Of shadings with equal costs, the one with the fewest changes comes first.
-        cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
+        cheaper.sort(key=lambda shading: (self.total(shading), len(changed(shading, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
 
@@ -186,11 +186,13 @@ class Choice:
 
     def cost(self, shading: Shading) -> Cost:
         """Return the cost of a fragment or a frame, with a shading and with the full shading."""
-        own, full = (self.prices.cost(self.scene, each) for each in (shading, self.full))
+        cost, full_cost = (
+            self.prices.cost(self.scene, variant) for variant in (shading, self.full)
+        )
         if self.frames is None:
-            return Cost(*own, *full, f"{self.prices.unit} a fragment", self.prices.source)
-        priced = self.frames.own.cost(*own), self.frames.full.cost(*full)
-        return Cost(*priced[0], *priced[1], "ms a frame", self.frames.source)
+            return Cost(*cost, *full_cost, f"{self.prices.unit} a fragment", self.prices.source)
+        frame_costs = self.frames.own.cost(*cost), self.frames.full.cost(*full_cost)
+        return Cost(*frame_costs[0], *frame_costs[1], "ms a frame", self.frames.source)
 
     def measured_cost(self, shading: Shading, measured: Interval | None) -> Cost:
         """Return :meth:`cost` with the measured time of the frame; None: it is the full frame."""
@@ -200,34 +202,34 @@ class Choice:
 
     def saved(self, shading: Shading, other: Shading) -> float:
         """Return how much less ``shading`` costs than ``other``, as a fraction of the full cost."""
-        less = self.total(other) - self.total(shading)
+        saving = self.total(other) - self.total(shading)
         if self.frames is not None:
-            less *= self.frames.own.slope
-        return less / self.cost(self.full).full_total
+            saving *= self.frames.own.slope
+        return saving / self.cost(self.full).full_total
 
     def first(self, fits: Callable[[Shading], bool], progress: Progress) -> Shading:
         """Return the cheapest shading that fits.
 
         If the budget is smaller than the error of rounding, only the full shading fits.
         """
-        for number, each in enumerate(self.ordered if self.limit >= 0.0 else ()):
+        for number, shading in enumerate(self.ordered if self.limit >= 0.0 else ()):
             progress("shadings", number / len(self.ordered))
-            if each is self.full or fits(each):
-                return each
+            if shading is self.full or fits(shading):
+                return shading
         return self.full
 
     def without_idle_changes(self, shading: Shading, fits: Callable[[Shading], bool]) -> Shading:
         """Return a shading without the changes that together save less than _IDLE of the price."""
-        kept = shading
-        made = groups(shading, self.full)
-        for names in reversed(made.values()):  # the lobe before the slopes that it is fitted to
-            if not separable(kept, names):
+        result = shading
+        changes = groups(shading, self.full)
+        for names in reversed(changes.values()):  # the lobe before the slopes that it is fitted to
+            if not separable(result, names):
                 continue
-            reverted = with_decisions(kept, self.full, names)
-            added = self.total(reverted) - self.total(shading)
-            if added < _IDLE * self.total(self.full) and fits(reverted):
-                kept = reverted
-        return kept
+            reverted = with_decisions(result, self.full, names)
+            extra_cost = self.total(reverted) - self.total(shading)
+            if extra_cost < _IDLE * self.total(self.full) and fits(reverted):
+                result = reverted
+        return result
 
 
 class Witnesses:
@@ -270,12 +272,12 @@ class Witnesses:
 
     def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
         """Return the shadings whose error is smaller than the error of every earlier shading."""
-        best, least = [], np.inf
+        shadings, smallest_error = [], np.inf
         for shading in ordered:
-            if (error := self.error(shading)) < least:
-                best.append(shading)
-                least = error
-        return best
+            if (error := self.error(shading)) < smallest_error:
+                shadings.append(shading)
+                smallest_error = error
+        return shadings
 
 
 class Region:
@@ -319,7 +321,9 @@ class Region:
         renderer, scene = viewpoint.renderer, viewpoint.scene
         mapped = renderer.gbuffer(scene, full, blended=False)
         plain = mapped
-        if any(each.normal_map is not None for each in simplify(scene, full).mesh.materials):
+        if any(
+            material.normal_map is not None for material in simplify(scene, full).mesh.materials
+        ):
             plain = renderer.gbuffer(scene, replace(full, normal_map=False), blended=False)
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
@@ -329,24 +333,24 @@ class Region:
 
     def layers(self, shading: Shading) -> Layers:
         """Return the terms of a shading for all lights and ambient light, without frontal terms."""
-        whole = with_lights(replace(shading, ambient=True, scatter_samples=0), None, ())
-        if whole in self.known:
-            return self.known[whole]
-        gbuffer = self.mapped if whole.normal_map else self.plain
-        if whole.ks is not None:
-            weight = np.full_like(gbuffer.specular_weight, whole.ks)
+        lit_shading = with_lights(replace(shading, ambient=True, scatter_samples=0), None, ())
+        if lit_shading in self.known:
+            return self.known[lit_shading]
+        gbuffer = self.mapped if lit_shading.normal_map else self.plain
+        if lit_shading.ks is not None:
+            weight = np.full_like(gbuffer.specular_weight, lit_shading.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
-        bare = replace(whole.term, lobe="exact", small_slope=None)
-        around = replace(whole, term=bare, shadow_lights=())
-        if around in self.environments:
-            environment = self.environments[around]
+        bare_term = replace(lit_shading.term, lobe="exact", small_slope=None)
+        environment_shading = replace(lit_shading, term=bare_term, shadow_lights=())
+        if environment_shading in self.environments:
+            environment = self.environments[environment_shading]
         else:
-            environment = environment_layer(gbuffer, self.scene, around)
+            environment = environment_layer(gbuffer, self.scene, environment_shading)
             if len(self.environments) < _ENVIRONMENTS * self.most_known:
-                self.environments[around] = environment
-        terms = layers(gbuffer, self.scene, whole, environment)
+                self.environments[environment_shading] = environment
+        terms = layers(gbuffer, self.scene, lit_shading, environment)
         if len(self.known) < self.most_known:
-            self.known[whole] = terms
+            self.known[lit_shading] = terms
         return terms
 
     def image(self, shading: Shading) -> Float:
@@ -389,20 +393,22 @@ class Region:
 
     def _pixels(self, flat: NDArray[np.int64]) -> Region:
         index = np.unravel_index(flat[None], self.counted.shape)
-        mapped, plain = (_part_of(each, index) for each in (self.mapped, self.plain))
+        mapped, plain = (_part_of(gbuffer, index) for gbuffer in (self.mapped, self.plain))
         budget = self.budget
         if budget.unit == "flip":
             budget = Budget(1.0, "display", budget.exposure)
-        whole = self.scattered
-        of = self.scene, mapped, plain, self.counted[index], self.full, budget, self.spared
-        scattered = None if whole is None else lambda shading: whole(shading)[index]
-        return Region(*of, most_known=1 + _KEPT // flat.size, scattered=scattered)
+        scattered_image = self.scattered
+        arguments = self.scene, mapped, plain, self.counted[index], self.full, budget, self.spared
+        scattered = (
+            None if scattered_image is None else lambda shading: scattered_image(shading)[index]
+        )
+        return Region(*arguments, most_known=1 + _KEPT // flat.size, scattered=scattered)
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
-    values = {each.name: getattr(gbuffer, each.name) for each in fields(gbuffer)}
+    values = {field.name: getattr(gbuffer, field.name) for field in fields(gbuffer)}
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-    return replace(gbuffer, **{name: value[index] for name, value in arrays.items()})
+    return replace(gbuffer, **{name: array[index] for name, array in arrays.items()})
 
 
 def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
@@ -411,7 +417,7 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
     The constants are means over pixels, weighted by the specular radiance of each pixel.
     """
     single = resolve(scene, replace(full, two_lobes=False))
-    ends = {end for slopes in single.slopes for end in slopes}
+    bounds = {end for slopes in single.slopes for end in slopes}
     peaks, losses, darkened = np.zeros((3, len(scene.lights)))
     cast = shadowed(scene, full)
     m, ks, light = [], [], []
@@ -422,19 +428,20 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
             near = replace(full, term=full.term.frontal)
             lost = np.abs(view.layers(near).specular - view.terms.specular)
             losses = np.maximum(losses, lost.max(axis=(1, 2, 3)))
-        for at in cast:
-            bare = replace(full, shadow_lights=tuple(set(cast) - {at}))
-            darkened[at] += np.abs(view.image(bare) - view.exact).mean()
+        for index in cast:
+            bare = replace(full, shadow_lights=tuple(set(cast) - {index}))
+            darkened[index] += np.abs(view.image(bare) - view.exact).mean()
         m.append(view.mapped.m[view.counted])
         ks.append(view.mapped.specular_weight[view.counted])
         light.append(specular.sum(axis=0)[view.counted] + 1e-9)
     weights = np.concatenate(light)
-    means = [_rounded(np.average(np.concatenate(each), weights=weights)) for each in (m, ks)]
+    means = [_rounded(np.average(np.concatenate(arrays), weights=weights)) for arrays in (m, ks)]
     faintest, frontal = (
-        tuple(int(light) for light in np.argsort(each, kind="stable")) for each in (peaks, losses)
+        tuple(int(light) for light in np.argsort(maxima, kind="stable"))
+        for maxima in (peaks, losses)
     )
     shadows = tuple(sorted(cast, key=lambda light: darkened[light]))
-    slope = ends.pop() if len(ends) == 1 else means[0]
+    slope = bounds.pop() if len(bounds) == 1 else means[0]
     return Constants(slope, means[1], faintest, frontal, shadows, _single(views, weights))
 
 
@@ -446,12 +453,12 @@ def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
     """
     if any(view.mapped.second_m is None for view in views):
         return ()
-    fraction, first, second = (
+    fraction, m, second_m = (
         np.concatenate([getattr(view.mapped, name)[view.counted] for view in views]).astype(float)
         for name in ("lobe_weight", "m", "second_m")
     )
     peak, variance = (
-        float(np.average(fraction * first**power + (1 - fraction) * second**power, weights=weights))
+        float(np.average(fraction * m**power + (1 - fraction) * second_m**power, weights=weights))
         ** (1 / power)
         for power in (-2, 2)
     )

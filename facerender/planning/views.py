@@ -35,15 +35,15 @@ class Viewpoint:
 
 def draw(viewpoint: Viewpoint, shading: Shading, detail: LevelOfDetail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a viewpoint."""
-    scene, values = detail.of(viewpoint.scene), detail.values
-    return viewpoint.renderer.render(scene, shading, **values).linear
+    scene, options = detail.of(viewpoint.scene), detail.values
+    return viewpoint.renderer.render(scene, shading, **options).linear
 
 
 def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
     """Return whether per-pixel shading is possible, and cheaper according to measurements."""
     scene, renderer = viewpoint.scene, viewpoint.renderer
-    known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
-    return known and renderer.can_shade_per_pixel(scene, samples)
+    cheaper = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
+    return cheaper and renderer.can_shade_per_pixel(scene, samples)
 
 
 class ScatteredLight:
@@ -65,8 +65,8 @@ class ScatteredLight:
         if light not in self.known:
             if len(self.known) >= _MOST_SCATTERED:
                 del self.known[next(iter(self.known))]
-            both = (light, light.replace(scatter_samples=0))
-            images = [self._drawn(each).astype(np.float64) for each in both]
+            shadings = (light, light.replace(scatter_samples=0))
+            images = [self._drawn(variant).astype(np.float64) for variant in shadings]
             self.known[light] = images[0] - images[1]
         return self.known[light]
 
@@ -105,7 +105,7 @@ class DrawnViews:
         Try in this order: cull the back faces of double-sided parts, take fewer samples, shade per
         pixel, and halve the triangles repeatedly.
         """
-        if any(each.double_sided for each in self.viewpoints[0].scene.mesh.materials):
+        if any(material.double_sided for material in self.viewpoints[0].scene.mesh.materials):
             self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))

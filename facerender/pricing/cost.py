@@ -193,8 +193,8 @@ def _threads(renderer: str) -> int:
     if "softpipe" in renderer.lower():
         return 1
     cores = len(os.sched_getaffinity(0))
-    wanted = os.environ.get("LP_NUM_THREADS", "")  # read by llvmpipe; 0: only one thread
-    return max(1, min(cores, int(wanted))) if wanted.isdecimal() else cores
+    threads = os.environ.get("LP_NUM_THREADS", "")  # read by llvmpipe; 0: only one thread
+    return max(1, min(cores, int(threads))) if threads.isdecimal() else cores
 
 
 @contextmanager

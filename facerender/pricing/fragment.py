@@ -105,8 +105,8 @@ def program_of(
     if coupled:
         chosen = chosen.replace(diffuse="coupled")
     chosen = chosen.replace(environment_samples=environment_samples)
-    own = ResolvedPart(part, material, SLOPE, lighting.terms if shading else ())
-    program = shade_program(ResolvedScene(scene, chosen, lighting), own)
+    resolved_part = ResolvedPart(part, material, SLOPE, lighting.terms if shading else ())
+    program = shade_program(ResolvedScene(scene, chosen, lighting), resolved_part)
     return replace(program, calls=(stub,)) if stub else program
 
 
@@ -149,9 +149,13 @@ def parts_of(program: Program) -> dict[str, int]:
 
 def environment_samples(program: Program) -> int:
     """Return the number of environment samples of all lobes of a program."""
-    own = (each.split()[1:] for each in program.features if each.startswith("ENVIRONMENT_SAMPLES"))
+    counts = (
+        feature.split()[1:]
+        for feature in program.features
+        if feature.startswith("ENVIRONMENT_SAMPLES")
+    )
     lobes = program.environment.count("environment_map")
-    return lobes * sum(int(count) for (count,) in own)
+    return lobes * sum(int(count) for (count,) in counts)
 
 
 def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
@@ -169,11 +173,11 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
         the cost by the work that the terms share
     """
     albedo = ("albedo_map",)
-    others: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
+    lights: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
     dull = [
         scene_with(),
         scene_with(directional=2),
-        *(scene_with(directional=1, **other) for other in others),
+        *(scene_with(directional=1, **light) for light in lights),
         scene_with(shadow=True),
         scene_with(shadow=True, disc=1),
     ]

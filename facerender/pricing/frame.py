@@ -57,8 +57,8 @@ def ratios(draws: Sequence[Draw], repeats: int) -> list[Interval]:
 
 def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
     """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
-    own, other = seconds([draw, full], repeats).T
-    return bootstrap(lambda turns: np.median((own / other)[turns], keepdims=True), repeats)[0]
+    times, baseline = seconds([draw, full], repeats).T
+    return bootstrap(lambda turns: np.median((times / baseline)[turns], keepdims=True), repeats)[0]
 
 
 def relative(draw: Draw, full: Draw, repeats: int, limit: float) -> Interval:
@@ -70,8 +70,8 @@ def relative(draw: Draw, full: Draw, repeats: int, limit: float) -> Interval:
 
     limit : as in :func:`seconds`
     """
-    own, other = seconds([draw, full], repeats, limit=limit).T
-    return Interval(*np.quantile(own / other, [0.5, 0.1, 0.9]).tolist())
+    times, baseline = seconds([draw, full], repeats, limit=limit).T
+    return Interval(*np.quantile(times / baseline, [0.5, 0.1, 0.9]).tolist())
 
 
 @dataclass(frozen=True)

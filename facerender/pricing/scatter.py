@@ -35,11 +35,11 @@ def by_frames(repeats: int = 9) -> dict[str, float]:
     """Measure the cost of PARTS on this machine, in nanoseconds per pixel; raise like
     :func:`facerender.pricing.cost.frames`."""
     shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
-    none, *both = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
-    return parts(_MEASURED, [1e6 * (each.value - none.value) / _SIZE**2 for each in both])
+    none, *scattered = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
+    return parts(_MEASURED, [1e6 * (time.value - none.value) / _SIZE**2 for time in scattered])
 
 
 def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
     """Return the costs of PARTS, given the costs of scattering with two numbers of samples."""
-    each = (costs[1] - costs[0]) / (samples[1] - samples[0])
-    return dict(zip(PARTS, (max(costs[0] - samples[0] * each, 0.0), each), strict=True))
+    price = (costs[1] - costs[0]) / (samples[1] - samples[0])
+    return dict(zip(PARTS, (max(costs[0] - samples[0] * price, 0.0), price), strict=True))

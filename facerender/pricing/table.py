@@ -78,9 +78,9 @@ class Prices:
         for part, material, (smallest, _) in zip(
             simple.mesh.parts, simple.mesh.materials, resolved.slopes, strict=True
         ):
-            whole, shine = self._part(simple, shading, part, material, lights, terms, smallest)
+            cost, shine = self._part(simple, shading, part, material, lights, terms, smallest)
             faces += len(part.faces)
-            total += len(part.faces) * whole
+            total += len(part.faces) * cost
             specular += len(part.faces) * shine
         return total / faces, specular / faces
 
@@ -111,34 +111,34 @@ class Prices:
         """
         shine = 0.0
         if material.ks:
-            shine = self._specular([term_name(each, smallest) for each in terms])
+            shine = self._specular([term_name(term, smallest) for term in terms])
             if material.two_lobes:
-                shine += self._specular([second_name(each, smallest) for each in terms])
+                shine += self._specular([second_name(term, smallest) for term in terms])
         diffuse = material.diffuse_weight > 0.0
         ambient = diffuse and any(scene.ambient)  # type: ignore[arg-type]
         coupled = shading.diffuse == "coupled" and diffuse and material.ks > 0.0
-        whole = self.parts["base program"] + shine + lights
+        cost = self.parts["base program"] + shine + lights
         if coupled:
-            whole += self._priced(self.parts, "coupled diffuse")
-            whole += len(scene.lights) * self._priced(self.parts, "light of coupled diffuse")
+            cost += self._priced(self.parts, "coupled diffuse")
+            cost += len(scene.lights) * self._priced(self.parts, "light of coupled diffuse")
         environment = scene.environment is not None
         if environment:
-            whole += self._priced(self.parts, "environment")
+            cost += self._priced(self.parts, "environment")
         if environment and material.ks and shading.environment_samples:
-            each = shading.environment_samples * self._priced(self.parts, "environment sample")
-            reflected = (1 + material.two_lobes) * each
-            whole, shine = whole + reflected, shine + reflected
+            lobe_cost = shading.environment_samples * self._priced(self.parts, "environment sample")
+            reflected = (1 + material.two_lobes) * lobe_cost
+            cost, shine = cost + reflected, shine + reflected
         occluded = ambient or (environment and diffuse)
-        whole += self._maps(part, material, occluded, shine > 0.0 or coupled)
-        whole += self.parts["ambient term"] * ambient
+        cost += self._maps(part, material, occluded, shine > 0.0 or coupled)
+        cost += self.parts["ambient term"] * ambient
         if material.scattering and diffuse:
-            whole += self._priced(self.parts, "scattering")
-            whole += shading.scatter_samples * self._priced(self.parts, "sample of scattering")
-        return whole, shine
+            cost += self._priced(self.parts, "scattering")
+            cost += shading.scatter_samples * self._priced(self.parts, "sample of scattering")
+        return cost, shine
 
     def _specular(self, names: Iterable[str]) -> float:
         terms = (self._priced(self.terms, name) for name in names)
-        return sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
+        return sum(first if i == 0 else further for i, (first, further) in enumerate(terms))
 
     def _priced(self, prices: Mapping[str, P], name: str) -> P:
         if name not in prices:
@@ -156,7 +156,7 @@ class Prices:
         has = {
             "albedo map": material.albedo_map is not None and material.diffuse_weight > 0.0,
             "normal map": material.normal_map is not None,
-            "property map": any(each is not None for each in read),
+            "property map": any(texture is not None for texture in read),
         }
         cost = sum(self.parts[name] for name, is_there in has.items() if is_there)
         if shines and material.two_lobes and material.lobe_map is not None:
@@ -195,7 +195,7 @@ def load_prices(
             terms |= variants(term)
             if two_lobes and shading.two_lobes:
                 seconds |= second_variants(term)
-    terms |= {term_name(each, SLOPE): each for each in seconds.values()}
+    terms |= {term_name(second, SLOPE): second for second in seconds.values()}
     return measured(terms, seconds=seconds)
 
 
@@ -233,15 +233,17 @@ def _unfactored(term: Term) -> Term:
 def variants(term: Term) -> dict[str, Term]:
     """Return variants of a term with and without a constant m, keyed by :func:`term_name`. Variants
     with the exact lobe also differ in ``small_slope``."""
-    small = (True, False) if lobe_entry(term.lobe).of_tan2 else (None,)
-    terms = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
-    return {term_name(each, SLOPE): each for each in terms}
+    options = (True, False) if lobe_entry(term.lobe).of_tan2 else (None,)
+    terms = [replace(term, m=m, small_slope=option) for m in (None, term.m) for option in options]
+    return {term_name(variant, SLOPE): variant for variant in terms}
 
 
 def second_variants(term: Term) -> dict[str, Term]:
     """Return terms whose second lobes cost the same as the second lobes of a term's variants,
     keyed by :func:`second_name`."""
-    return {second_name(each, SLOPE): _unfactored(each) for each in variants(term).values()}
+    return {
+        second_name(variant, SLOPE): _unfactored(variant) for variant in variants(term).values()
+    }
 
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
@@ -276,7 +278,7 @@ def measured(
     from facerender.drawing.context import create_context
     from facerender.pricing import cost, fragment, scatter
 
-    parts = {name: each.value for name, each in fragment.by_slope(repeats=repeats).items()}
+    parts = {name: time.value for name, time in fragment.by_slope(repeats=repeats).items()}
     calls = {name: (prelude([term], SLOPE), call(term)) for name, term in terms.items()}
     calls |= {
         name: (_LOBES + prelude([term], SLOPE, two_lobes=True), call(term, 1.5))

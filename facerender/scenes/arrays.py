@@ -32,7 +32,7 @@ def piece_of(
     corners = _indices("faces", faces, count, "vertex", "a face uses vertex", hint)
     if material is None:
         material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
-    maps = [each for each in MAPS if getattr(material, each) is not None]
+    maps = [name for name in MAPS if getattr(material, name) is not None]
     if uv is None and maps:
         raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
     if uv is None and uv_faces is not None:
@@ -55,7 +55,7 @@ def piece_of(
 
 
 def _indices(
-    name: str, values: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
+    name: str, indices: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
 ) -> NDArray[np.int64]:
     """Return indices (F, 3) in [0, count) from an array or nested lists.
 
@@ -63,7 +63,7 @@ def _indices(
     ----------
     kind, uses : kind of the indices, and beginning of the message about an invalid one
     """
-    rows = rows_of(name, values, (3,), hint)
+    rows = rows_of(name, indices, (3,), hint)
     if (rows != np.floor(rows)).any():
         raise InputError(f"{name} are not whole numbers: give {kind} indices")
     if ((rows < 0) | (rows >= count)).any():
@@ -82,7 +82,7 @@ def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.
     used_pairs, corners = np.unique(pairs, return_inverse=True)
     sources, rows = np.divmod(used_pairs, len(uv))
     per_vertex: dict[str, Any] = {
-        name: None if (values := getattr(piece, name)) is None else values[sources]
+        name: None if (attribute := getattr(piece, name)) is None else attribute[sources]
         for name in ("positions", "normals", "colors")
     }
     return replace(

@@ -107,8 +107,8 @@ class Camera:
         if not (isinstance(self.frame, str) and self.frame in FRAMES):
             raise InputError(f"camera frame = {shown(self.frame)}: give {', '.join(FRAMES)}")
         for name, columns in (("extrinsics", 4), ("intrinsics", 3)):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, _matrix(f"camera {name}", value, columns))
+            if (matrix := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _matrix(f"camera {name}", matrix, columns))
         if self.extrinsics is not None:
             self._check_extrinsics()
         elif self.position is not None:
@@ -131,12 +131,12 @@ class Camera:
             )
         self._check_unused(_PLACED, "extrinsics")
 
-    def _check_unused(self, names: Sequence[str], other: str) -> None:
-        for each in fields(self):
-            if each.name in names and (value := getattr(self, each.name)) != each.default:
+    def _check_unused(self, names: Sequence[str], placement: str) -> None:
+        for field in fields(self):
+            if field.name in names and (value := getattr(self, field.name)) != field.default:
                 raise InputError(
-                    f"camera {each.name} = {shown(value)} and {other} exclude each other: leave "
-                    "one out"
+                    f"camera {field.name} = {shown(value)} and {placement} exclude each other: "
+                    "leave one out"
                 )
 
     def _check_intrinsics(self) -> None:
@@ -162,37 +162,38 @@ class Camera:
             )
 
     def _check_distortion(self) -> None:
-        value: Any = self.distortion
-        numbers = value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        distortion: Any = self.distortion
+        numbers = distortion.ravel().tolist() if isinstance(distortion, np.ndarray) else distortion
         if isinstance(numbers, tuple | list):  # OpenCV appends zeros for thin prism and tilt
-            numbers, rest = numbers[: max(DISTORTIONS)], numbers[max(DISTORTIONS) :]
-            numbers = numbers if all(each in _ZERO for each in rest) else ()
+            numbers, tail = numbers[: max(DISTORTIONS)], numbers[max(DISTORTIONS) :]
+            numbers = numbers if all(number in _ZERO for number in tail) else ()
         if not isinstance(numbers, tuple | list) or len(numbers) not in DISTORTIONS:
             raise InputError(
-                f"camera distortion = {shown(value)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, k3 "
-                "to k6, without thin prism and tilt"
+                f"camera distortion = {shown(distortion)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, "
+                "k3 to k6, without thin prism and tilt"
             )
-        if not all(each in _COEFFICIENTS for each in numbers):
+        if not all(number in _COEFFICIENTS for number in numbers):
             raise InputError(
-                f"camera distortion = {shown(value)}: give numbers in [{_COEFFICIENTS.low:g}, "
+                f"camera distortion = {shown(distortion)}: give numbers in [{_COEFFICIENTS.low:g}, "
                 f"{_COEFFICIENTS.high:g}]"
             )
         if self.intrinsics is None or self.size is None:
             raise InputError("camera distortion needs intrinsics: give K, [R|t] and size as well")
-        own = tuple(map(float, numbers)) if any(numbers) else None
-        object.__setattr__(self, "distortion", own)
-        if own is None:
+        coefficients = tuple(map(float, numbers)) if any(numbers) else None
+        object.__setattr__(self, "distortion", coefficients)
+        if coefficients is None:
             return
         (fx, _, cx), (_, fy, cy), _ = self.intrinsics
         across, down = (np.linspace(0.0, side, _CHECKED) for side in self.size)
         grid = np.stack(np.meshgrid((across - cx) / fx, (down - cy) / fy), axis=-1).reshape(-1, 2)
-        lost = np.isnan(undistort(grid, own)).any(axis=-1)
+        lost = np.isnan(undistort(grid, coefficients)).any(axis=-1)
         if lost.any():
             nearest = float(np.hypot(*(grid[lost] * (fx, fy)).T).min())
             raise InputError(
-                f"camera distortion = {shown(own)} is not invertible {nearest:.0f} pixels from the "
-                f"principal point, inside the image of {self.size[0]} x {self.size[1]}: crop the "
-                "image, or calibrate with points up to its corners"
+                f"camera distortion = {shown(coefficients)} is not invertible {nearest:.0f} "
+                "pixels from the principal point, inside the image of "
+                f"{self.size[0]} x {self.size[1]}: crop the image, or calibrate with points up "
+                "to its corners"
             )
 
 
@@ -203,18 +204,18 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
     if not good or not all(
         isinstance(row, tuple | list)
         and len(row) == columns
-        and all(each in POSITIONS for each in row)
+        and all(number in POSITIONS for number in row)
         for row in rows
     ):
         raise InputError(f"{name} = {shown(value)}: give 3 rows of {columns} numbers")
-    return tuple(tuple(float(each) for each in row) for row in rows)
+    return tuple(tuple(float(number) for number in row) for row in rows)
 
 
 def _azimuth(name: str) -> float:
     if name not in AZIMUTHS_BY_NAME:
-        known = ", ".join(AZIMUTHS_BY_NAME)
-        wanted = f"give a number in [{AZIMUTHS.low:g}, {AZIMUTHS.high:g}], or {known}"
-        raise InputError(f"camera azimuth = {shown(name)} is not a number: {wanted}")
+        names = ", ".join(AZIMUTHS_BY_NAME)
+        remedy = f"give a number in [{AZIMUTHS.low:g}, {AZIMUTHS.high:g}], or {names}"
+        raise InputError(f"camera azimuth = {shown(name)} is not a number: {remedy}")
     return AZIMUTHS_BY_NAME[name]
 
 
@@ -230,10 +231,10 @@ def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:
     """
     if text in AZIMUTHS_BY_NAME:
         return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}
-    first, *others = text.split(",")
+    azimuth, *words = text.split(",")
     try:
-        numbers = [AZIMUTHS_BY_NAME[first] if first in AZIMUTHS_BY_NAME else float(first)]
-        numbers += map(float, others)
+        numbers = [AZIMUTHS_BY_NAME[azimuth] if azimuth in AZIMUTHS_BY_NAME else float(azimuth)]
+        numbers += map(float, words)
     except ValueError:
         numbers = []
     if not 1 <= len(numbers) <= 3:
@@ -282,6 +283,6 @@ def orbiting(camera: Camera, **orbit: Any) -> Camera:
 
     orbit : fields to change, such as azimuth or zoom
     """
-    own = ("position", "extrinsics", "intrinsics", "size", "distortion")
-    placed: dict[str, Any] = dict.fromkeys(own)
+    names = ("position", "extrinsics", "intrinsics", "size", "distortion")
+    placed: dict[str, Any] = dict.fromkeys(names)
     return replace(camera, **placed, **orbit)

@@ -25,11 +25,11 @@ def distort(points: Float, coefficients: Coefficients) -> Float:
     """Return distorted points (N, 2); NaN at and beyond the fold, where several points would have
     the same distorted point."""
     with np.errstate(all="ignore"):
-        found, slopes = _distorted(points, coefficients)
+        distorted, slopes = _distorted(points, coefficients)
         square = np.einsum("ni,ni->n", points, points)
         folded = ~((_determinant(slopes) > 0.0) & (square < fold(coefficients) ** 2))
-    found[folded] = np.nan
-    return found
+    distorted[folded] = np.nan
+    return distorted
 
 
 def jacobian(points: Float, coefficients: Coefficients) -> Float:
@@ -48,26 +48,26 @@ def undistort(points: Float, coefficients: Coefficients) -> Float:
         radii = np.hypot(*points.T)
         table = _radii(coefficients, float(radii.max()))
         start = np.interp(radii, _radial(table, coefficients), table)
-        found = points * np.where(radii > 0.0, start / radii, 1.0)[:, None]
+        solution = points * np.where(radii > 0.0, start / radii, 1.0)[:, None]
         for _ in range(_STEPS):
-            at, slopes = _distorted(found, coefficients)
-            off = at - points
-            found = (
-                found
+            distorted, slopes = _distorted(solution, coefficients)
+            residual = distorted - points
+            solution = (
+                solution
                 - np.stack(
                     [
-                        slopes[:, 1, 1] * off[:, 0] - slopes[:, 0, 1] * off[:, 1],
-                        slopes[:, 0, 0] * off[:, 1] - slopes[:, 1, 0] * off[:, 0],
+                        slopes[:, 1, 1] * residual[:, 0] - slopes[:, 0, 1] * residual[:, 1],
+                        slopes[:, 0, 0] * residual[:, 1] - slopes[:, 1, 0] * residual[:, 0],
                     ],
                     axis=-1,
                 )
                 / _determinant(slopes)[:, None]
             )
-            if np.nanmax(np.abs(off), initial=0.0) < 1e-15:
+            if np.nanmax(np.abs(residual), initial=0.0) < 1e-15:
                 break
-        off = np.abs(distort(found, coefficients) - points).max(axis=-1)
-        found[~(off <= _PRECISE * (1.0 + radii))] = np.nan
-    return found
+        residual = np.abs(distort(solution, coefficients) - points).max(axis=-1)
+        solution[~(residual <= _PRECISE * (1.0 + radii))] = np.nan
+    return solution
 
 
 def fold(coefficients: Coefficients) -> float:
@@ -91,10 +91,10 @@ def _radial(radii: Float, coefficients: Coefficients) -> Float:
     return np.asarray(radii * upper(radii**2) / lower(radii**2))
 
 
-def _radii(coefficients: Coefficients, most: float) -> Float:
-    """Return increasing radii up to one whose distorted radius is `most`, but below the fold."""
-    limit, end = fold(coefficients), max(most, 1e-9)
-    while end < limit and _radial(np.array(end), coefficients) < most:
+def _radii(coefficients: Coefficients, largest: float) -> Float:
+    """Return increasing radii up to one whose distorted radius is `largest`, but below the fold."""
+    limit, end = fold(coefficients), max(largest, 1e-9)
+    while end < limit and _radial(np.array(end), coefficients) < largest:
         end *= 2.0
     return np.linspace(0.0, min(end, limit), _TABLE, endpoint=end < limit)
 
@@ -109,14 +109,14 @@ def _distorted(points: Float, coefficients: Coefficients) -> tuple[Float, Float]
     factor = above / below
     # Derivative of the factor by r^2, doubled.
     change = 2.0 * (upper.deriv()(square) - factor * lower.deriv()(square)) / below
-    found = np.empty((len(points), 2))
-    found[:, 0] = x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
-    found[:, 1] = y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    distorted = np.empty((len(points), 2))
+    distorted[:, 0] = x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    distorted[:, 1] = y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
     slopes = np.empty((len(points), 2, 2))
     slopes[:, 0, 0] = factor + x * x * change + 2.0 * p1 * y + 6.0 * p2 * x
     slopes[:, 0, 1] = slopes[:, 1, 0] = x * y * change + 2.0 * (p1 * x + p2 * y)
     slopes[:, 1, 1] = factor + y * y * change + 6.0 * p1 * y + 2.0 * p2 * x
-    return found, slopes
+    return distorted, slopes
 
 
 def _determinant(slopes: Float) -> Float:

@@ -46,27 +46,27 @@ class Panorama:
     def __post_init__(self) -> None:
         check_type("name of a panorama", self.name, str, "text")
         try:
-            values = np.asarray(self.radiance, dtype=np.float32)
+            radiance = np.asarray(self.radiance, dtype=np.float32)
         except (TypeError, ValueError, OverflowError):
             raise InputError(
                 f"environment {self.name} has radiance {shown(self.radiance)}: give an array "
                 "of numbers"
             ) from None
-        if values.ndim != 3 or values.shape[1:] != (2 * len(values), 3) or len(values) < 2:
-            shape = " x ".join(map(str, values.shape[1::-1] + values.shape[2:]))
+        if radiance.ndim != 3 or radiance.shape[1:] != (2 * len(radiance), 3) or len(radiance) < 2:
+            shape = " x ".join(map(str, radiance.shape[1::-1] + radiance.shape[2:]))
             raise InputError(
                 f"environment {self.name} has {shape} values: give an RGB image, twice as wide as "
                 "high"
             )
-        inside = (values >= 0.0) & (values <= MOST_RADIANCE)
+        inside = (radiance >= 0.0) & (radiance <= MOST_RADIANCE)
         if not inside.all():
-            row, column, _ = np.unravel_index(int(inside.argmin()), values.shape)
-            worst = values[row, column].tolist()
+            row, column, _ = np.unravel_index(int(inside.argmin()), radiance.shape)
+            worst = radiance[row, column].tolist()
             raise InputError(
                 f"environment {self.name} has radiance {worst} in column {column} of row {row}:"
                 f" give numbers in [0, {MOST_RADIANCE:g}]"
             )
-        object.__setattr__(self, "radiance", values)
+        object.__setattr__(self, "radiance", radiance)
 
     def __repr__(self) -> str:
         height, width = self.radiance.shape[:2]
@@ -91,11 +91,11 @@ class Panorama:
         level, solid_angle = self._octahedron()
         levels = [_bordered(level)]
         for _ in range(LEVELS - 1):
-            whole = _blocks(solid_angle)
-            level = _blocks(level * solid_angle) / whole
-            solid_angle = whole
+            block_angle = _blocks(solid_angle)
+            level = _blocks(level * solid_angle) / block_angle
+            solid_angle = block_angle
             levels.append(_bordered(level))
-        below = [((0, SIDE + 2 - len(each)), (0, 0), (0, 0)) for each in levels]
+        below = [((0, SIDE + 2 - len(mip)), (0, 0), (0, 0)) for mip in levels]
         padded = [np.pad(*pair) for pair in zip(levels, below, strict=True)]
         return np.concatenate(padded, axis=1, dtype=np.float32, casting="same_kind")
 
@@ -103,12 +103,14 @@ class Panorama:
     def _resampled(self) -> tuple[Float, Float, Float]:
         """Radiance reduced to at most 2 SIDE rows, with direction and solid angle of each pixel."""
         height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
-        own, ends = (-np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows))
-        radiance = _means(self.radiance, own, ends).swapaxes(0, 1)
+        edges, target_edges = (
+            -np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows)
+        )
+        radiance = _means(self.radiance, edges, target_edges).swapaxes(0, 1)
         columns = np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1)
         radiance = _means(radiance, *columns)
         radiance = radiance.swapaxes(0, 1)
-        solid_angle = np.diff(ends)[:, None] * (np.pi / rows)
+        solid_angle = np.diff(target_edges)[:, None] * (np.pi / rows)
         return radiance, _directions(rows), solid_angle
 
     def _octahedron(self) -> tuple[Float, Float]:
@@ -207,38 +209,38 @@ def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
     y = 1.0 - np.abs(x) - np.abs(z)
     folded = y < 0.0
     x, z = (
-        np.where(folded, (1.0 - np.abs(other)) * np.where(own >= 0.0, 1.0, -1.0), own)
-        for own, other in ((x, z), (z, x))
+        np.where(folded, (1.0 - np.abs(across)) * np.where(along >= 0.0, 1.0, -1.0), along)
+        for along, across in ((x, z), (z, x))
     )
     length = np.sqrt(x * x + y * y + z * z)
     return x / length, y / length, z / length, length
 
 
-def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
-    """Return, for each interval [ends[j], ends[j + 1]], the mean of the rows of ``values``. Row i
-    spans the interval [own[i], own[i + 1]]."""
-    if len(ends) == len(own):
+def _means(values: NDArray[np.floating], edges: Float, target_edges: Float) -> Float:
+    """Return, for each interval [target_edges[j], target_edges[j + 1]], the mean of the rows of
+    ``values``. Row i spans the interval [edges[i], edges[i + 1]]."""
+    if len(target_edges) == len(edges):
         return values.astype(np.float64)
-    means = np.empty((len(ends) - 1, *values.shape[1:]))
-    for i, (low, high) in enumerate(pairwise(ends)):
-        first, last = np.searchsorted(own, low, "right") - 1, np.searchsorted(own, high)
-        shares = np.diff(np.clip(own[first : last + 1], low, high)) / (high - low)
+    means = np.empty((len(target_edges) - 1, *values.shape[1:]))
+    for i, (low, high) in enumerate(pairwise(target_edges)):
+        first, last = np.searchsorted(edges, low, "right") - 1, np.searchsorted(edges, high)
+        shares = np.diff(np.clip(edges[first : last + 1], low, high)) / (high - low)
         means[i] = np.tensordot(shares, values[first:last], 1)
     return means
 
 
-def _between(values: Float, row: Float, column: Float) -> Float:
+def _between(texels: Float, row: Float, column: Float) -> Float:
     i, j = np.floor(row).astype(int), np.floor(column).astype(int)
     down, right = (row - i)[..., None], (column - j)[..., None]
-    upper = (1.0 - right) * values[i, j] + right * values[i, j + 1]
-    lower = (1.0 - right) * values[i + 1, j] + right * values[i + 1, j + 1]
+    upper = (1.0 - right) * texels[i, j] + right * texels[i, j + 1]
+    lower = (1.0 - right) * texels[i + 1, j] + right * texels[i + 1, j + 1]
     return np.asarray((1.0 - down) * upper + down * lower)
 
 
-def _blocks(values: Float) -> Float:
+def _blocks(texels: Float) -> Float:
     """Return the sum of each block of 2 x 2 texels."""
-    half = len(values) // 2
-    return np.asarray(values.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
+    half = len(texels) // 2
+    return np.asarray(texels.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
 
 
 def _bordered(level: Float) -> Float:

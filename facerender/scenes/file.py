@@ -114,8 +114,8 @@ class Pose:
     def __post_init__(self) -> None:
         check_type("pose weights", self.weights, Mapping, "a table of numbers by shape name")
         weights = {
-            str(name): SHAPE_WEIGHTS.check(f"weight {name}", own)
-            for name, own in self.weights.items()
+            str(name): SHAPE_WEIGHTS.check(f"weight {name}", weight)
+            for name, weight in self.weights.items()
         }
         object.__setattr__(self, "weights", weights)
         check_type("pose clip", self.clip, str | None, "the name of a clip")
@@ -210,15 +210,15 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "lights":
         check_type(key, value, list, "a list of names or tables")
         return tuple(
-            parse_light(item) if isinstance(item, str) else from_table(Light, key, item)
-            for item in value
+            parse_light(light) if isinstance(light, str) else from_table(Light, key, light)
+            for light in value
         )
     if key == "camera":
         return _camera(key, value)
     if key == "cameras":
         if not isinstance(value, list) or not value:
             raise InputError(f"cameras = {shown(value)}: give a list of names or tables")
-        return tuple(_camera(key, item) for item in value)
+        return tuple(_camera(key, camera) for camera in value)
     if key == "shading":
         Shading.from_dict(value)  # only checks the values
         return value
@@ -241,8 +241,8 @@ def scene_value(key: str, value: Any) -> Any:
 
 
 def _camera(key: str, value: Any) -> Camera:
-    found: Camera = camera_of(value) if isinstance(value, str) else from_table(Camera, key, value)
-    return found
+    camera: Camera = camera_of(value) if isinstance(value, str) else from_table(Camera, key, value)
+    return camera
 
 
 def parse_vertices(text: str) -> tuple[str, int | None]:
@@ -267,9 +267,9 @@ def parse_weight(text: str) -> tuple[str, float]:
     ------
     InputError : the text has another form, or the weight is outside its range
     """
-    name, _, value = text.rpartition("=")
+    name, _, number = text.rpartition("=")
     try:
-        weight = float(value)
+        weight = float(number)
     except ValueError:
         name = ""
     if not name:
@@ -291,20 +291,20 @@ def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
     InputError : a value of a wrong type, an unknown key or preset, or a value outside its range
     """
     check_type(name, tables, Mapping, "a table of parts, such as {'lash*': {'preset': 'lashes'}}")
-    found = {}
+    materials = {}
     for pattern, table in tables.items():
         if not isinstance(pattern, str) or not pattern.strip():
             raise InputError(f"{name} has the key {shown(pattern)}: give the name of a part")
-        own = f"{name}.{pattern}"
-        check_type(own, table, Mapping, "a table of factors, or a preset, such as {'m': 0.3}")
-        values = {
+        place = f"{name}.{pattern}"
+        check_type(place, table, Mapping, "a table of factors, or a preset, such as {'m': 0.3}")
+        factors = {
             key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
         }
-        rest = {key: value for key, value in values.items() if key != "preset"}
-        base = preset(values["preset"]) if "preset" in values else {}
-        from_table(Material, own, {**base, **rest}, without=MAPS)  # only checks the values
-        found[pattern] = values
-    return found
+        overrides = {key: value for key, value in factors.items() if key != "preset"}
+        base = preset(factors["preset"]) if "preset" in factors else {}
+        from_table(Material, place, {**base, **overrides}, without=MAPS)  # only checks the values
+        materials[pattern] = factors
+    return materials
 
 
 def parse_part(text: str) -> tuple[str, dict[str, Any]]:
@@ -332,7 +332,7 @@ def parse_part(text: str) -> tuple[str, dict[str, Any]]:
             f"'lash*,opacity=0.8'; presets: {', '.join(PRESETS)}"
         )
     table: dict[str, Any] = {"preset": preset} if preset else {}
-    table |= {field: _value(each) for field, each in values.items()}
+    table |= {field: _value(texts) for field, texts in values.items()}
     return pattern, part_tables("--part", {pattern: table})[pattern]
 
 
@@ -348,13 +348,13 @@ def _value(words: list[str]) -> Any:
 
 def part_text(pattern: str, table: Mapping[str, Any]) -> str:
     """Return the text of the materials of parts that :func:`parse_part` parses."""
-    values = dict(table)
-    preset = f"={values.pop('preset')}" if "preset" in values else ""
+    factors = dict(table)
+    preset = f"={factors.pop('preset')}" if "preset" in factors else ""
     words = [
-        f"{name}={','.join(f'{each:g}' for each in value)}"
+        f"{name}={','.join(f'{number:g}' for number in value)}"
         if isinstance(value, tuple | list)
         else f"{name}={str(value).lower() if isinstance(value, bool) else value}"
-        for name, value in values.items()
+        for name, value in factors.items()
     ]
     return ",".join([f"{pattern}{preset}", *words])
 
@@ -387,31 +387,35 @@ def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """Return TOML text for tables (header, values). Keys whose value is None are omitted."""
     blocks = []
     for head, table in tables:
-        given = {key: value for key, value in table.items() if value is not None}
-        lines = [f"{_key(key)} = {_toml(value)}" for key, value in given.items()]
+        entries = {key: value for key, value in table.items() if value is not None}
+        lines = [f"{_key(key)} = {_toml(value)}" for key, value in entries.items()]
         blocks.append("\n".join(filter(None, [head, *lines])) + "\n")
     return "\n".join(blocks)
 
 
-def _changes(value: Camera | Light) -> dict[str, Any]:
+def _changes(instance: Camera | Light) -> dict[str, Any]:
     """Return the fields of a camera or light that differ from their defaults."""
     return {
-        each.name: getattr(value, each.name)
-        for each in fields(value)
-        if getattr(value, each.name) != each.default
+        attribute.name: getattr(instance, attribute.name)
+        for attribute in fields(instance)
+        if getattr(instance, attribute.name) != attribute.default
     }
 
 
-def _environment(value: Environment) -> dict[str, Any]:
-    return {"file": value.panorama.name, "rotation": value.rotation, "scale": value.scale}
+def _environment(environment: Environment) -> dict[str, Any]:
+    return {
+        "file": environment.panorama.name,
+        "rotation": environment.rotation,
+        "scale": environment.scale,
+    }
 
 
 def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
-    names = [each.name for each in fields(Material) if each.name not in MAPS]
-    mapped = any(each.roughness_map is not None for each in materials)
+    names = [factor.name for factor in fields(Material) if factor.name not in MAPS]
+    mapped = any(material.roughness_map is not None for material in materials)
     names.remove("m" if mapped else "roughness_factor")
-    values = {name: {getattr(each, name) for each in materials} for name in names}
-    return {name: found.pop() for name, found in values.items() if len(found) == 1}
+    factors = {name: {getattr(material, name) for material in materials} for name in names}
+    return {name: values.pop() for name, values in factors.items() if len(values) == 1}
 
 
 def _differing_factors(
@@ -421,12 +425,12 @@ def _differing_factors(
     tables: dict[str, dict[str, Any]] = {}
     for number, (part, material) in enumerate(zip(mesh.parts, mesh.materials, strict=True)):
         unused = "m" if material.roughness_map is not None else "roughness_factor"
-        names = (each.name for each in fields(Material) if each.name not in (*MAPS, unused))
-        given = shared if number in skin else ()
-        values = {name: getattr(material, name) for name in names if name not in given}
-        if values and part.name:
+        names = (factor.name for factor in fields(Material) if factor.name not in (*MAPS, unused))
+        shared_names = shared if number in skin else ()
+        factors = {name: getattr(material, name) for name in names if name not in shared_names}
+        if factors and part.name:
             tables[part.name] = {
-                name: "none" if value is None else value for name, value in values.items()
+                name: "none" if value is None else value for name, value in factors.items()
             }
     return tables
 
@@ -442,8 +446,8 @@ def _toml(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        items = (f"{_key(key)} = {_toml(item)}" for key, item in value.items())
-        return "{ " + ", ".join(items) + " }"
+        pairs = (f"{_key(key)} = {_toml(entry)}" for key, entry in value.items())
+        return "{ " + ", ".join(pairs) + " }"
     if isinstance(value, tuple | list):
         return "[" + ", ".join(map(_toml, value)) + "]"
     return repr(value.item() if isinstance(value, np.generic) else value)
@@ -460,14 +464,14 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
     ------
     InputError : the value is no table, a key is unknown or missing, or a value is out of range
     """
-    known = [each.name for each in fields(kind) if each.name not in without]
-    if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in known]):
+    names = [attribute.name for attribute in fields(kind) if attribute.name not in without]
+    if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in names]):
         bad = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
-        raise InputError(f"unknown {bad} in {key}; known: {', '.join(known)}")
+        raise InputError(f"unknown {bad} in {key}; known: {', '.join(names)}")
     needed = [
-        each.name
-        for each in fields(kind)
-        if each.default is MISSING and each.default_factory is MISSING
+        attribute.name
+        for attribute in fields(kind)
+        if attribute.default is MISSING and attribute.default_factory is MISSING
     ]
     if lacking := [name for name in needed if name not in table]:
         raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}: add it")

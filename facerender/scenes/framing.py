@@ -124,8 +124,8 @@ def _scaled(regions: Mapping[str, Region | None], scale: float) -> Mapping[str, 
     if scale == 1.0:
         return regions
     return {
-        name: own and Region(own.center * scale, own.radius * scale, own.height * scale)
-        for name, own in regions.items()
+        name: region and Region(region.center * scale, region.radius * scale, region.height * scale)
+        for name, region in regions.items()
     }
 
 
@@ -136,21 +136,21 @@ def tracked(mesh: Mesh) -> Mesh:
     If no head is found, all vertices count. A mesh in the reference pose is returned unchanged.
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-    rest = mesh.rest
-    if rest is None:
+    rest_mesh = mesh.rest
+    if rest_mesh is None:
         return mesh
-    head = find_regions(rest)["head"]
+    head = find_regions(rest_mesh)["head"]
     assert head is not None
     of_head, steps = [], []
-    for part, own in zip(mesh.parts, rest.parts, strict=True):
-        drawn = used(own.positions, own.faces)
-        away = np.abs(rest.normalised(own.positions[drawn]) - head.center)
+    for part, rest_part in zip(mesh.parts, rest_mesh.parts, strict=True):
+        drawn = used(rest_part.positions, rest_part.faces)
+        away = np.abs(rest_mesh.normalised(rest_part.positions[drawn]) - head.center)
         across = np.hypot(away[:, 0], away[:, 2])
         of_head.append((across <= head.radius) & (away[:, 1] <= head.height))
-        steps.append((part.positions - own.positions)[drawn])
+        steps.append((part.positions - rest_part.positions)[drawn])
     step, inside = np.concatenate(steps), np.concatenate(of_head)
     step = np.median(step[inside] if inside.any() else step, axis=0)
-    return in_space(replace(mesh, bounds=rest.bounds + step))
+    return in_space(replace(mesh, bounds=rest_mesh.bounds + step))
 
 
 def region_of(mesh: Mesh, frame: Frame) -> Region | None:
@@ -172,21 +172,21 @@ def _found(mesh: Mesh) -> dict[str, Region | None]:
     surface = _Surface(mesh)
     points = surface.points(surface.all)
     named, clear = surface.named(mesh), False
-    found: list[_Head] = []
+    heads: list[_Head] = []
     for chosen in (named, surface.all) if named.any() else (surface.all,):
-        own = points if chosen.all() else surface.points(chosen)
-        if (head := _head(surface, chosen, own)) is not None:
+        chosen_points = points if chosen.all() else surface.points(chosen)
+        if (head := _head(surface, chosen, chosen_points)) is not None:
             clear = head.has_nose or (chosen is named and _is_clear(mesh))
-            found = [head] if clear else [*found, head]
+            heads = [head] if clear else [*heads, head]
         if clear:
             break
-    if not found:
+    if not heads:
         return {"auto": None, **dict.fromkeys(("head", "face"), _region(points))}
-    region = _region(_with_hair(np.concatenate([points, found[0].points]), found[0].points))
+    region = _region(_with_hair(np.concatenate([points, heads[0].points]), heads[0].points))
     wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
     larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height
-    larger = larger and clear and not _has_second(surface, found[0])
-    return {"auto": region if larger else None, "head": region, "face": found[0].face}
+    larger = larger and clear and not _has_second(surface, heads[0])
+    return {"auto": region if larger else None, "head": region, "face": heads[0].face}
 
 
 def _is_clear(mesh: Mesh) -> bool:
@@ -229,8 +229,8 @@ class _Surface:
         triangle = np.searchsorted(steps, index * (steps[-1] / count))
         # Roberts' sequence fills a square evenly. The half with u + v > 1 is folded onto the other.
         u, v = (np.modf(index * step)[0] for step in (0.7548776662466927, 0.5698402909980532))
-        over = u + v > 1.0
-        u[over], v[over] = 1.0 - u[over], 1.0 - v[over]
+        folded = u + v > 1.0
+        u[folded], v[folded] = 1.0 - u[folded], 1.0 - v[folded]
         shares = np.stack([1.0 - u - v, u, v], axis=1)
         return self.mesh.normalised(np.einsum("nk,nki->ni", shares, self.corners[triangle]))
 
@@ -241,17 +241,17 @@ class _Surface:
     def named(self, mesh: Mesh) -> NDArray[np.bool_]:
         """Return a mask of the triangles that belong to a head by the names in the mesh file.
         Joints restrict named parts, because a part may be a whole body."""
-        named = [names_head(each.name) for each in mesh.parts]
+        named = [names_head(part.name) for part in mesh.parts]
         chosen = np.zeros(len(self.corners), dtype=bool)
         for number, part in enumerate(mesh.parts):
             hair = not _words(part.name).isdisjoint(_HAIR_WORDS)
             if not named[number] and (any(named) or hair or part.head is None):
                 continue
-            own = self.owners == number
+            mask = self.owners == number
             if part.head is not None:
                 low, high = mesh.normalised(part.head)
-                own &= self.within(low, high)
-            chosen |= own
+                mask &= self.within(low, high)
+            chosen |= mask
         return chosen
 
 
@@ -268,19 +268,19 @@ def _head(surface: _Surface, chosen: NDArray[np.bool_], points: Float) -> _Head 
     if len(body) < 3 or np.ptp(body[:, 1]) < 1e-6:
         return None
     top = float(body[:, 1].max())
-    first: tuple[float, Region, float, bool] | None = None
+    choice: tuple[float, Region, float, bool] | None = None
     for neck, middle in _ends(body):
         head, reach = body[body[:, 1] >= neck], _NEAR * (top - neck)
         low = np.array((middle - reach, 2.0 * neck - top, np.quantile(head[:, 2], _BEHIND)))
         near = surface.within(low, np.array((middle + reach, top, np.inf)))
         front = surface.points(chosen & near, _FACE_SAMPLES)
-        found = (neck, *_face(head, front, neck, middle))
-        bun = first and found[3] and top - first[0] < _BUN * (top - neck)
-        first = found if first is None or bun else first
-        if first[3]:
+        candidate = (neck, *_face(head, front, neck, middle))
+        bun = choice and candidate[3] and top - choice[0] < _BUN * (top - neck)
+        choice = candidate if choice is None or bun else choice
+        if choice[3]:
             break
-    assert first is not None
-    neck, face, chin, has_nose = first
+    assert choice is not None
+    neck, face, chin, has_nose = choice
     return _Head(body[body[:, 1] >= min(neck, chin)], chin, face, has_nose)
 
 
@@ -303,8 +303,8 @@ def _has_second(surface: _Surface, head: _Head) -> bool:
     beside = above & ((surface.high[:, 0] < low) | (surface.low[:, 0] > high))
     if surface.areas[beside].sum() < _SECOND * surface.areas[above & ~beside].sum():
         return False
-    other = _head(surface, beside, surface.points(beside))
-    return other is not None and other.has_nose
+    second_head = _head(surface, beside, surface.points(beside))
+    return second_head is not None and second_head.has_nose
 
 
 def _rows(y: Float, count: int) -> tuple[NDArray[np.int64], float]:
@@ -360,8 +360,8 @@ def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     covered |= below - above <= _HOLE * _ROWS
     covered[..., :2] = True
     empty = ~covered[..., :-1] & ~covered[..., 1:]
-    first = np.where(empty.any(axis=-1), empty.argmax(axis=-1), cells)
-    return np.asarray(place <= first[side, rows])
+    gap = np.where(empty.any(axis=-1), empty.argmax(axis=-1), cells)
+    return np.asarray(place <= gap[side, rows])
 
 
 def _neck(wide: Float, size: Float, step: float) -> int:
@@ -370,21 +370,21 @@ def _neck(wide: Float, size: Float, step: float) -> int:
     wide : width of each row, from the top down
     size : geometric mean of each row's width and depth
     """
-    largest, narrowest, at = 0.0, np.inf, -1
-    for row, own in enumerate(size):
+    largest, narrowest, neck = 0.0, np.inf, -1
+    for row, row_size in enumerate(size):
         height = (row + 1) * step
-        if height < _HEAD[0] * largest or (own > largest and narrowest > _NECK * largest):
+        if height < _HEAD[0] * largest or (row_size > largest and narrowest > _NECK * largest):
             if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
                 return row  # shoulders without a visible neck
-            largest, narrowest, at = max(largest, own), np.inf, -1
+            largest, narrowest, neck = max(largest, row_size), np.inf, -1
             continue
-        if own < narrowest:
-            narrowest, at = own, row
+        if row_size < narrowest:
+            narrowest, neck = row_size, row
         if height > _HEAD[1] * largest or (
-            narrowest <= _NECK * largest and own > _WIDENED * narrowest
+            narrowest <= _NECK * largest and row_size > _WIDENED * narrowest
         ):
             break
-    return at if narrowest <= _NECK * largest else len(size) - 1
+    return neck if narrowest <= _NECK * largest else len(size) - 1
 
 
 def _face(head: Float, body: Float, neck: float, middle: float) -> tuple[Region, float, bool]:
@@ -412,8 +412,8 @@ def _face(head: Float, body: Float, neck: float, middle: float) -> tuple[Region,
     hairline = _hairline(front, nose, chin, step)
     height = (chin - hairline) * step / 2.0
     radius = _MARGIN * min(_SIDE * (chin - nose) * step, wide / 2.0)
-    ends = np.interp((hairline, chin), np.arange(len(front)), front)
-    center = np.array([middle, high - chin * step + height, ends.mean() - radius])
+    end_depths = np.interp((hairline, chin), np.arange(len(front)), front)
+    center = np.array([middle, high - chin * step + height, end_depths.mean() - radius])
     return Region(center, radius, _MARGIN * height), high - chin * step, has_nose
 
 
@@ -431,8 +431,8 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
     every, columns = np.arange(count), []
     for near, far in ((0.0, 0.4), (0.7, 1.3)):
         column = np.full(count, -np.inf)
-        there = (away >= near * side) & (away <= far * side) & (rows >= 0) & (rows < count)
-        np.maximum.at(column, rows[there], body[there, 2])
+        inside = (away >= near * side) & (away <= far * side) & (rows >= 0) & (rows < count)
+        np.maximum.at(column, rows[inside], body[inside, 2])
         filled = np.isfinite(column)
         columns.append(
             np.interp(every, every[filled], column[filled])
@@ -440,8 +440,8 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
             else np.full(count, body[:, 2].max())
         )
     front, sides = columns
-    least = int(_NOSE[1] * _FACE_ROWS)
-    return front[: max(rows.max() + 1, least)], (front - sides) / side
+    min_rows = int(_NOSE[1] * _FACE_ROWS)
+    return front[: max(rows.max() + 1, min_rows)], (front - sides) / side
 
 
 def _chin(front: Float, nose: int, step: float) -> float:

@@ -59,15 +59,17 @@ def _gloss(material: Material) -> tuple[Any, ...]:
 def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
-    maps = [(each.albedo_map, each.normal_map, each.alpha) for each in mesh.materials]
-    examined, found = _of_maps.get(mesh.parts[0].root, (None, []))
+    maps = [
+        (material.albedo_map, material.normal_map, material.alpha) for material in mesh.materials
+    ]
+    examined, results = _of_maps.get(mesh.parts[0].root, (None, []))
     if maps != examined:
-        found = [(each, each(mesh)) for each in (upside_down, green_down)]
-        _of_maps[mesh.parts[0].root] = maps, found
-    for hint, line in found:
+        results = [(hint, hint(mesh)) for hint in (upside_down, green_down)]
+        _of_maps[mesh.parts[0].root] = maps, results
+    for hint, line in results:
         emit(mesh, hint, line)
     pairs = ((mesh.parts[i], mesh.materials[i]) for i in mesh.skin)
-    if all(_gloss(each) == _loaded.get(part.root) for part, each in pairs):
+    if all(_gloss(material) == _loaded.get(part.root) for part, material in pairs):
         emit(mesh, faint, faint(mesh))
 
 
@@ -82,7 +84,7 @@ def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
 
 def of_mesh(mesh: Mesh) -> list[str]:
     """Return all hints on a mesh. Decodes the maps."""
-    hints = *(each(mesh, True) for each in (upside_down, green_down, faint)), wrong_unit(mesh)
+    hints = *(hint(mesh, True) for hint in (upside_down, green_down, faint)), wrong_unit(mesh)
     return [hint for hint in hints if hint]
 
 
@@ -105,10 +107,10 @@ def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
         few = sum(len(part.faces) for part, _ in pieces) < _LEAST_FACES
         if few or image is None or min(image.shape[:2]) < 32:
             continue
-        for given, reverse in _agreements(pieces, image):
-            if given > reverse:
+        for original, reverse in _agreements(pieces, image):
+            if original > reverse:
                 return None
-            best = max(best, (given, reverse), key=lambda pair: pair[1] - pair[0])
+            best = max(best, (original, reverse), key=lambda pair: pair[1] - pair[0])
     if best == (0.0, 0.0):
         return None
     return (
@@ -121,27 +123,27 @@ def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
 def _mapped(mesh: Mesh) -> dict[Texture, list[tuple[Part, Float]]]:
     """Return the opaque parts with texture coordinates, keyed by their albedo map or, without
     one, by their normal map."""
-    found: dict[Texture, list[tuple[Part, Float]]] = {}
+    pieces_by_texture: dict[Texture, list[tuple[Part, Float]]] = {}
     for part, material in zip(mesh.parts, mesh.materials, strict=True):
         name = "albedo_map" if material.albedo_map else "normal_map"
         texture, uv = getattr(material, name), coordinates(part, material, name)
         if texture and uv is not None and material.alpha == "opaque":
-            found.setdefault(texture, []).append((part, uv))
-    return found
+            pieces_by_texture.setdefault(texture, []).append((part, uv))
+    return pieces_by_texture
 
 
 def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[tuple[float, float]]:
     """Yield clearly different agreements of mesh and map: as given, and with reversed v."""
     faces = _sample(pieces)
-    given, reverse = detail = _detail(faces, image)
-    if max(detail) >= 0.3 and abs(given - reverse) >= 0.25:
+    original, reverse = detail = _detail(faces, image)
+    if max(detail) >= 0.3 and abs(original - reverse) >= 0.25:
         yield detail
-    given, reverse = colours = _seam_colours(pieces, image)
-    if max(colours) >= 0.6 and abs(given - reverse) >= 0.4:
+    original, reverse = colours = _seam_colours(pieces, image)
+    if max(colours) >= 0.6 and abs(original - reverse) >= 0.4:
         yield colours
-    given, reverse = _background(faces, image)
-    if reverse - given >= 0.15:  # the reverse proves little: dark clothes look like background
-        yield 1.0 - given, 1.0 - reverse
+    original, reverse = _background(faces, image)
+    if reverse - original >= 0.15:  # the reverse proves little: dark clothes look like background
+        yield 1.0 - original, 1.0 - reverse
 
 
 def _sample(pieces: _Pieces) -> tuple[Float, Float, Float]:
@@ -168,27 +170,27 @@ def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tupl
     centers, _, curvature = faces
     if not len(curvature) or np.ptp(curvature) == 0.0:
         return 0.0, 0.0
-    detail, own = _contrast(image), _ranks(curvature)
+    detail, curvature_ranks = _contrast(image), _ranks(curvature)
     for axis in (0, 1):
         detail = detail + np.roll(detail, 1, axis) + np.roll(detail, -1, axis)
-    given, reverse = (_ranks(_texels(detail, uv)) for uv in _both(centers))
-    return _correlation(own, given), _correlation(own, reverse)
+    original, reverse = (_ranks(_texels(detail, uv)) for uv in _both(centers))
+    return _correlation(curvature_ranks, original), _correlation(curvature_ranks, reverse)
 
 
 def _seam_colours(pieces: _Pieces, image: NDArray[np.uint8]) -> tuple[float, float]:
     """Return the correlation of the colours on the two sides of seams, and the same with reversed
     v. Both are 0 if the larger correlation has no smaller difference of colour."""
-    one, other = np.concatenate([_seams(part.positions, uv) for part, uv in pieces], axis=1)
-    if len(one) < _LEAST_SEAM:
+    left, right = np.concatenate([_seams(part.positions, uv) for part, uv in pieces], axis=1)
+    if len(left) < _LEAST_SEAM:
         return 0.0, 0.0
-    found, jumps = [], []
-    for sides in zip(_both(one), _both(other), strict=True):
-        a, b = (_texels(image, each).astype(np.float64) for each in sides)
+    correlations, jumps = [], []
+    for sides in zip(_both(left), _both(right), strict=True):
+        a, b = (_texels(image, uv).astype(np.float64) for uv in sides)
         jumps.append(float(np.abs(a - b).mean()))
         middle = (a + b).mean(axis=0) / 2.0
-        found.append(_correlation(a - middle, b - middle))
-    best = int(found[1] > found[0])
-    return (found[0], found[1]) if 1.3 * jumps[best] < jumps[1 - best] else (0.0, 0.0)
+        correlations.append(_correlation(a - middle, b - middle))
+    best = int(correlations[1] > correlations[0])
+    return (correlations[0], correlations[1]) if 1.3 * jumps[best] < jumps[1 - best] else (0.0, 0.0)
 
 
 def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
@@ -198,10 +200,10 @@ def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> 
     keys = (image >> 3).astype(np.int64) @ (1024, 32, 1)
     colour = np.median(image[keys == np.bincount(keys.ravel()).argmax()], axis=0)
     uniform = (np.abs(image - colour).max(axis=-1) <= 6.0) & (_contrast(image) <= 12.0)
-    given, reverse = (
+    original, reverse = (
         float(areas @ _texels(uniform, uv) / (areas.sum() or 1.0)) for uv in _both(centers)
     )
-    return given, reverse
+    return original, reverse
 
 
 def _seams(positions: Float, uv: Float) -> Float:
@@ -212,9 +214,9 @@ def _seams(positions: Float, uv: Float) -> Float:
         scaled = hashes * (1e4 / (np.ptp(hashes) or 1.0))
         order = np.flatnonzero(scaled % 1.0 < _VERTICES / len(order))
     order = order[np.argsort(hashes[order], kind="stable")]
-    same = np.flatnonzero(hashes[order[1:]] == hashes[order[:-1]])
-    one, other = uv[order[same]], uv[order[same + 1]]
-    return np.stack([one, other])[:, np.abs(one - other).max(axis=1, initial=0.0) > _APART]
+    pairs = np.flatnonzero(hashes[order[1:]] == hashes[order[:-1]])
+    left, right = uv[order[pairs]], uv[order[pairs + 1]]
+    return np.stack([left, right])[:, np.abs(left - right).max(axis=1, initial=0.0) > _APART]
 
 
 def _both(uv: Float) -> tuple[Float, Float]:
@@ -232,10 +234,10 @@ def _texels(image: NDArray[Any], uv: Float) -> NDArray[Any]:
 def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
     """Return the differences between each texel and its neighbours, summed over neighbours and
     colours. The image repeats."""
-    values = image.astype(np.int32)
+    texels = image.astype(np.int32)
     total = np.zeros(image.shape[:2], dtype=np.int32)
     for axis in (0, 1):
-        steps = np.abs(values - np.roll(values, 1, axis)) @ np.ones(3, dtype=np.int32)
+        steps = np.abs(texels - np.roll(texels, 1, axis)) @ np.ones(3, dtype=np.int32)
         total += steps + np.roll(steps, -1, axis)
     return total
 
@@ -264,7 +266,7 @@ def green_down(mesh: Mesh, decode: bool = False) -> str | None:
 
     decode : as for :func:`upside_down`
     """
-    for texture in dict.fromkeys(each.normal_map for each in mesh.materials):
+    for texture in dict.fromkeys(material.normal_map for material in mesh.materials):
         image = None if texture is None else _preview(texture, _NORMAL_MAP, decode)
         if texture is None or image is None or min(image.shape[:2]) < 32:
             continue
@@ -299,16 +301,19 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     decode : as for :func:`upside_down`
     """
     skin = Material()
-    least = _FAINT * skin.ks * skin.f0 / skin.m**2
+    threshold = _FAINT * skin.ks * skin.f0 / skin.m**2
     pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
-    slopes = [_least_slope(part, own, decode) for part, own in pairs]
-    dull = [0.0 < own.ks * own.f0 < least * m**2 for (_, own), m in zip(pairs, slopes, strict=True)]
+    slopes = [_least_slope(part, material, decode) for part, material in pairs]
+    dull = [
+        0.0 < material.ks * material.f0 < threshold * m**2
+        for (_, material), m in zip(pairs, slopes, strict=True)
+    ]
     if not any(dull):
         return None
     areas = [_area(part) for part, _ in pairs]
     weak = [
-        (area, own.ks, m)
-        for area, (_, own), m, is_dull in zip(areas, pairs, slopes, dull, strict=True)
+        (area, material.ks, m)
+        for area, (_, material), m, is_dull in zip(areas, pairs, slopes, dull, strict=True)
         if is_dull
     ]
     if sum(area for area, *_ in weak) < 0.5 * sum(areas):

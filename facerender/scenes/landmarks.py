@@ -105,10 +105,10 @@ class Landmarks:
         """
         check_type("mesh", mesh, Mesh, "a facerender.Mesh")
         places = np.concatenate([part.positions for part in mesh.parts])
-        own = np.array(self.parts)
+        part_names = np.array(self.parts)
         rows = np.empty_like(self.vertices)
         for name in dict.fromkeys(self.parts):
-            chosen = np.flatnonzero(own == name)
+            chosen = np.flatnonzero(part_names == name)
             table = _vertices_of(mesh, name)
             numbers = self.vertices[chosen]
             beyond = numbers >= len(table)
@@ -116,11 +116,11 @@ class Landmarks:
             if (bad := beyond | (rows[chosen] < 0)).any():
                 row, column = np.argwhere(bad)[0]
                 number = numbers[row, column]
-                of = f"part {shown(name)} of {mesh.name}" if name else mesh.name
+                owner = f"part {shown(name)} of {mesh.name}" if name else mesh.name
                 why = (
-                    f"{of} has {len(table)} vertices"
+                    f"{owner} has {len(table)} vertices"
                     if beyond[row, column]
-                    else f"no triangle of {of} uses it"
+                    else f"no triangle of {owner} uses it"
                 )
                 raise InputError(
                     f"landmark {shown(self.names[chosen[row]])}: vertex {number}, but {why}: give "
@@ -142,10 +142,10 @@ def _vertices_of(mesh: Mesh, name: str) -> NDArray[np.int64]:
     table = np.full(counts.pop() if by_file else int(starts[-1]), -1)
     for i in shared if by_file else chosen:
         part = mesh.parts[i]
-        own = np.flatnonzero(used(part.positions, part.faces))
+        drawn = np.flatnonzero(used(part.positions, part.faces))
         numbers = part.sources if by_file else np.arange(starts[i], starts[i + 1])
         assert numbers is not None
-        table[numbers[own]] = starts[i] + own
+        table[numbers[drawn]] = starts[i] + drawn
     return table if by_file or not name else table[starts[chosen[0]] : starts[chosen[0] + 1]]
 
 
@@ -177,47 +177,60 @@ def load_landmarks(path: str | os.PathLike[str]) -> Landmarks:
 
 def _landmarks(content: bytes) -> Landmarks:
     try:
-        found = json.loads(content)
+        landmarks = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its JSON cannot be read ({reason(error)}); correct it") from None
-    check_type("content", found, list | dict, "a list of landmarks, or a table by name")
-    if not 0 < len(found) <= MOST_LANDMARKS:
-        raise InputError(f"{len(found)} landmarks: give 1 to {MOST_LANDMARKS}")
-    pairs = found.items() if isinstance(found, dict) else ((str(i), e) for i, e in enumerate(found))
-    items = [_item(name, each, isinstance(found, list)) for name, each in pairs]
-    names, vertices, weights, parts = zip(*items, strict=True)
+    check_type("content", landmarks, list | dict, "a list of landmarks, or a table by name")
+    if not 0 < len(landmarks) <= MOST_LANDMARKS:
+        raise InputError(f"{len(landmarks)} landmarks: give 1 to {MOST_LANDMARKS}")
+    pairs = (
+        landmarks.items()
+        if isinstance(landmarks, dict)
+        else ((str(i), e) for i, e in enumerate(landmarks))
+    )
+    rows = [_item(name, landmark, isinstance(landmarks, list)) for name, landmark in pairs]
+    names, vertices, weights, parts = zip(*rows, strict=True)
     return Landmarks(names, np.array(vertices), np.array(weights), parts)
 
 
-def _item(name: str, item: Any, named: bool) -> tuple[str, list[int], list[float], str]:
+def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[float], str]:
     """Return name, three vertices, three weights and part of a landmark.
 
-    named : whether the item may have the key "name"
+    named : whether the landmark may have the key "name"
     """
     place = f"landmark {shown(name)}"
-    table = item if isinstance(item, Mapping) else {"vertices": item}
-    known = _KEYS if named else _KEYS[1:]
+    table = landmark if isinstance(landmark, Mapping) else {"vertices": landmark}
+    keys = _KEYS if named else _KEYS[1:]
     for key in table:
-        if key not in known:
-            raise InputError(f"{place}: unknown key {shown(key)}; known: {', '.join(known)}")
+        if key not in keys:
+            raise InputError(f"{place}: unknown key {shown(key)}; known: {', '.join(keys)}")
     for key in ("name", "part"):
         check_type(f"{place}: {key}", table.get(key, ""), str, "text")
     vertices = table.get("vertices")
-    given: list[Any] = [vertices]
-    if isinstance(item, Mapping) and isinstance(vertices, list):
-        given = vertices
-    whole = all(isinstance(each, int) and not isinstance(each, bool) for each in given)
-    if not (whole and 0 < len(given) <= 3 and all(0 <= each < _HIGHEST for each in given)):
+    numbers: list[Any] = [vertices]
+    if isinstance(landmark, Mapping) and isinstance(vertices, list):
+        numbers = vertices
+    integral = all(isinstance(number, int) and not isinstance(number, bool) for number in numbers)
+    if not (
+        integral and 0 < len(numbers) <= 3 and all(0 <= number < _HIGHEST for number in numbers)
+    ):
         raise InputError(f"{place}: vertices = {shown(vertices)}: give one to three vertex numbers")
-    weights = table.get("weights", [1.0] if len(given) == 1 else None)
+    weights = table.get("weights", [1.0] if len(numbers) == 1 else None)
     weights = weights if isinstance(weights, list) else [weights]
-    numbers = all(isinstance(each, int | float) and not isinstance(each, bool) for each in weights)
-    if not numbers or len(weights) != len(given) or not all(abs(each) < 2 for each in weights):
+    numeric = all(
+        isinstance(weight, int | float) and not isinstance(weight, bool) for weight in weights
+    )
+    if (
+        not numeric
+        or len(weights) != len(numbers)
+        or not all(abs(weight) < 2 for weight in weights)
+    ):
         raise InputError(
-            f"{place}: weights = {shown(table.get('weights'))}: give {len(given)} numbers in [0, 1]"
+            f"{place}: weights = {shown(table.get('weights'))}: give {len(numbers)} numbers in "
+            "[0, 1]"
         )
-    spare = 3 - len(given)
-    full = [*given, *given[:1] * spare], [*map(float, weights), *[0.0] * spare]
+    spare = 3 - len(numbers)
+    full = [*numbers, *numbers[:1] * spare], [*map(float, weights), *[0.0] * spare]
     return table.get("name") or name, *full, table.get("part", "")
 
 

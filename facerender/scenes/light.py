@@ -114,7 +114,7 @@ class LightKind:
         """Return the uniform arrays of N lights of this kind, keyed by the array's name. Each array
         is (N, 1) to (N, 3)."""
         columns = zip(*(self.elements(light, mesh) for light in lights), strict=True)
-        return {name: np.array(each) for name, each in zip(self.arrays, columns, strict=True)}
+        return {name: np.array(column) for name, column in zip(self.arrays, columns, strict=True)}
 
     @property
     def price(self) -> str:
@@ -337,7 +337,7 @@ def lights_of(lights: Any) -> tuple[Light, ...]:
     """
     several = [lights] if isinstance(lights, str | Light) else lights
     if isinstance(several, Iterable):
-        several = [parse_light(each) if isinstance(each, str) else each for each in several]
+        several = [parse_light(light) if isinstance(light, str) else light for light in several]
     remedy = f"several facerender.Light, or names: {', '.join(LIGHTS)}"
     return each_of("lights", several, Light, remedy)
 
@@ -351,24 +351,24 @@ def parse_light(text: str) -> Light:
     ------
     InputError : the name is unknown, or the text has another form
     """
-    first, *behind = re.split(r",(?=radius=|no-shadow\b)", text)
-    kind, _, rest = first.rpartition(":")
+    form, *options = re.split(r",(?=radius=|no-shadow\b)", text)
+    kind, _, arguments = form.rpartition(":")
     try:
-        own: dict[str, Any] = {"shadow": False} if "no-shadow" in behind else {}
-        for size in (word for word in behind if word != "no-shadow"):
-            own["radius"] = float(size.removeprefix("radius="))
-        if len(behind) != len(own):
+        fields: dict[str, Any] = {"shadow": False} if "no-shadow" in options else {}
+        for size in (word for word in options if word != "no-shadow"):
+            fields["radius"] = float(size.removeprefix("radius="))
+        if len(options) != len(fields):
             raise ValueError
-        values = [] if first in LIGHTS else [float(word) for word in rest.split(",")]
+        numbers = [] if form in LIGHTS else [float(word) for word in arguments.split(",")]
         count = {"": 2, "point": 3}[kind]
-        where, irradiance = values[:count], values[count:] or [math.pi]
-        if len(where) != count * (first not in LIGHTS) or len(irradiance) not in (1, 3):
+        where, irradiance = numbers[:count], numbers[count:] or [math.pi]
+        if len(where) != count * (form not in LIGHTS) or len(irradiance) not in (1, 3):
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(f"unknown light {shown(text)}; give {LIGHT_TEXTS}") from None
-    if first in LIGHTS:
-        return replace(LIGHTS[first], **own)
-    own["irradiance"] = irradiance if irradiance[1:] else irradiance[0]
+    if form in LIGHTS:
+        return replace(LIGHTS[form], **fields)
+    fields["irradiance"] = irradiance if irradiance[1:] else irradiance[0]
     if kind == "point":
-        return Light(position=where, **own)  # type: ignore[arg-type]
-    return Light(where[0], where[1], **own)
+        return Light(position=where, **fields)  # type: ignore[arg-type]
+    return Light(where[0], where[1], **fields)

@@ -71,31 +71,31 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
-    known = _simplified.setdefault(mesh, {})
-    if triangles not in known:
-        known[triangles] = _posed(mesh, *_level(reference_of(mesh), triangles))
-    if (left := sum(len(part.faces) for part in known[triangles].parts)) > triangles:
-        warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {left} remain")
-    return known[triangles]
+    levels = _simplified.setdefault(mesh, {})
+    if triangles not in levels:
+        levels[triangles] = _posed(mesh, *_level(reference_of(mesh), triangles))
+    if (remaining := sum(len(part.faces) for part in levels[triangles].parts)) > triangles:
+        warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {remaining} remain")
+    return levels[triangles]
 
 
-def _level(rest: Mesh, triangles: int) -> Level:
+def _level(rest_mesh: Mesh, triangles: int) -> Level:
     """Return the simplified reference pose and its remaining vertices, from a cache."""
-    known = _levels.setdefault(rest.parts[0], {})
-    key = triangles, *map(ref, rest.parts)
-    if key not in known:
-        known[key] = _simplify(rest, triangles)
-    return known[key]
+    levels = _levels.setdefault(rest_mesh.parts[0], {})
+    key = triangles, *map(ref, rest_mesh.parts)
+    if key not in levels:
+        levels[key] = _simplify(rest_mesh, triangles)
+    return levels[key]
 
 
 def _posed(mesh: Mesh, level: Mesh, remaining: Sequence[NDArray[np.int64]]) -> Mesh:
     """Return a simplified mesh with the pose and the materials of a mesh."""
-    own = {name: getattr(mesh, name) for name in ("materials", "bounds", "radius", "profile")}
+    fields = {name: getattr(mesh, name) for name in ("materials", "bounds", "radius", "profile")}
     if mesh.rest is None:
-        return replace(level, **own)
+        return replace(level, **fields)
     pairs = [*zip(mesh.parts, remaining, strict=True)]
-    places, normals = ([getattr(p, n)[left] for p, left in pairs] for n in ("positions", "normals"))
-    return replace(moved(level, places, normals), **own)
+    places, normals = ([getattr(p, n)[rows] for p, rows in pairs] for n in ("positions", "normals"))
+    return replace(moved(level, places, normals), **fields)
 
 
 def _simplify(mesh: Mesh, triangles: int) -> Level:
@@ -111,30 +111,30 @@ def _simplify(mesh: Mesh, triangles: int) -> Level:
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
     rows = np.concatenate([_vertices(mesh, number) for number in range(len(mesh.parts))])
     # In some files, triangles do not share vertices, so equal vertices are merged.
-    rows, first, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    rows, first_indices, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     corners = numbers.reshape(-1)[np.concatenate(faces)]
     columns = rows.astype(np.float32)
     weights = np.array(_WEIGHTS[: rows.shape[1] - 4], dtype=np.float32)
-    left = meshoptimizer.collapsed(
+    collapsed = meshoptimizer.collapsed(
         corners.astype(np.uint32), columns[:, 1:4], columns[:, 4:], weights, triangles
     )
     parts, remaining = [], []
     for number, part in enumerate(mesh.parts):
-        chosen = left[rows[left[:, 0], 0] == number]
+        chosen = collapsed[rows[collapsed[:, 0], 0] == number]
         if not len(chosen):
             all_faces = corners[rows[corners[:, 0], 0] == number]
             chosen = all_faces[[np.argmax(_double_areas(rows[all_faces, 1:4]))]]
-        vertices, own = np.unique(chosen, return_inverse=True)
-        kept = first[vertices] - starts[number]
+        vertices, inverse = np.unique(chosen, return_inverse=True)
+        remaining_vertices = first_indices[vertices] - starts[number]
         arrays = {
-            name: values[kept]
+            name: attribute[remaining_vertices]
             for name in ("positions", "normals", "uv", "colors", "occlusion", "uv2")
-            if (values := getattr(part, name)) is not None
+            if (attribute := getattr(part, name)) is not None
         }
-        corners_of_part = own.reshape(chosen.shape).astype(np.uint32)
+        corners_of_part = inverse.reshape(chosen.shape).astype(np.uint32)
         ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
-        remaining.append(kept)
+        remaining.append(remaining_vertices)
     return replace(mesh, parts=tuple(parts), regions=find_regions(mesh)), remaining
 
 
@@ -154,8 +154,8 @@ def _vertices(mesh: Mesh, index: int) -> Float:
         _on_surface(mesh, part, part.uv),
         np.ones((count, 3)) if part.colors is None else part.colors,
     ]
-    second = any(each.uv2 is not None for each in mesh.parts)
-    if second or any(each.occlusion is not None for each in mesh.parts):
+    second = any(mesh_part.uv2 is not None for mesh_part in mesh.parts)
+    if second or any(mesh_part.occlusion is not None for mesh_part in mesh.parts):
         columns.append((np.ones(count) if part.occlusion is None else part.occlusion)[:, None])
     if second:
         columns.append(_on_surface(mesh, part, part.uv2))
@@ -278,6 +278,6 @@ class Planned:
         return LevelOfDetail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
 
     def __str__(self) -> str:
-        ends = dict.fromkeys((min(self.sizes), max(self.sizes)))
-        sizes = " to ".join(f"{width} x {height}" for width, height in ends)
+        extremes = dict.fromkeys((min(self.sizes), max(self.sizes)))
+        sizes = " to ".join(f"{width} x {height}" for width, height in extremes)
         return f"{sizes} pixels with {self.samples} sample{'s' if self.samples > 1 else ''}"

@@ -113,14 +113,14 @@ class Material:
         check_known("alpha", self.alpha, get_args(Alpha))
         names = self.second_uv
         names = names.split(",") if isinstance(names, str) else names  # the text of --part
-        if not isinstance(names, tuple | list) or any(each not in MAPS for each in names):
+        if not isinstance(names, tuple | list) or any(name not in MAPS for name in names):
             raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
         object.__setattr__(self, "second_uv", tuple(names))
         for name in MAPS:
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, Texture):
+            texture = getattr(self, name)
+            if texture is not None and not isinstance(texture, Texture):
                 raise InputError(
-                    f"{name} = {shown(value)}: give facerender.Texture.open(FILE) or None"
+                    f"{name} = {shown(texture)}: give facerender.Texture.open(FILE) or None"
                 )
         if self.double_sided is not None:
             check_switch("double_sided", self.double_sided)
@@ -128,12 +128,12 @@ class Material:
             from facerender.terms.scattering import profile_of
 
             none = isinstance(self.scattering, str) and self.scattering == "none"
-            own = None if none else profile_of(self.scattering)
-            object.__setattr__(self, "scattering", own)
+            profile = None if none else profile_of(self.scattering)
+            object.__setattr__(self, "scattering", profile)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle only the parameters, not the cached properties."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def two_lobes(self) -> bool:
@@ -145,8 +145,8 @@ class Material:
         if not self.two_lobes:
             return low, high
         second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
-        ends = (low, high, *second)
-        return min(ends), max(ends)
+        slopes = (low, high, *second)
+        return min(slopes), max(slopes)
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
@@ -155,8 +155,8 @@ class Material:
             return self.with_second(self.m, self.m)
         packed = self.property_map
         texels = packed.ends()[:, 1] if packed else self.roughness_map.ends()[:, 0]
-        ends = (self.roughness_factor * float(end) / 255.0 for end in texels)
-        low, high = (max(end**2, MIN_SLOPE) for end in ends)
+        roughness = (self.roughness_factor * float(end) / 255.0 for end in texels)
+        low, high = (max(end**2, MIN_SLOPE) for end in roughness)
         return self.with_second(low, high)
 
     @cached_property
@@ -182,7 +182,9 @@ class Material:
         name : one of MAPS, or "property_map"
         """
         names = PROPERTY_MAPS if name == "property_map" else (name,)
-        return any(each in self.second_uv and getattr(self, each) is not None for each in names)
+        return any(
+            map_name in self.second_uv and getattr(self, map_name) is not None for map_name in names
+        )
 
     @property
     def thin(self) -> bool:
@@ -209,18 +211,18 @@ class Material:
         """Whether the opacity has no visible effect. Decodes the opacity map if necessary."""
         if self.alpha == "opaque":
             return True
-        least = 1.0
+        min_texel = 1.0
         if self.opacity_map is not None:
-            least = float(self.opacity_map.ends()[0, 0]) / 255.0
-        return self.opacity * least >= (1.0 if self.alpha == "blend" else self.alpha_cutoff)
+            min_texel = float(self.opacity_map.ends()[0, 0]) / 255.0
+        return self.opacity * min_texel >= (1.0 if self.alpha == "blend" else self.alpha_cutoff)
 
 
 def check_maps(name: str, materials: Sequence[Material]) -> None:
     """Raise InputError if the maps of a mesh have more than MOST_TEXELS in total."""
     maps: set[Texture | None] = set()
-    for each in materials:
-        names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if each.packs else MAPS
-        maps.update(getattr(each, name) for name in names)
+    for material in materials:
+        names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if material.packs else MAPS
+        maps.update(getattr(material, name) for name in names)
     if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MOST_TEXELS:
         raise InputError(
             f"the maps of {name} have {total / 1e6:.0f} million texels, more than "

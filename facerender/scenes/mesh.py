@@ -98,8 +98,8 @@ class Part:
             *(("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)),
             ("sources", 0),
         ):
-            if (values := getattr(self, name)) is not None:
-                check_array(name, values, columns)
+            if (array := getattr(self, name)) is not None:
+                check_array(name, array, columns)
         if self.uv is None and self.uv2 is not None:
             raise InputError("uv2 without uv: give the first texture coordinates as uv")
 
@@ -114,9 +114,11 @@ class Part:
     def root(self) -> Part:
         """The part in the reference pose. All poses of a part have one root, under which caches
         store what does not depend on the pose."""
-        rest = self.rest
-        same = rest is not None and all(getattr(self, n) is getattr(rest, n) for n in _OF_ROOT)
-        return rest if same and rest is not None else self
+        rest_part = self.rest
+        shared = rest_part is not None and all(
+            getattr(self, n) is getattr(rest_part, n) for n in _OF_ROOT
+        )
+        return rest_part if shared and rest_part is not None else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +216,7 @@ class Mesh:
     ) -> Mesh:
         """Return a mesh of the given parts; compute its bounds, radius and profile, and set
         ``double_sided`` of the materials. The face indices must be valid."""
-        drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
+        drawn = np.concatenate([part.positions[used(part.positions, part.faces)] for part in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
         radius = float(np.linalg.norm(offsets, axis=1).max())
@@ -228,7 +230,7 @@ class Mesh:
         """Return a mesh of pieces that :func:`facerender.scenes.repair.clean` has repaired. A
         piece without a name is numbered, unless it is the only one: the third is ``part3``."""
         several = len(pieces) > 1
-        names = (each.name or f"part{i}" * several for i, each in enumerate(pieces, 1))
+        names = (piece.name or f"part{i}" * several for i, piece in enumerate(pieces, 1))
         parts = [
             Part(
                 piece.positions,
@@ -236,7 +238,7 @@ class Mesh:
                 np.ascontiguousarray(piece.faces, dtype=np.uint32),
                 piece.uv,
                 piece.colors,
-                name=own,
+                name=part_name,
                 uv2=piece.uv2,
                 head=piece.head,
                 skin=piece.skin,
@@ -244,7 +246,7 @@ class Mesh:
                 source_count=piece.source_count,
                 rig=piece.rig,
             )
-            for piece, own in zip(pieces, unique(names), strict=True)
+            for piece, part_name in zip(pieces, unique(names), strict=True)
         ]
         return cls.of(name, parts, [piece.material for piece in pieces], millimetres)
 
@@ -306,26 +308,30 @@ class Mesh:
         ------
         InputError : no part matches a name, or no part remains
         """
-        wanted, hidden = names_of("parts", parts), names_of("hide", hide)
-        chosen = {i for name in wanted for i in self.called(name)} or {*range(len(self.parts))}
-        left = sorted(chosen - {i for name in hidden for i in self.called(name)})
-        if not left:
+        names, hidden = names_of("parts", parts), names_of("hide", hide)
+        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
+        remaining = sorted(chosen - {i for name in hidden for i in self.called(name)})
+        if not remaining:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
-        if len(left) == len(self.parts):
+        if len(remaining) == len(self.parts):
             return self
         return Mesh.of(
             self.name,
-            [replace(self.parts[i]) for i in left],  # copies: renderers cache parts per mesh
-            [self.materials[i] for i in left],
+            [replace(self.parts[i]) for i in remaining],  # copies: renderers cache parts per mesh
+            [self.materials[i] for i in remaining],
             self.millimetres,
         )
 
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
         pairs = enumerate(part.name for part in self.parts)
-        if not (found := [i for i, own in pairs if own == name or fnmatchcase(own, name)]):
+        if not (
+            matches := [
+                i for i, part_name in pairs if part_name == name or fnmatchcase(part_name, name)
+            ]
+        ):
             raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
-        return found
+        return matches
 
     def _known(self) -> str:
         if not any(part.name for part in self.parts):
@@ -337,8 +343,8 @@ class Mesh:
         """Indices of the parts that are skin: their ``Part.skin`` is true, and their materials have
         no transmission. If no part is skin, the indices of all parts."""
         pairs = enumerate(zip(self.parts, self.materials, strict=True))
-        found = [i for i, (part, own) in pairs if part.skin and own.transmission == 0.0]
-        return tuple(found or range(len(self.parts)))
+        indices = [i for i, (part, material) in pairs if part.skin and material.transmission == 0.0]
+        return tuple(indices or range(len(self.parts)))
 
     @property
     def center(self) -> NDArray[np.float64]:
@@ -413,16 +419,18 @@ class Mesh:
         FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
         """
         places = _rows_of_parts(self, "positions", positions)
-        given = _rows_of_parts(self, "normals", normals)
+        part_normals = _rows_of_parts(self, "normals", normals)
         with np.errstate(all="ignore"):  # in_space() refuses positions that cause overflow
-            return moved(self, places, given)
+            return moved(self, places, part_normals)
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
-        new = {i: changed(self.materials[i], changes) for i in chosen}
-        _warn_of_lobes(self.name, changes, new.values())
-        for fault in without_effect(changes, [self.materials[i] for i in new], [*new.values()]):
+        updates = {i: changed(self.materials[i], changes) for i in chosen}
+        _warn_of_lobes(self.name, changes, updates.values())
+        for fault in without_effect(
+            changes, [self.materials[i] for i in updates], [*updates.values()]
+        ):
             warn(f"{fault}: give both for a part of {self.name}")
-        materials = tuple(new.get(i, each) for i, each in enumerate(self.materials))
+        materials = tuple(updates.get(i, material) for i, material in enumerate(self.materials))
         return replace(self, materials=materials)
 
     @property
@@ -435,7 +443,7 @@ class Mesh:
     def clips(self) -> dict[str, float]:
         """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
         ``clip2``... if they have none. Damaged animations are left out."""
-        return {each.name: each.duration for each in clips_of(self.parts) if not each.fault}
+        return {clip.name: clip.duration for clip in clips_of(self.parts) if not clip.fault}
 
     def with_pose(
         self,
@@ -467,9 +475,13 @@ class Mesh:
         """
         from facerender.scenes.rig_pose import posed  # only for poses, as above
 
-        rest = reference_of(self)
-        places, normals = posed(rest, lambda: _corners_of(rest), weights, clip, time)
-        stored = self if rest is self else replace(self, parts=rest.parts, bounds=rest.bounds)
+        rest_mesh = reference_of(self)
+        places, normals = posed(rest_mesh, lambda: _corners_of(rest_mesh), weights, clip, time)
+        stored = (
+            self
+            if rest_mesh is self
+            else replace(self, parts=rest_mesh.parts, bounds=rest_mesh.bounds)
+        )
         return moved(stored, places, normals)
 
 
@@ -512,7 +524,7 @@ def _warn_of_lobes(name: str, changes: Mapping[str, Any], materials: Iterable[Ma
     """Warn if changes ask for a second lobe, but none of the changed materials has one."""
     unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
     asked = [key for key, value in unused.items() if changes.get(key, value) != value]
-    if asked and not any(each.two_lobes for each in materials):
+    if asked and not any(material.two_lobes for material in materials):
         warn_of_one_lobe(name, asked[0])
 
 
@@ -532,22 +544,22 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
     InputError : a value that is not text
     """
     names = names.split(",") if isinstance(names, str) else names
-    found = each_of(option, names, str, "names of parts")
-    return tuple(name for each in found if (name := each.strip()))
+    texts = each_of(option, names, str, "names of parts")
+    return tuple(name for text in texts if (name := text.strip()))
 
 
 def _sided(parts: Sequence[Part], materials: Sequence[Material]) -> Iterator[Material]:
     """Yield the materials with ``double_sided`` true or false. Parts that share a material share
     the result, unless only one of them is closed."""
-    if all(each.double_sided is not None for each in materials):
+    if all(material.double_sided is not None for material in materials):
         yield from materials
         return
-    closed = are_closed([each.positions for each in parts], [each.faces for each in parts])
-    known: dict[tuple[int, bool], Material] = {}
-    for material, own in zip(materials, closed, strict=True):
+    closed = are_closed([part.positions for part in parts], [part.faces for part in parts])
+    variants: dict[tuple[int, bool], Material] = {}
+    for material, is_closed in zip(materials, closed, strict=True):
         if material.double_sided is None:
-            key = id(material), own
-            material = known.setdefault(key, replace(material, double_sided=not own))
+            key = id(material), is_closed
+            material = variants.setdefault(key, replace(material, double_sided=not is_closed))
         yield material
 
 
@@ -577,13 +589,13 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
     parts = mesh.parts
     if isinstance(values, Mapping):
         chosen: dict[int, Any] = {}
-        for key, own in values.items():
-            chosen |= dict.fromkeys(mesh.called(str(key)), own)
+        for key, array in values.items():
+            chosen |= dict.fromkeys(mesh.called(str(key)), array)
         values = [chosen.get(number) for number in range(len(parts))]
     if values is None:
         values = [None] * len(parts)
     each_part = isinstance(values, list | tuple) and all(
-        own is None or np.ndim(own) == 2 for own in values
+        array is None or np.ndim(array) == 2 for array in values
     )
     if each_part:
         if len(values) != len(parts):
@@ -592,8 +604,8 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
                 f"{mesh.name}"
             )
         return [
-            None if own is None else _of_part(f"{name} of {part.name or mesh.name}", own, part)
-            for own, part in zip(values, parts, strict=True)
+            None if array is None else _of_part(f"{name} of {part.name or mesh.name}", array, part)
+            for array, part in zip(values, parts, strict=True)
         ]
     rows: Floats = rows_of(name, values, (3,))
     counts = [len(part.positions) for part in parts]
@@ -604,15 +616,15 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
             for part, count in zip(parts, counts, strict=True)
         ]
     if len(rows) != sum(counts):
-        wanted = " or ".join(map(str, dict.fromkeys((*sources, sum(counts)))))
+        expected = " or ".join(map(str, dict.fromkeys((*sources, sum(counts)))))
         raise InputError(
-            f"{name} has {len(rows)} rows: give {wanted}, one for each vertex of {mesh.name}"
+            f"{name} has {len(rows)} rows: give {expected}, one for each vertex of {mesh.name}"
         )
     return list(np.split(rows, np.cumsum(counts)[:-1]))
 
 
-def _of_part(name: str, values: Any, part: Part) -> NDArray[np.float64]:
-    rows: Floats = rows_of(name, values, (3,))
+def _of_part(name: str, array: Any, part: Part) -> NDArray[np.float64]:
+    rows: Floats = rows_of(name, array, (3,))
     if part.sources is not None and len(rows) == part.source_count:
         return np.asarray(rows[part.sources])
     if len(rows) != len(part.positions):
@@ -635,45 +647,54 @@ def moved(
     normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
         replaced by the normal of the reference pose
     """
-    rest = reference_of(mesh)
-    if any(part.occlusion is not None for part in rest.parts):
+    rest_mesh = reference_of(mesh)
+    if any(part.occlusion is not None for part in rest_mesh.parts):
         warn(
-            f"the baked occlusion of {rest.name} remains that of the reference pose: bake it for "
-            "each pose with facerender.with_occlusion, or leave it out"
+            f"the baked occlusion of {rest_mesh.name} remains that of the reference pose: bake it "
+            "for each pose with facerender.with_occlusion, or leave it out"
         )
-    if any(own is not None and n is None for own, n in zip(places, normals, strict=True)):
+    if any(place is not None and n is None for place, n in zip(places, normals, strict=True)):
         pairs = zip(mesh.parts, places, strict=True)
-        sums = _corners_of(rest).normal_sums(
-            [p.positions if own is None else own for p, own in pairs]
+        sums = _corners_of(rest_mesh).normal_sums(
+            [p.positions if place is None else place for p, place in pairs]
         )
     parts = []
-    for number, (part, own, normal) in enumerate(zip(mesh.parts, places, normals, strict=True)):
-        if own is not None or normal is not None:
+    for number, (part, place, normal) in enumerate(zip(mesh.parts, places, normals, strict=True)):
+        if place is not None or normal is not None:
             root = part.root
-            at = part.positions if own is None else own
-            at = at if (drawn := _drawn_of(root)) is None else np.where(drawn, at, mesh.center)
+            positions = part.positions if place is None else place
+            positions = (
+                positions
+                if (drawn := _drawn_of(root)) is None
+                else np.where(drawn, positions, mesh.center)
+            )
             turned = unit_or(sums[number] if normal is None else normal, root.normals)
-            part = replace(root, positions=at, normals=turned, rest=root)
+            part = replace(root, positions=positions, normals=turned, rest=root)
         parts.append(part)
-    return in_space(replace(mesh, parts=tuple(parts), regions=None, rest=rest))
+    return in_space(replace(mesh, parts=tuple(parts), regions=None, rest=rest_mesh))
 
 
 def reference_of(mesh: Mesh) -> Mesh:
     """Return the mesh in the reference pose: the mesh itself unless it is a pose of another mesh
     with the same arrays."""
-    rest = mesh.rest
-    if rest is None or any(a.root is not b for a, b in zip(mesh.parts, rest.parts, strict=True)):
+    rest_mesh = mesh.rest
+    if rest_mesh is None or any(
+        a.root is not b for a, b in zip(mesh.parts, rest_mesh.parts, strict=True)
+    ):
         return mesh
-    return rest
+    return rest_mesh
 
 
 def in_space(mesh: Mesh) -> Mesh:
     """Return a posed mesh whose radius is at least the distance of all vertices from its centre.
     The profile, which is relative to the radius, shrinks accordingly."""
-    rest = mesh.rest
-    assert rest is not None
+    rest_mesh = mesh.rest
+    assert rest_mesh is not None
     away = (part.positions - mesh.center for part in mesh.parts)
-    reach = math.sqrt(max(np.einsum("ij,ij->i", each, each).max() for each in away)) / rest.radius
+    reach = (
+        math.sqrt(max(np.einsum("ij,ij->i", offsets, offsets).max() for offsets in away))
+        / rest_mesh.radius
+    )
     if reach > MOST_RADII:
         raise InputError(
             f"a vertex of {mesh.name} is {reach:.3g} mesh radii from the mesh's centre: give "
@@ -681,7 +702,7 @@ def in_space(mesh: Mesh) -> Mesh:
         )
     steps = max(math.ceil(math.log(reach * (1.0 - 1e-9), _GROWTH)), 0) if reach > 0.0 else 0
     growth = _GROWTH**steps
-    return replace(mesh, radius=rest.radius * growth, profile=rest.profile / growth)
+    return replace(mesh, radius=rest_mesh.radius * growth, profile=rest_mesh.profile / growth)
 
 
 _drawn: WeakKeyDictionary[Part, NDArray[np.bool_] | None] = WeakKeyDictionary()
@@ -698,10 +719,10 @@ def _drawn_of(root: Part) -> NDArray[np.bool_] | None:
 _corners: WeakKeyDictionary[Mesh, Corners] = WeakKeyDictionary()
 
 
-def _corners_of(rest: Mesh) -> Corners:
-    if rest not in _corners:
+def _corners_of(rest_mesh: Mesh) -> Corners:
+    if rest_mesh not in _corners:
         columns = zip(
-            *((part.positions, part.normals, part.faces) for part in rest.parts), strict=True
+            *((part.positions, part.normals, part.faces) for part in rest_mesh.parts), strict=True
         )
-        _corners[rest] = Corners.of(*columns)
-    return _corners[rest]
+        _corners[rest_mesh] = Corners.of(*columns)
+    return _corners[rest_mesh]

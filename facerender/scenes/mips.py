@@ -52,10 +52,10 @@ def coarse_base(
         return finest
     means = np.empty((3, height // 2, width // 2), dtype=np.float32)
     for top, strip in _coarse_strips(rows, height, drop):
-        own = _halved_normals(strip, drop)
-        bottom = top + own.shape[1]
-        finest[top:bottom] = _with_deviation(own)
-        even = own[:, : own.shape[1] & -2, : width & -2]
+        normals = _halved_normals(strip, drop)
+        bottom = top + normals.shape[1]
+        finest[top:bottom] = _with_deviation(normals)
+        even = normals[:, : normals.shape[1] & -2, : width & -2]
         means[:, top // 2 : bottom // 2] = _halve_planes(even)
     return finest, means
 
@@ -240,7 +240,7 @@ def _normal_chain(means: NDArray[np.float32]) -> Levels:
     while True:
         strips = _strips(np.moveaxis(means, 0, -1))
         levels.append(
-            np.concatenate([_with_deviation(np.moveaxis(each, -1, 0)) for _, each in strips])
+            np.concatenate([_with_deviation(np.moveaxis(strip, -1, 0)) for _, strip in strips])
         )
         if max(means.shape[1:]) == 1:
             return levels

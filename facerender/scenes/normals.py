@@ -47,12 +47,12 @@ class Corners:
         groups = _split_at_creases(welded, np.concatenate(normals))
         corners = groups[joint].ravel()
         order = np.argsort(corners, kind="stable")
-        known, starts = np.unique(corners[order], return_index=True)
+        used_groups, starts = np.unique(corners[order], return_index=True)
         return cls(
             np.ascontiguousarray(joint.T),
             order // 3,
             starts,
-            np.searchsorted(known, groups).clip(max=len(known) - 1),
+            np.searchsorted(used_groups, groups).clip(max=len(used_groups) - 1),
         )
 
     def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
@@ -61,11 +61,11 @@ class Corners:
 
         positions : (N, 3) for each part
         """
-        columns = [np.concatenate([each[:, axis] for each in positions]) for axis in range(3)]
+        columns = [np.concatenate([places[:, axis] for places in positions]) for axis in range(3)]
         _, normals = face_normals(columns, self.faces)
-        sums = (np.add.reduceat(each[self.order], self.starts)[self.groups] for each in normals)
-        ends = np.cumsum([len(each) for each in positions])[:-1]
-        return np.split(np.stack([*sums], axis=1), ends)
+        sums = (np.add.reduceat(column[self.order], self.starts)[self.groups] for column in normals)
+        splits = np.cumsum([len(places) for places in positions])[:-1]
+        return np.split(np.stack([*sums], axis=1), splits)
 
 
 def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Columns, Columns]:
@@ -78,8 +78,11 @@ def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Column
     faces : (3, F)
     """
     (ax, ux, vx), (ay, uy, vy), (az, uz, vz) = (
-        (first := np.take(own, faces[0]), *(np.take(own, each) - first for each in faces[1:]))
-        for own in columns
+        (
+            first := np.take(column, faces[0]),
+            *(np.take(column, corner) - first for corner in faces[1:]),
+        )
+        for column in columns
     )
     return (ax, ay, az), (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
 
@@ -87,13 +90,16 @@ def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Column
 def _split_at_creases(welded: NDArray[np.int64], normals: Float) -> NDArray[np.int64]:
     """Return labels in which vertices at one position share a label if their normals are equal."""
     labels = np.empty_like(welded)
-    left, count = np.arange(len(welded)), 0
-    while len(left):
-        _, first, group = np.unique(welded[left], return_index=True, return_inverse=True)
-        like = np.einsum("ij,ij->i", normals[left], normals[left[first[group]]]) > _SAME_NORMAL
+    remaining, count = np.arange(len(welded)), 0
+    while len(remaining):
+        _, first, group = np.unique(welded[remaining], return_index=True, return_inverse=True)
+        like = (
+            np.einsum("ij,ij->i", normals[remaining], normals[remaining[first[group]]])
+            > _SAME_NORMAL
+        )
         like[first] = True
-        labels[left[like]] = count + group[like]
-        left, count = left[~like], count + len(first)
+        labels[remaining[like]] = count + group[like]
+        remaining, count = remaining[~like], count + len(first)
     return labels
 
 

@@ -55,9 +55,9 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
     solid = [drawn_alpha(*pair) == "opaque" and not pair[1].transmission for pair in pairs]
     bare = [
-        own
+        is_solid
         and (material.occlusion_map is None or coordinates(part, material, "occlusion_map") is None)
-        for own, (part, material) in zip(solid, pairs, strict=True)
+        for is_solid, (part, material) in zip(solid, pairs, strict=True)
     ]
     if not any(bare):
         warn(f"{mesh.name} has occlusion maps for all opaque parts: no occlusion is baked")
@@ -65,11 +65,11 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     rows = [np.hstack([mesh.normalised(part.positions), part.normals]) for part in mesh.parts]
     starts = np.cumsum([0, *map(len, rows)])
     all_faces = zip(mesh.parts, starts[:-1], solid, strict=True)
-    faces = [part.faces + start for part, start, own in all_faces if own]
-    values = np.split(_values(np.concatenate(rows), np.concatenate(faces), cache), starts[1:-1])
+    faces = [part.faces + start for part, start, is_solid in all_faces if is_solid]
+    occlusions = np.split(_values(np.concatenate(rows), np.concatenate(faces), cache), starts[1:-1])
     parts = [
-        replace(part, occlusion=own if lacks else None)
-        for part, own, lacks in zip(mesh.parts, values, bare, strict=True)
+        replace(part, occlusion=occlusion if lacks else None)
+        for part, occlusion, lacks in zip(mesh.parts, occlusions, bare, strict=True)
     ]
     return replace(mesh, parts=tuple(parts))
 
@@ -88,11 +88,11 @@ def _values(
     rows = vertices[used].astype(np.float32)
     different, numbers = np.unique(rows, axis=0, return_inverse=True)
     corners, numbers = corners.reshape(-1, 3), numbers.reshape(-1)
-    values = np.ones(len(vertices))
-    values[used] = _open_fraction(rows[:, :3], corners, different, numbers[corners])[numbers]
+    occlusion = np.ones(len(vertices))
+    occlusion[used] = _open_fraction(rows[:, :3], corners, different, numbers[corners])[numbers]
     if cache:
-        disk_cache.write("occlusion", name, [values.data])
-    return values
+        disk_cache.write("occlusion", name, [occlusion.data])
+    return occlusion
 
 
 def _open_fraction(
@@ -120,7 +120,9 @@ def _open_fraction(
     )
     fractions = []
     for first in range(0, len(vertices), _AT_ONCE):
-        origins, normals = (each[first : first + _AT_ONCE] for each in (starts, vertices[:, 3:]))
+        origins, normals = (
+            vectors[first : first + _AT_ONCE] for vectors in (starts, vertices[:, 3:])
+        )
         through, total = np.zeros((2, len(origins)))
         for direction in _directions():
             cosines = normals @ direction

@@ -37,11 +37,11 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
     height, width = levels[0].shape[:2]
     described, metadata = _description(), _metadata()
     start = 80 + 24 * len(levels)
-    at = start + len(described) + len(metadata)
+    offset = start + len(described) + len(metadata)
     places = []
-    for each in reversed(texels):  # KTX 2 stores the smallest level first
-        places.append(struct.pack("<3Q", at, len(each), len(each)))
-        at += len(each)
+    for level in reversed(texels):  # KTX 2 stores the smallest level first
+        places.append(struct.pack("<3Q", offset, len(level), len(level)))
+        offset += len(level)
     head = struct.pack("<9I", _R8G8B8A8_UNORM, 1, width, height, 0, 0, 1, len(levels), 0)
     index = struct.pack("<4I2Q", start, len(described), start + len(described), len(metadata), 0, 0)
     content = [_IDENTIFIER, head, index, *reversed(places), described, metadata, *reversed(texels)]

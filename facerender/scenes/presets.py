@@ -22,10 +22,10 @@ def reflectance(index: float) -> float:
 
 # The fields that every preset sets: these values, unless the preset has its own.
 COMMON: dict[str, Any] = {
-    each.name: each.default
-    for each in fields(Material)
-    if each.name in ("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity")
-    or each.name in ("transmission", "refraction", "emissive")
+    field.name: field.default
+    for field in fields(Material)
+    if field.name in ("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity")
+    or field.name in ("transmission", "refraction", "emissive")
 }
 _LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
 _OWN: dict[str, dict[str, Any]] = {
@@ -46,17 +46,22 @@ _OWN: dict[str, dict[str, Any]] = {
     "teeth": {"albedo": (0.6, 0.54, 0.44), "m": 0.12, "f0": reflectance(_ENAMEL)},
     "hair-card": {"m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.5, "alpha": "mask"},
 }
-PRESETS: Mapping[str, Mapping[str, Any]] = {name: {**COMMON, **own} for name, own in _OWN.items()}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    name: {**COMMON, **preset_fields} for name, preset_fields in _OWN.items()
+}
 
 
 # Fields that need another field: the other field, and whether a material has it.
 _NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
-    "roughness_factor": ("a roughness map", lambda own: own.roughness_map is not None),
-    "normal_strength": ("a normal map", lambda own: own.normal_map is not None),
-    "occlusion_strength": ("an occlusion map", lambda own: own.occlusion_map is not None),
-    "alpha_cutoff": ("alpha mask", lambda own: own.alpha == "mask"),
-    "opacity": ("alpha blend or mask", lambda own: own.alpha != "opaque" or own.transmission > 0.0),
-    "refraction": ("transmission", lambda own: own.transmission > 0.0),
+    "roughness_factor": ("a roughness map", lambda material: material.roughness_map is not None),
+    "normal_strength": ("a normal map", lambda material: material.normal_map is not None),
+    "occlusion_strength": ("an occlusion map", lambda material: material.occlusion_map is not None),
+    "alpha_cutoff": ("alpha mask", lambda material: material.alpha == "mask"),
+    "opacity": (
+        "alpha blend or mask",
+        lambda material: material.alpha != "opaque" or material.transmission > 0.0,
+    ),
+    "refraction": ("transmission", lambda material: material.transmission > 0.0),
 }
 
 
@@ -101,7 +106,7 @@ def without_effect(
     table, old, new : changes as in :func:`changed`, and the materials before and after
     """
     for name, (needed, has) in _NEEDED.items():
-        differs = name in table and any(table[name] != getattr(each, name) for each in old)
+        differs = name in table and any(table[name] != getattr(material, name) for material in old)
         if differs and not any(map(has, new)):
             yield f"{name} = {shown(table[name])} has no effect without {needed}"
 
@@ -110,15 +115,15 @@ def preset_of(material: Material) -> str | None:
     """Return the name of the preset whose fields a material has, or None."""
     if material.roughness_map is not None:
         return None
-    for name, own in PRESETS.items():
-        values = _fields_for(material, own)
+    for name, preset_fields in PRESETS.items():
+        values = _fields_for(material, preset_fields)
         if all(getattr(material, field) == value for field, value in values.items()):
             return name
     return None
 
 
-def _fields_for(material: Material, own: Mapping[str, Any]) -> dict[str, Any]:
-    values = dict(own)
+def _fields_for(material: Material, preset_fields: Mapping[str, Any]) -> dict[str, Any]:
+    values = dict(preset_fields)
     if material.albedo_map is not None:
         values.pop("albedo", None)
     if material.opacity_map is not None and material.alpha != "opaque":

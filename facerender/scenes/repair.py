@@ -170,30 +170,30 @@ def are_closed(
     faces : (F, 3) for each part
     """
     everywhere, joint, welded, _ = stacked(positions, faces)
-    own = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
+    owners = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
     corners, places = welded[joint], everywhere[joint]
     count = int(corners.max()) + 1
-    ends = corners, corners[:, [1, 2, 0]]
-    edges, backwards = ((a * count + b).ravel() for a, b in (ends, ends[::-1]))
-    known, kind, counts = np.unique(edges, return_inverse=True, return_counts=True)
-    index = np.searchsorted(known, backwards).clip(max=len(known) - 1)
-    turned = np.where(known[index] == backwards, counts[index], 0)
+    endpoints = corners, corners[:, [1, 2, 0]]
+    edges, backwards = ((a * count + b).ravel() for a, b in (endpoints, endpoints[::-1]))
+    unique_edges, kind, counts = np.unique(edges, return_inverse=True, return_counts=True)
+    index = np.searchsorted(unique_edges, backwards).clip(max=len(unique_edges) - 1)
+    turned = np.where(unique_edges[index] == backwards, counts[index], 0)
     at_hole = (turned != counts[kind]).reshape(-1, 3).any(axis=1)
-    users = np.unique(corners.ravel() * len(faces) + np.repeat(own, 3))
+    users = np.unique(corners.ravel() * len(faces) + np.repeat(owners, 3))
     vertices, parts = np.divmod(users, len(faces))
     pairs = np.stack([parts[:-1], parts[1:]], axis=1)[vertices[:-1] == vertices[1:]]
     label = joined(pairs, len(faces))
     volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
-    inwards = np.bincount(label[own], volumes, len(faces)) < 0.0
-    has_hole = np.bincount(label[own], at_hole, len(faces)) > 0.0
+    inwards = np.bincount(label[owners], volumes, len(faces)) < 0.0
+    has_hole = np.bincount(label[owners], at_hole, len(faces)) > 0.0
     return list((~inwards & ~has_hole)[label])
 
 
 def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
     """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
-    found = np.zeros(len(positions), dtype=bool)
-    found[faces] = True
-    return found
+    mask = np.zeros(len(positions), dtype=bool)
+    mask[faces] = True
+    return mask
 
 
 def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -208,7 +208,7 @@ def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
     of 0 at one corner and not at another.
     """
     wound = corners, corners[:, ::-1]
-    lengths = [np.linalg.norm(_face_normals(each), axis=1) for each in wound]
+    lengths = [np.linalg.norm(_face_normals(winding), axis=1) for winding in wound]
     return np.asarray(np.minimum(*lengths) > 0.0)
 
 
@@ -265,7 +265,9 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     the camera frames outliers, the rest of the mesh is only a dot in the image."""
     if not pieces:
         return
-    drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in pieces])
+    drawn = np.concatenate(
+        [piece.positions[used(piece.positions, piece.faces)] for piece in pieces]
+    )
     extent = float(np.ptp(drawn, axis=0).max())
     if 0.0 < extent < _TINY:
         raise InputError(f"{name} is {extent:g} units wide, below {_TINY:g}: scale it up")
@@ -349,9 +351,9 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
 
-    ends = np.cumsum([len(piece.faces) for piece in pieces])
-    for piece, start, each in zip(pieces, starts, np.split(faces, ends[:-1]), strict=False):
-        piece.faces = each - start
+    splits = np.cumsum([len(piece.faces) for piece in pieces])
+    for piece, start, triangles in zip(pieces, starts, np.split(faces, splits[:-1]), strict=False):
+        piece.faces = triangles - start
         piece.normals = normals[welded[start : start + len(piece.positions)]]
         if piece.rig is not None:
             piece.rig = piece.rig.with_normals(piece.normals)

@@ -51,9 +51,9 @@ class Node:
         moves : values that replace the stored translation, rotation or scale
         """
         keys = ("matrix", "translation", "rotation", "scale")
-        own = {key: moves.get(key, getattr(self, key)) for key in keys}
-        known = {key: value for key, value in own.items() if value is not None}
-        return local_matrix(**known) if known else None
+        transforms = {key: moves.get(key, getattr(self, key)) for key in keys}
+        arguments = {key: value for key, value in transforms.items() if value is not None}
+        return local_matrix(**arguments) if arguments else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,11 +78,11 @@ class Track:
     def at(self, time: float) -> list[float]:
         """Return the value at a time; before the first and after the last key the value is
         constant."""
-        after = int(np.searchsorted(self.times, time, "right"))
-        first, last = max(after - 1, 0), min(after, len(self.times) - 1)
+        next_key = int(np.searchsorted(self.times, time, "right"))
+        first, last = max(next_key - 1, 0), min(next_key, len(self.times) - 1)
         cubic = self.interpolation == "CUBICSPLINE"
-        ends = [self.values[i, 1] if cubic else self.values[i] for i in (first, last)]
-        a, b = (np.asarray(each, dtype=np.float64) for each in ends)
+        key_values = [self.values[i, 1] if cubic else self.values[i] for i in (first, last)]
+        a, b = (np.asarray(value, dtype=np.float64) for value in key_values)
         if first == last or self.interpolation == "STEP":
             mixed = a
         else:
@@ -97,26 +97,26 @@ class Track:
                 return _slerp(a.tolist(), b.tolist(), u)
             else:
                 mixed = (1.0 - u) * a + u * b
-        found: list[float] = mixed.tolist()
-        return _unit(found) if self.path == "rotation" else found
+        value: list[float] = mixed.tolist()
+        return _unit(value) if self.path == "rotation" else value
 
 
 def _unit(quaternion: list[float]) -> list[float]:
     length = math.hypot(*quaternion)
-    return [each / length for each in quaternion] if length > 0.0 else quaternion
+    return [component / length for component in quaternion] if length > 0.0 else quaternion
 
 
 def _slerp(a: list[float], b: list[float], u: float) -> list[float]:
     """Interpolate between two quaternions of any length along the shorter arc (Shoemake 1985)."""
     a, b = _unit(a), _unit(b)
     if sum(x * y for x, y in zip(a, b, strict=True)) < 0.0:
-        b = [-each for each in b]
+        b = [-component for component in b]
     # atan2 is accurate where the arc cosine of the product is not: for nearly equal quaternions.
     arc = 2.0 * math.atan2(math.dist(a, b), math.hypot(*(x + y for x, y in zip(a, b, strict=True))))
     if math.sin(arc) < 1e-12:
         first, second = 1.0 - u, u
     else:
-        first, second = (math.sin(each * arc) / math.sin(arc) for each in (1.0 - u, u))
+        first, second = (math.sin(fraction * arc) / math.sin(arc) for fraction in (1.0 - u, u))
     return _unit([first * x + second * y for x, y in zip(a, b, strict=True)])
 
 
@@ -140,14 +140,14 @@ class Clip:
     @property
     def duration(self) -> float:
         """Time of the last key in seconds."""
-        return max((float(each.times[-1]) for each in self.tracks), default=0.0)
+        return max((float(track.times[-1]) for track in self.tracks), default=0.0)
 
     def at(self, time: float) -> dict[int, dict[str, Sequence[float]]]:
         """Return the values at a time, keyed by the node's number and the property."""
-        found: dict[int, dict[str, Sequence[float]]] = {}
-        for each in self.tracks:
-            found.setdefault(each.node, {})[each.path] = each.at(time)
-        return found
+        values: dict[int, dict[str, Sequence[float]]] = {}
+        for track in self.tracks:
+            values.setdefault(track.node, {})[track.path] = track.at(time)
+        return values
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,16 +162,16 @@ class Skeleton:
 
         moves : values that replace stored transforms, as returned by :meth:`Clip.at`
         """
-        found: dict[int, Float] = {}
+        worlds: dict[int, Float] = {}
         for node in self.nodes:
-            own = moves.get(node.number)
-            local = node.local(own) if own else self._locals[node.number]
+            node_moves = moves.get(node.number)
+            local = node.local(node_moves) if node_moves else self._locals[node.number]
             if node.parent is None:
-                found[node.number] = np.eye(4) if local is None else local
+                worlds[node.number] = np.eye(4) if local is None else local
             else:
-                world = found[node.parent]
-                found[node.number] = world if local is None else world @ local
-        return found
+                world = worlds[node.parent]
+                worlds[node.number] = world if local is None else world @ local
+        return worlds
 
     @cached_property
     def _locals(self) -> dict[int, Float | None]:
@@ -179,11 +179,11 @@ class Skeleton:
 
     def below(self, numbers: Iterable[int]) -> set[int]:
         """Return the numbers of the given nodes and of all nodes below them."""
-        found = set(numbers)
+        subtree = set(numbers)
         for node in self.nodes:
-            if node.parent in found:
-                found.add(node.number)
-        return found
+            if node.parent in subtree:
+                subtree.add(node.number)
+        return subtree
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -252,8 +252,8 @@ class Skin:
     def matrices(self, worlds: Mapping[int, Float]) -> Float:
         """Return the matrices (J, 4, 4) that transform column vectors from mesh space to scene
         space."""
-        found = np.stack([worlds[joint] for joint in self.joints])
-        return found if self.inverse is None else found @ self.inverse
+        matrices = np.stack([worlds[joint] for joint in self.joints])
+        return matrices if self.inverse is None else matrices @ self.inverse
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -295,10 +295,10 @@ class Rig:
     def lagging(self, weights: Sequence[float]) -> list[float]:
         """Return weights in which the shapes without own normals have their stored weights."""
         stored = self.stored_weights
-        follows = [each.normal_rows is None for each in self.shapes]
+        follows = [shape.normal_rows is None for shape in self.shapes]
         return [
-            old if follow else new
-            for follow, old, new in zip(follows, stored, weights, strict=True)
+            stored_weight if follow else weight
+            for follow, stored_weight, weight in zip(follows, stored, weights, strict=True)
         ]
 
     def posed(
@@ -333,17 +333,17 @@ class Rig:
         """
         worlds = self.skeleton.worlds({})
         if self.skin is None:
-            own = normals @ self._matrix(worlds)[:3, :3]
+            node_normals = normals @ self._matrix(worlds)[:3, :3]
         else:
-            own = np.empty_like(normals)
+            node_normals = np.empty_like(normals)
             for rows, blend in _blended(self.skin, worlds):
                 a, b, c, _, d, e, f, _, g, h, i, _ = blend
                 x, y, z = normals[rows].T
-                own[rows] = np.stack(
+                node_normals[rows] = np.stack(
                     [a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z], axis=1
                 )
         shapes = tuple(replace(s, normal_rows=None, normal_moves=None) for s in self.shapes)
-        return replace(self, normals=own, shapes=shapes)
+        return replace(self, normals=node_normals, shapes=shapes)
 
 
 def local_matrix(
@@ -372,7 +372,7 @@ def local_matrix(
 
 
 def _rotation(quaternion: Sequence[float] | NDArray[Any]) -> list[list[float]]:
-    x, y, z, w = (float(each) for each in quaternion)
+    x, y, z, w = (float(component) for component in quaternion)
     length = math.hypot(x, y, z, w)
     if not 1e-12 < length < math.inf:
         return [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -411,15 +411,15 @@ def morphed(
 
 
 def _add(
-    values: NDArray[Any], rows: NDArray[Any] | None, moves: NDArray[Any] | None, weight: float
+    vectors: NDArray[Any], rows: NDArray[Any] | None, moves: NDArray[Any] | None, weight: float
 ) -> None:
     if rows is None or moves is None:
         return
     step = np.multiply(moves, weight, dtype=np.float64)
-    if len(rows) == len(values):
-        values += step
+    if len(rows) == len(vectors):
+        vectors += step
     else:
-        values[rows] += step
+        vectors[rows] += step
 
 
 def skinned(

@@ -46,7 +46,7 @@ def posed(
             f"{rest.name} has no shapes and no clips: give a glTF file with a rig, or leave out "
             "the pose"
         )
-    given = _checked(rest, weights)
+    overrides = _checked(rest, weights)
     chosen = _chosen(rest, skeleton.clips, clip, time)
     moves: Moves = {}
     if chosen is not None:
@@ -57,15 +57,15 @@ def posed(
                 "ignored"
             )
     with np.errstate(all="ignore"):
-        return _evaluated(rest, corners, skeleton.worlds(moves), given, moves)
+        return _evaluated(rest, corners, skeleton.worlds(moves), overrides, moves)
 
 
 def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float]:
     check_type("weights", weights, Mapping | None, "a mapping from names of shapes to numbers")
-    known = mesh.shapes
+    shapes = mesh.shapes
     for name, weight in (weights or {}).items():
-        if name not in known:
-            raise InputError(f"{mesh.name} has no shape {shown(name)}: {_known('shapes', known)}")
+        if name not in shapes:
+            raise InputError(f"{mesh.name} has no shape {shown(name)}: {_known('shapes', shapes)}")
         check_range(f"weight of {shown(name)}", weight, SHAPE_WEIGHTS.low, SHAPE_WEIGHTS.high)
     return {name: float(weight) for name, weight in (weights or {}).items()}
 
@@ -81,39 +81,39 @@ def _chosen(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | N
     if name is None and time is None:
         return None
     check_type("clip", name, str | None, "the name of a clip")
-    found = [each for each in clips if name in (None, each.name)]
-    if not found:
+    matches = [clip for clip in clips if name in (None, clip.name)]
+    if not matches:
         problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
         raise InputError(
-            f"{problem}, which {mesh.name} lacks: {_known('clips', [each.name for each in clips])}"
+            f"{problem}, which {mesh.name} lacks: {_known('clips', [clip.name for clip in clips])}"
         )
-    if found[0].fault:
+    if matches[0].fault:
         raise InputError(
-            f"clip {shown(found[0].name)} of {mesh.name} is damaged ({found[0].fault}); export it "
-            "again"
+            f"clip {shown(matches[0].name)} of {mesh.name} is damaged ({matches[0].fault}); export "
+            "it again"
         )
     if time is not None:
-        check_range(f"time of clip {shown(found[0].name)}", time, 0.0, found[0].duration)
-    return found[0]
+        check_range(f"time of clip {shown(matches[0].name)}", time, 0.0, matches[0].duration)
+    return matches[0]
 
 
 def _evaluated(
-    rest: Mesh,
+    rest_mesh: Mesh,
     corners: Callable[[], Corners],
     worlds: Mapping[int, Float],
-    given: Mapping[str, float],
+    overrides: Mapping[str, float],
     moves: Moves,
 ) -> tuple[_Rows, _Rows]:
     positions: _Rows = []
     normals: _Rows = []
     behind: dict[int, Float] = {}
-    turned_nodes = any(own.keys() - {"weights"} for own in moves.values())
-    for number, part in enumerate(rest.parts):
+    turned_nodes = any(node_moves.keys() - {"weights"} for node_moves in moves.values())
+    for number, part in enumerate(rest_mesh.parts):
         places = turned = None
         if (rig := part.rig) is not None:
-            stored, weights = rig.stored_weights, _weights(rig, given, moves)
+            stored, weights = rig.stored_weights, _weights(rig, overrides, moves)
             if turned_nodes or weights != stored:
-                places, turned = _posed(rest, part, rig, worlds, weights)
+                places, turned = _posed(rest_mesh, part, rig, worlds, weights)
             if (lagging := rig.lagging(weights)) != weights:
                 behind[number] = part.positions
                 if turned_nodes or lagging != stored:
@@ -121,33 +121,36 @@ def _evaluated(
         positions.append(places)
         normals.append(turned)
     if behind:
-        normals = _following(rest, corners(), positions, behind, normals)
+        normals = _following(rest_mesh, corners(), positions, behind, normals)
     return positions, normals
 
 
-def _weights(rig: Rig, given: Mapping[str, float], moves: Moves) -> list[float]:
+def _weights(rig: Rig, overrides: Mapping[str, float], moves: Moves) -> list[float]:
     """Return a weight for each shape: given, or of the clip, or stored."""
     weights = list(moves.get(rig.node, {}).get("weights", rig.weights))
     weights += [0.0] * (len(rig.shapes) - len(weights))
     return [
-        given.get(shape.name, weight) for shape, weight in zip(rig.shapes, weights, strict=False)
+        overrides.get(shape.name, weight)
+        for shape, weight in zip(rig.shapes, weights, strict=False)
     ]
 
 
 def _posed(
-    rest: Mesh, part: Part, rig: Rig, worlds: Mapping[int, Float], weights: Sequence[float]
+    rest_mesh: Mesh, part: Part, rig: Rig, worlds: Mapping[int, Float], weights: Sequence[float]
 ) -> tuple[Float, Float]:
     """Return positions and normals of a part. A normal that is not finite becomes 0."""
     try:
         places, normals = rig.posed(worlds, weights)
     except ValueError as error:
-        raise InputError(f"a shape of {rest.name} is damaged ({error}); export it again") from None
-    if not _reach(rest, places) <= MOST_RADII:
-        far = _reach(rest, places[used(places, part.faces)])
+        raise InputError(
+            f"a shape of {rest_mesh.name} is damaged ({error}); export it again"
+        ) from None
+    if not _reach(rest_mesh, places) <= MOST_RADII:
+        far = _reach(rest_mesh, places[used(places, part.faces)])
         if not far <= MOST_RADII:
             raise InputError(
-                f"the pose moves vertices of {rest.name} to {far:.3g} mesh radii from its centre: "
-                f"give weights, a clip or a time within {MOST_RADII:g} radii"
+                f"the pose moves vertices of {rest_mesh.name} to {far:.3g} mesh radii from its "
+                f"centre: give weights, a clip or a time within {MOST_RADII:g} radii"
             )
     if normals is None:
         return places, part.normals
@@ -156,12 +159,12 @@ def _posed(
     return places, normals
 
 
-def _reach(rest: Mesh, places: Float) -> float:
-    return float(np.abs(places - rest.center).max()) / rest.radius
+def _reach(rest_mesh: Mesh, places: Float) -> float:
+    return float(np.abs(places - rest_mesh.center).max()) / rest_mesh.radius
 
 
 def _following(
-    rest: Mesh, corners: Corners, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
+    rest_mesh: Mesh, corners: Corners, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
 ) -> _Rows:
     """Return normals that follow shapes without own normals. A normal changes by the difference of
     the face normals around its position with and without these shapes.
@@ -172,28 +175,34 @@ def _following(
     behind : positions of the same pose in which these shapes have their stored weights, keyed by
         the part's index; other parts have the same positions
     """
-    stored = [part.positions for part in rest.parts]
-    after = [a if b is None else b for a, b in zip(stored, positions, strict=True)]
-    before = [behind.get(number, own) for number, own in enumerate(after)]
-    pairs = zip(*(_face_normals(rest, corners, each) for each in (after, before)), strict=True)
-    steps = [now - then for now, then in pairs]
-    found: _Rows = []
-    for part, own, step in zip(rest.parts, normals, steps, strict=True):
-        moves = own is not None or step.any()
-        found.append(unit(part.normals if own is None else own) + step if moves else None)
-    return found
+    stored = [part.positions for part in rest_mesh.parts]
+    moved = [a if b is None else b for a, b in zip(stored, positions, strict=True)]
+    lagging = [behind.get(number, places) for number, places in enumerate(moved)]
+    pairs = zip(
+        *(_face_normals(rest_mesh, corners, pose) for pose in (moved, lagging)), strict=True
+    )
+    steps = [moved_normals - lagging_normals for moved_normals, lagging_normals in pairs]
+    new_normals: _Rows = []
+    for part, normal, step in zip(rest_mesh.parts, normals, steps, strict=True):
+        moves = normal is not None or step.any()
+        new_normals.append(
+            unit(part.normals if normal is None else normal) + step if moves else None
+        )
+    return new_normals
 
 
 # Keyed by the corners of a mesh: result of _face_normals in the stored pose.
 _stored: WeakKeyDictionary[Corners, list[Float]] = WeakKeyDictionary()
 
 
-def _face_normals(rest: Mesh, corners: Corners, positions: Sequence[Float]) -> list[Float]:
+def _face_normals(rest_mesh: Mesh, corners: Corners, positions: Sequence[Float]) -> list[Float]:
     """Return the mean face normals around each vertex as unit vectors."""
-    still = all(own is part.positions for own, part in zip(positions, rest.parts, strict=True))
-    if still and corners in _stored:
+    is_stored = all(
+        places is part.positions for places, part in zip(positions, rest_mesh.parts, strict=True)
+    )
+    if is_stored and corners in _stored:
         return _stored[corners]
-    found = [unit(each) for each in corners.normal_sums(positions)]
-    if still:
-        _stored[corners] = found
-    return found
+    normals = [unit(sums) for sums in corners.normal_sums(positions)]
+    if is_stored:
+        _stored[corners] = normals
+    return normals

@@ -44,7 +44,8 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     """
     mesh = scene.mesh
     profiles_of_parts = [
-        each.scattering if each.diffuse_weight > 0.0 else None for each in mesh.materials
+        material.scattering if material.diffuse_weight > 0.0 else None
+        for material in mesh.materials
     ]
     if not any(profiles_of_parts):
         return None
@@ -64,9 +65,9 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     if camera.intrinsics is not None:
         pixels = float(view.intrinsics(size)[1, 1])
     pixel = millimetres * distance / pixels
-    wide = [wide_gaussians(each, pixel) if each else () for each in profiles_of_parts]
+    wide = [wide_gaussians(profile, pixel) if profile else () for profile in profiles_of_parts]
     profiles = tuple(dict.fromkeys(filter(None, wide)))
     if not profiles:
         return None
-    numbers = tuple(profiles.index(each) + 1 if each else -1 for each in wide)
+    numbers = tuple(profiles.index(profile) + 1 if profile else -1 for profile in wide)
     return Scattering(profiles, numbers, millimetres, pixels)

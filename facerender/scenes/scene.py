@@ -92,8 +92,8 @@ def refuse_keyword(
     from facerender.scenes.material import Material
     from facerender.shading import Shading
 
-    own = [*signature(function).parameters][:-1]
-    places = {each: f"{each}=..." for each in own}
+    arguments = [*signature(function).parameters][:-1]
+    places = {argument: f"{argument}=..." for argument in arguments}
     homes: dict[str, Callable[..., Any]] = {
         "camera=fr.Camera({}=...)": Camera,
         "lights=[fr.Light({}=...)]": Light,
@@ -102,9 +102,11 @@ def refuse_keyword(
         **others,
     }
     for place, kind in homes.items():
-        places = {each: place.format(each) for each in signature(kind).parameters} | places
+        places = {
+            argument: place.format(argument) for argument in signature(kind).parameters
+        } | places
     similar = near({"roughness": "m"}.get(name, name), places)
-    remedy = f"give {places[similar]}" if similar else f"known: {', '.join(own)}"
+    remedy = f"give {places[similar]}" if similar else f"known: {', '.join(arguments)}"
     remedy += ", the square of glTF's roughness" if name == "roughness" else ""
     raise InputError(f"fr.{function.__name__} has no argument {name}: {remedy}")
 
@@ -181,11 +183,11 @@ def default_light(lights: Any, ambient: Any, has_environment: bool) -> tuple[Any
     )
 
 
-def _environment(value: EnvironmentSource) -> Environment:
+def _environment(environment: EnvironmentSource) -> Environment:
     from facerender.scenes.environment import Environment
 
-    if sources.environment_reader and not isinstance(value, Environment):
-        value = sources.environment_reader(value)
+    if sources.environment_reader and not isinstance(environment, Environment):
+        environment = sources.environment_reader(environment)
     remedy = "an Environment, as facerender.load_environment returns it"
-    check_type("environment", value, Environment, remedy)
-    return value  # type: ignore[return-value]
+    check_type("environment", environment, Environment, remedy)
+    return environment  # type: ignore[return-value]

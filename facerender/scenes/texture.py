@@ -160,13 +160,13 @@ class Texture:
         ------
         InputError : invalid shape or type, values outside [0, 1], or too many texels
         """
-        values = _bytes_of(texels, name)
-        check_pixels(name, values.shape[1], values.shape[0], 4, math.inf)
+        pixels = _bytes_of(texels, name)
+        check_pixels(name, pixels.shape[1], pixels.shape[0], 4, math.inf)
 
         def decode() -> Image:
             from PIL import Image
 
-            return Image.fromarray(values)
+            return Image.fromarray(pixels)
 
         return cls(decode, name)
 
@@ -206,9 +206,9 @@ class Texture:
 
         texture = cls(decode, name, texels.shape[1::-1])
         texture._derived = True
-        for kind, own in levels.items():
+        for kind, kind_levels in levels.items():
             texture._levels[kind] = Future()
-            texture._levels[kind].set_result(own)
+            texture._levels[kind].set_result(kind_levels)
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
@@ -220,11 +220,11 @@ class Texture:
         ------
         InputError : unknown wrap mode
         """
-        known = get_args(Wrap)
+        modes = get_args(Wrap)
         if not (isinstance(wrap, tuple | list) and len(wrap) == 2):
-            raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(known)}, for u and v")
-        for each in wrap:
-            check_known("wrap", each, known)
+            raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(modes)}, for u and v")
+        for mode in wrap:
+            check_known("wrap", mode, modes)
         check_switch("nearest", nearest)
         source = self._source or self
         texture = Texture(source.rgb, self.name)
@@ -267,7 +267,7 @@ class Texture:
 
             fine, levels = self._fine
             with fine._rows() as rows:
-                band = coarse_data(lambda *ends: rows(*ends).getchannel(index), fine.size, levels)
+                band = coarse_data(lambda *span: rows(*span).getchannel(index), fine.size, levels)
             return Image.fromarray(band)
         return self.rgb().getchannel(index)
 
@@ -315,21 +315,21 @@ class Texture:
         if not levels:
             return self
         if self._fine:
-            fine, own = self._fine
-            return fine.coarser(own + levels)
-        found = self._coarser.get(levels)
-        if found is None:
+            fine, omitted = self._fine
+            return fine.coarser(omitted + levels)
+        texture = self._coarser.get(levels)
+        if texture is None:
             if self._source:
-                found = self._source.coarser(levels).sampled(*self.sampling)
+                texture = self._source.coarser(levels).sampled(*self.sampling)
             elif self._make_coarser:
-                found = self._make_coarser(levels)
+                texture = self._make_coarser(levels)
             else:
                 width, height = (max(side >> levels, 1) for side in self.size)
-                found = Texture(lambda: self._coarse_image(levels), self.name, (width, height))
-                found._fine, found._derived = (self, levels), True
-            found.coarse = True
-            self._coarser[levels] = found
-        return found
+                texture = Texture(lambda: self._coarse_image(levels), self.name, (width, height))
+                texture._fine, texture._derived = (self, levels), True
+            texture.coarse = True
+            self._coarser[levels] = texture
+        return texture
 
     def _coarse_image(self, levels: int) -> Image:
         from PIL import Image
@@ -342,17 +342,17 @@ class Texture:
         """Yield a function that returns rows of the image. The image is not cached."""
         with _decoding:
             with self._lock:
-                known, decode = self._rgb, self._decode
-            if known or decode is None or self._derived:
-                upright = known or self.rgb()
+                decoded, decode = self._rgb, self._decode
+            if decoded or decode is None or self._derived:
+                upright = decoded or self.rgb()
                 yield lambda low, high: upright.crop((0, low, upright.width, high))
                 return
             images = [_loaded(decode(), self.name)]
 
             def rows(low: int, high: int) -> Image:
                 (image,) = images
-                ends = image.height - high, image.width, image.height - low
-                return _upright_rgb(image.crop((0, *ends)), self.name)
+                edges = image.height - high, image.width, image.height - low
+                return _upright_rgb(image.crop((0, *edges)), self.name)
 
             yield rows
             images.clear()
@@ -376,8 +376,8 @@ class Texture:
         if self._ends is None:
             finest = self.levels("data").result()[0]
             rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
-            ends = np.stack([rows.min(axis=0), rows.max(axis=0)]).reshape(2, *finest.shape[1:])
-            self._ends = np.stack([ends[0].min(axis=0), ends[1].max(axis=0)])
+            limits = np.stack([rows.min(axis=0), rows.max(axis=0)]).reshape(2, *finest.shape[1:])
+            self._ends = np.stack([limits[0].min(axis=0), limits[1].max(axis=0)])
         return self._ends
 
     def turned_green(self) -> Texture:
@@ -409,7 +409,7 @@ class Texture:
                 self._levels[kind] = future
                 if kind != "linear-color":
                     drop = WeakMethod(self._drop_image)  # weak: futures keep callbacks alive
-                    future.add_done_callback(lambda chain: (own := drop()) and own(chain))
+                    future.add_done_callback(lambda chain: (method := drop()) and method(chain))
             return self._levels[kind]
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
@@ -426,10 +426,10 @@ class Texture:
         if self._source:
             return self._source.preview(side, decode)
         with self._levels_lock:
-            computed = [each for each in self._levels.values() if each.done()]
+            computed = [future for future in self._levels.values() if future.done()]
         if computed:
             levels = computed[0].result()
-            small = (each for each in levels if max(each.shape[:2]) <= side)
+            small = (mip for mip in levels if max(mip.shape[:2]) <= side)
             level = next(small, levels[-1])
             if level.dtype != np.uint8:
                 level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
@@ -486,8 +486,8 @@ def pack(
 
     known : packed texture from the cache, which is returned instead of a new texture
     """
-    if (found := _packed.get((red, green, blue))) is not None:
-        return found
+    if (cached := _packed.get((red, green, blue))) is not None:
+        return cached
 
     def decode() -> Image:
         from PIL import Image
@@ -518,39 +518,39 @@ def _opened(content: bytes | BinaryIO, name: str) -> Image:
 def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
     """Return a copy of texels as uint8, (H, W), (H, W, 3) or (H, W, 4)."""
     try:
-        values = np.asarray(texels)
+        array = np.asarray(texels)
     except (ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{name} cannot be used ({reason(error)}): give (H, W, 3)") from None
-    if values.ndim == 3 and values.shape[2] == 1:
-        values = values[..., 0]
-    if values.ndim not in (2, 3) or values.shape[2:] not in ((), (3,), (4,)) or not values.size:
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[..., 0]
+    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
         raise InputError(
-            f"{name} has the shape {values.shape}: give (H, W), (H, W, 3) or (H, W, 4) texels"
+            f"{name} has the shape {array.shape}: give (H, W), (H, W, 3) or (H, W, 4) texels"
         )
-    if values.dtype.kind == "f":
-        values = values.astype(np.float64)
-        if not ((values >= 0.0) & (values <= 1.0)).all():
-            low, high = values.min(), values.max()
+    if array.dtype.kind == "f":
+        array = array.astype(np.float64)
+        if not ((array >= 0.0) & (array <= 1.0)).all():
+            low, high = array.min(), array.max()
             raise InputError(
                 f"{name} has floats from {low:.4g} to {high:.4g}: scale them to [0, 1], or give "
                 "uint8"
             )
-        return np.round(values * 255.0).astype(np.uint8)
-    if values.dtype == np.uint16:
-        return (values // 257).astype(np.uint8)
-    if values.dtype == np.bool_:
-        return values * np.uint8(255)
-    if values.dtype != np.uint8:
+        return np.round(array * 255.0).astype(np.uint8)
+    if array.dtype == np.uint16:
+        return (array // 257).astype(np.uint8)
+    if array.dtype == np.bool_:
+        return array * np.uint8(255)
+    if array.dtype != np.uint8:
         raise InputError(
-            f"{name} has values of type {values.dtype}: give uint8, uint16, or floats in [0, 1]"
+            f"{name} has values of type {array.dtype}: give uint8, uint16, or floats in [0, 1]"
         )
-    return values.copy()
+    return array.copy()
 
 
 def with_green_turned(image: Image) -> Image:
     """Return an image in mode RGB with inverted green: 255 - green."""
-    same = range(256)
-    return image.convert("RGB").point([*same, *reversed(same), *same])
+    identity = range(256)
+    return image.convert("RGB").point([*identity, *reversed(identity), *identity])
 
 
 def _flipped(image: Image) -> Image:

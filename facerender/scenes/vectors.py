@@ -48,8 +48,8 @@ def check_array(name: str, value: Any, columns: int) -> None:
     if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
         raise InputError(f"{name} = {shown(value)}: give an array of numbers")
     if value.ndim != 1 + len(shape) or value.shape[1:] != shape:
-        wanted = f"(N, {columns})" if columns else "(N,)"
-        raise InputError(f"{name} has the shape {value.shape}: give {wanted}")
+        expected = f"(N, {columns})" if columns else "(N,)"
+        raise InputError(f"{name} has the shape {value.shape}: give {expected}")
 
 
 def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
@@ -71,14 +71,14 @@ def rows_of(
     except (ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
     if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
-        wanted = " or ".join(map(str, widths))
+        expected = " or ".join(map(str, widths))
         raise InputError(
-            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {wanted} "
+            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {expected} "
             f"numbers{hint}"
         )
     if not len(values) or count not in (None, len(values)):
-        wanted = f"{count}, one for each vertex" if count else "at least one"
-        raise InputError(f"{name} has {len(values)} rows: give {wanted}")
+        expected = f"{count}, one for each vertex" if count else "at least one"
+        raise InputError(f"{name} has {len(values)} rows: give {expected}")
     rows = np.array(values, dtype=np.float64)
     if not (finite := np.isfinite(rows).all(axis=1)).all():
         bad = int(finite.argmin())

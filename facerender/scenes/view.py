@@ -48,7 +48,10 @@ class View:
     distortion: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
-        places = (", ".join(f"{each:.4g}" for each in own) for own in (self.position, self.forward))
+        places = (
+            ", ".join(f"{component:.4g}" for component in vector)
+            for vector in (self.position, self.forward)
+        )
         return "<View from ({}) along ({})>".format(*places)
 
     def project(
@@ -260,7 +263,7 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
     """Return the reason why an image of the given size shows nothing of the mesh, and a remedy."""
     width, height = size
     view = view_of(scene, width / height)
-    places = np.concatenate([each.positions for each in scene.mesh.parts])
+    places = np.concatenate([part.positions for part in scene.mesh.parts])
     pixels, depth = view.project(scene.mesh, places, (width, height))
     if not (depth > 0.0).any():
         return "all of it lies behind the camera; turn the camera, or move it back"
@@ -306,9 +309,9 @@ def levels_to_spare(
     """
     clip = np.column_stack([mesh.normalised(part.positions), np.ones(len(part.positions))])
     x, y, w = (clip @ view.matrix[:, [0, 1, 3]]).T
-    before = w[part.faces] > 1e-6
-    crossing = before.any(axis=1) & ~before.all(axis=1)
-    faces = part.faces[before.all(axis=1)]
+    in_front = w[part.faces] > 1e-6
+    crossing = in_front.any(axis=1) & ~in_front.all(axis=1)
+    faces = part.faces[in_front.all(axis=1)]
     half = np.divide(size, 2.0)
     pixels = np.stack([x, y], axis=-1) / np.maximum(w, 1e-6)[:, None] * half
     corners, coordinates = pixels[faces], (uv * texels)[faces]
@@ -330,8 +333,8 @@ def levels_to_spare(
     area, read = area[visible], read[visible]
     order = np.argsort(read)
     finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
-    most = min(texels).bit_length() - 2  # the finest level that is left has at least 2 x 2 texels
-    return max(min(math.floor(math.log2(max(finest, 1.0))), most), 0)
+    limit = min(texels).bit_length() - 2  # the finest level that is left has at least 2 x 2 texels
+    return max(min(math.floor(math.log2(max(finest, 1.0))), limit), 0)
 
 
 def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -71,8 +71,8 @@ def read(kind: str, name: str) -> memoryview | None:
     if len(data) < _START:
         return None
     content = data[_START:]
-    whole = _HEAD.unpack_from(data) == (_MAGIC, zlib.crc32(content))
-    return content if whole else None
+    intact = _HEAD.unpack_from(data) == (_MAGIC, zlib.crc32(content))
+    return content if intact else None
 
 
 def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
@@ -106,14 +106,14 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
 
 def _entries() -> list[tuple[float, int, Path]]:
     """Return the time of last use, size and path of each cache entry."""
-    found = []
+    entries = []
     for path in folder().glob("*/*"):
         try:
             facts = path.stat()
         except OSError:  # another process removed the entry
             continue
-        found.append((facts.st_mtime, facts.st_size, path))
-    return found
+        entries.append((facts.st_mtime, facts.st_size, path))
+    return entries
 
 
 def _evict(newest: Path) -> None:

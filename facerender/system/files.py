@@ -80,7 +80,9 @@ def suffix_of(
     InputError : the suffix is unknown
     """
     name = clipped(os.fsdecode(path))
-    beside = [f"{name}{each}" for each in known if os.path.isfile(f"{os.fsdecode(path)}{each}")]
+    beside = [
+        f"{name}{suffix}" for suffix in known if os.path.isfile(f"{os.fsdecode(path)}{suffix}")
+    ]
     check_file(path, beside[0] if beside else what, most)
     return check_suffix(path, known, kind)
 
@@ -123,12 +125,12 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
 
 def digest_of(*pieces: str | bytes | memoryview) -> str:
     """Return a digest of pieces and of their lengths, as 32 hexadecimal digits."""
-    whole = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(digest_size=16)
     for piece in pieces:
         content = memoryview(piece.encode() if isinstance(piece, str) else piece).cast("B")
-        whole.update(content.nbytes.to_bytes(8, "little"))
-        whole.update(content)
-    return whole.hexdigest()
+        digest.update(content.nbytes.to_bytes(8, "little"))
+        digest.update(content)
+    return digest.hexdigest()
 
 
 def check_downloaded(content: bytes, subject: str) -> None:

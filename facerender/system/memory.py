@@ -26,15 +26,15 @@ def give_back() -> None:
 def unload(arrays: Iterable[NDArray[Any]]) -> None:
     """Release the memory of arrays that lie in mapped files. The system reads a file again on
     demand. Other arrays do not change."""
-    for values in arrays:
-        owner: Any = values
+    for array in arrays:
+        owner: Any = array
         while isinstance(owner, np.ndarray):
             owner = owner.base
         file = getattr(owner, "obj", None)
         if isinstance(file, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-            first = values.ctypes.data - np.frombuffer(file, dtype=np.uint8).ctypes.data
-            start = -(-first // mmap.PAGESIZE) * mmap.PAGESIZE
-            size = (first + values.nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - start
+            offset = array.ctypes.data - np.frombuffer(file, dtype=np.uint8).ctypes.data
+            start = -(-offset // mmap.PAGESIZE) * mmap.PAGESIZE
+            size = (offset + array.nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - start
             if size > 0:
                 file.madvise(mmap.MADV_DONTNEED, start, size)
 
@@ -61,9 +61,9 @@ def available() -> float:
         lines = Path("/proc/meminfo").read_text().splitlines()
         free = next(float(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
     with suppress(OSError, ValueError):  # the control group has no limit
-        most = float(Path("/sys/fs/cgroup/memory.max").read_text())
+        maximum = float(Path("/sys/fs/cgroup/memory.max").read_text())
         used = float(Path("/sys/fs/cgroup/memory.current").read_text())
-        free = min(free, (most - used) / 1024.0)
+        free = min(free, (maximum - used) / 1024.0)
     return free / 1024.0
 
 

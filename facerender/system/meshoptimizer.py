@@ -45,10 +45,10 @@ def library() -> ctypes.CDLL:
     """
     package = find_spec("meshoptimizer")
     places = package.submodule_search_locations if package else None
-    found = PathFinder.find_spec("_meshoptimizer", places) if places else None
-    if found is None or found.origin is None:
+    spec = PathFinder.find_spec("_meshoptimizer", places) if places else None
+    if spec is None or spec.origin is None:
         raise ImportError("the package meshoptimizer is not installed")
-    functions = ctypes.CDLL(found.origin)
+    functions = ctypes.CDLL(spec.origin)
     for name, (result, arguments) in _TYPES.items():
         function = getattr(functions, f"meshopt_{name}")
         function.restype, function.argtypes = result, arguments
@@ -76,14 +76,14 @@ def collapsed(
     """
     faces, weights = np.ascontiguousarray(faces), np.ascontiguousarray(weights)
     positions, attributes = np.ascontiguousarray(positions), np.ascontiguousarray(attributes)
-    left = np.empty_like(faces)
+    remaining_faces = np.empty_like(faces)
     count = library().meshopt_simplifyWithAttributes(
-        *(left.ctypes.data, faces.ctypes.data, faces.size),
+        *(remaining_faces.ctypes.data, faces.ctypes.data, faces.size),
         *(positions.ctypes.data, len(positions), positions.strides[0]),
         *(attributes.ctypes.data, attributes.strides[0], weights.ctypes.data, len(weights)),
         *(None, 3 * triangles, np.finfo(np.float32).max, 0, None),  # no locked vertices, no options
     )
-    return left[: count // 3]
+    return remaining_faces[: count // 3]
 
 
 def in_cache_order(faces: NDArray[np.uint32], vertices: int) -> NDArray[np.uint32]:

@@ -47,18 +47,18 @@ class Bar(ExitStack):
         if self._bar is not None:
             self._bar.update(done - self._bar.n)
 
-    def _begin(self, what: str) -> None:
+    def _begin(self, step: str) -> None:
         if self._what:
             self._done.append(self._what)
-        self._what = what
+        self._what = step
         self._close()
         if self._on_step:
-            self._on_step(what)
+            self._on_step(step)
         if self._shown:
             from tqdm import tqdm
 
             form = "{desc} {percentage:3.0f}%|{bar:24}| {elapsed}<{remaining}"
-            self._bar = tqdm(desc=what, total=1.0, bar_format=form, leave=False)
+            self._bar = tqdm(desc=step, total=1.0, bar_format=form, leave=False)
 
     def _close(self) -> None:
         if self._bar is not None:
@@ -68,5 +68,5 @@ class Bar(ExitStack):
         self._close()
         if not self._what:
             return "before the first step"
-        now = f"{100.0 * self._fraction:.0f} % of {self._what}"
-        return f"done: {', '.join([*self._done, now])}"
+        current_step = f"{100.0 * self._fraction:.0f} % of {self._what}"
+        return f"done: {', '.join([*self._done, current_step])}"

@@ -9,9 +9,9 @@ from typing import Any
 def short_repr(value: Any) -> str:
     """Return the repr of a dataclass with only the fields that differ from their defaults."""
     words = []
-    for each in fields(value):
-        own = getattr(value, each.name)
-        factory = each.default_factory
-        if own != (each.default if factory is MISSING else factory()):
-            words.append(f"{each.name}={own!r}")
+    for field in fields(value):
+        field_value = getattr(value, field.name)
+        factory = field.default_factory
+        if field_value != (field.default if factory is MISSING else factory()):
+            words.append(f"{field.name}={field_value!r}")
     return f"{type(value).__name__}({', '.join(words)})"

@@ -109,15 +109,15 @@ def _end_children() -> None:
             # The parent follows the last parenthesis: a process name may contain any character.
             parents[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
     below = {os.getpid()}
-    while more := {child for child, parent in parents.items() if parent in below} - below:
-        below |= more
-    own = [child for child in below if parents.get(child) == os.getpid()]
+    while generation := {child for child, parent in parents.items() if parent in below} - below:
+        below |= generation
+    children = [child for child in below if parents.get(child) == os.getpid()]
     for child in below - {os.getpid()}:
         with suppress(OSError):
             os.kill(child, signal.SIGTERM)
     until = time.monotonic() + _PATIENCE
-    while own and time.monotonic() < until:
-        own = [child for child in own if _runs(child)]
+    while children and time.monotonic() < until:
+        children = [child for child in children if _runs(child)]
         time.sleep(0.01)
 
 

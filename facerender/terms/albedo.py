@@ -80,8 +80,8 @@ def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -
 
     References: Kelemen and Szirmay-Kalos (2001).
     """
-    left = (1.0 - np.minimum(albedo_l, 1.0)) * (1.0 - np.minimum(albedo_v, 1.0))
-    return np.asarray(left / (1.0 - np.minimum(mean, 0.5)))
+    product = (1.0 - np.minimum(albedo_l, 1.0)) * (1.0 - np.minimum(albedo_v, 1.0))
+    return np.asarray(product / (1.0 - np.minimum(mean, 0.5)))
 
 
 def _coefficients(m: ArrayLike, f0: ArrayLike) -> Float:
@@ -89,5 +89,5 @@ def _coefficients(m: ArrayLike, f0: ArrayLike) -> Float:
     slope = np.clip(np.asarray(m, dtype=np.float64), *ENDS)
     t = (2.0 * slope - sum(ENDS)) / (ENDS[1] - ENDS[0])
     powers = t[..., None] ** np.arange(FITS.shape[2])
-    first, rest = (powers @ fit.T for fit in FITS)
-    return np.asarray(np.asarray(f0, dtype=np.float64)[..., None] * first + rest)
+    first, second = (powers @ fit.T for fit in FITS)
+    return np.asarray(np.asarray(f0, dtype=np.float64)[..., None] * first + second)

@@ -161,10 +161,10 @@ def reflected(
             normal, eye, slope, axes, towards, i // 2, samples=samples
         )
         n_dot_l = dot(normal, l)
-        seen = (steradians > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
-        light = environment_radiance(map, size, l[seen], steradians[seen])
-        weight = brdf(normal[seen], l[seen], eye[seen], slope[seen])
-        total[seen] += (weight * n_dot_l[seen] * steradians[seen])[:, None] * light
+        visible = (steradians > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
+        light = environment_radiance(map, size, l[visible], steradians[visible])
+        weight = brdf(normal[visible], l[visible], eye[visible], slope[visible])
+        total[visible] += (weight * n_dot_l[visible] * steradians[visible])[:, None] * light
     return total
 
 
@@ -177,9 +177,9 @@ def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
     aside = v - dot(n, v)[..., None] * n
     length = np.sqrt(dot(aside, aside))[..., None]
     side = np.where(np.abs(n[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    other = np.cross(n, side)
-    other /= np.sqrt(dot(other, other))[..., None]
-    tangent = np.where(length > _NEAR, aside / np.maximum(length, _NEAR), other)
+    fallback = np.cross(n, side)
+    fallback /= np.sqrt(dot(fallback, fallback))[..., None]
+    tangent = np.where(length > _NEAR, aside / np.maximum(length, _NEAR), fallback)
     return tangent, np.cross(n, tangent)
 
 
@@ -201,9 +201,9 @@ def environment_sample(
     towards : direction of the slope relative to `axes`, (2,)
     i : index of the slope, from 0 to samples/2 - 1
     """
-    rest = 1.0 - (i + 0.5) / (samples // 2)
-    radius = m * np.sqrt(-np.log(rest))
+    slope_factor = 1.0 - (i + 0.5) / (samples // 2)
+    radius = m * np.sqrt(-np.log(slope_factor))
     h = n + radius[..., None] * (towards[0] * axes[0] + towards[1] * axes[1])
     v_dot_h, h_dot_h = dot(v, h), dot(h, h)
-    steradians = 4.0 * np.pi * m**2 * v_dot_h / (h_dot_h**2 * rest * samples)
+    steradians = 4.0 * np.pi * m**2 * v_dot_h / (h_dot_h**2 * slope_factor * samples)
     return 2.0 * (v_dot_h / h_dot_h)[..., None] * h - v, steradians

@@ -554,7 +554,7 @@ def lobe_entry(lobe: AnyLobe) -> Lobe:
 def _of_g_power(lobe: GPower) -> Lobe:
     g, factor, offset = lobe.g, float(lobe.factor), float(lobe.offset)
     end = math.sqrt(factor / max(offset, factor / MAX_SLOPE**2))
-    less = f" - {offset}" if offset else ""
+    offset_term = f" - {offset}" if offset else ""
 
     def evaluate(c: ArrayLike, m: ArrayLike, k: int) -> Float:
         slope = entry.check(m, k)
@@ -571,7 +571,7 @@ def _of_g_power(lobe: GPower) -> Lobe:
         amplified=lambda error: error * factor * g / 2.0,
         colour="#444444",
         macro="FR_LOBE_G_POWER",
-        macros={"FR_G": str(g), "FR_STEEPNESS(m, k)": f"({factor} / ((m) * (m)){less})"},
+        macros={"FR_G": str(g), "FR_STEEPNESS(m, k)": f"({factor} / ((m) * (m)){offset_term})"},
         price=f"g{g}",
     )
     return entry

@@ -139,11 +139,11 @@ def cook_torrance(
 
     References: Cook and Torrance (1982); Walter et al. (2007) for the normalisation.
     """
-    at = _Geometry(n, l, v, named("masking term", MASKING, masking_term).cut)
-    f = fresnel(f0, at.v_dot_h, fresnel_term)
-    g = at.masking(masking_term)
-    d = at.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
-    return np.where(at.above, f * g * d / (np.pi * at.n_dot_l * at.n_dot_v), 0.0)
+    geometry = _Geometry(n, l, v, named("masking term", MASKING, masking_term).cut)
+    f = fresnel(f0, geometry.v_dot_h, fresnel_term)
+    g = geometry.masking(masking_term)
+    d = geometry.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
+    return np.where(geometry.above, f * g * d / (np.pi * geometry.n_dot_l * geometry.n_dot_v), 0.0)
 
 
 def cook_torrance_two(
@@ -196,10 +196,10 @@ def ward(
 
     References: Ward (1992), eq. 4.
     """
-    at = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
+    geometry = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2
-    value = at.lobe(lobe, m, K_WARD) / (scale * np.sqrt(at.n_dot_l * at.n_dot_v))
-    return np.where(at.above, value, 0.0)
+    value = geometry.lobe(lobe, m, K_WARD) / (scale * np.sqrt(geometry.n_dot_l * geometry.n_dot_v))
+    return np.where(geometry.above, value, 0.0)
 
 
 def ward_printed(
@@ -216,10 +216,10 @@ def ward_printed(
     BRDF is not reciprocal, and at normal incidence it is 0.707 times Ward's BRDF. For the
     parameters and exceptions see :func:`cook_torrance`.
     """
-    at = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
+    geometry = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2
-    value = at.lobe(lobe, m, K_WARD) / (scale * np.sqrt(at.n_dot_v + at.v_dot_h))
-    return np.where(at.above, value, 0.0)
+    value = geometry.lobe(lobe, m, K_WARD) / (scale * np.sqrt(geometry.n_dot_v + geometry.v_dot_h))
+    return np.where(geometry.above, value, 0.0)
 
 
 MODELS: dict[str, Model] = registry(

@@ -35,8 +35,8 @@ class Range:
 
     def __str__(self) -> str:
         several = f"{self.low:g} to {self.high:g}"
-        ends = several if self.high < math.inf else f"at least {self.low:g}"
-        return f"{ends} {self.unit}".strip()
+        bounds = several if self.high < math.inf else f"at least {self.low:g}"
+        return f"{bounds} {self.unit}".strip()
 
     def check(self, name: str, value: Any) -> Any:
         """Return the value, converted to the type of the field.
@@ -57,11 +57,11 @@ class IntegerRange(Range):
 
     def check(self, name: str, value: Any) -> Any:
         if value not in self:
-            whole = isinstance(value, Integral) and is_number(value)
-            bounded = whole and self.high < math.inf
-            of = "" if bounded else "of " if self.high == math.inf else "from "
-            wanted = f"{'' if bounded else 'a whole number '}{of}{self}"
-            raise InputError(f"{name} = {shown(value)}: give {wanted}")
+            is_whole = isinstance(value, Integral) and is_number(value)
+            bounded = is_whole and self.high < math.inf
+            preposition = "" if bounded else "of " if self.high == math.inf else "from "
+            expected = f"{'' if bounded else 'a whole number '}{preposition}{self}"
+            raise InputError(f"{name} = {shown(value)}: give {expected}")
         return int(value)
 
 
@@ -77,10 +77,10 @@ class SizeRange(IntegerRange):
             raise InputError(f"{name} = {shown(value)}: {remedy}")
         width, height = sides
         if width not in self or height not in self:
-            whole = all(is_number(side) and isinstance(side, Integral) for side in sides)
-            ends = f"{'' if whole else 'whole numbers from '}{self.low:g} to {self.high:.0f}"
+            are_whole = all(is_number(side) and isinstance(side, Integral) for side in sides)
+            bounds = f"{'' if are_whole else 'whole numbers from '}{self.low:g} to {self.high:.0f}"
             raise InputError(
-                f"{name} {shown(width)} x {shown(height)}: give {ends} {self.unit} a side"
+                f"{name} {shown(width)} x {shown(height)}: give {bounds} {self.unit} a side"
             )
         return int(width), int(height)
 
@@ -97,10 +97,10 @@ class VectorRange(Range):
     def check(self, name: str, value: Any) -> tuple[float, float, float]:
         several = value.tolist() if hasattr(value, "tolist") else value
         numbers = [*several] if isinstance(several, list | tuple) else [several] * 3
-        if len(numbers) != 3 or not all(each in self for each in numbers):
-            ends = f"[{self.low:g}, {self.high:g}]"
+        if len(numbers) != 3 or not all(number in self for number in numbers):
+            bounds = f"[{self.low:g}, {self.high:g}]"
             raise InputError(
-                f"{name} = {shown(value)}: give a number in {ends}, or three{self.other}"
+                f"{name} = {shown(value)}: give a number in {bounds}, or three{self.other}"
             )
         x, y, z = map(float, numbers)
         return x, y, z
@@ -120,7 +120,11 @@ def ranged(limits: Range, default: Any = MISSING) -> Any:
 @cache
 def ranges_of(kind: type) -> Mapping[str, Range]:
     """Return the ranges of a dataclass, keyed by the field name."""
-    return {each.name: each.metadata["range"] for each in fields(kind) if "range" in each.metadata}
+    return {
+        member.name: member.metadata["range"]
+        for member in fields(kind)
+        if "range" in member.metadata
+    }
 
 
 def range_of(kind: type, name: str) -> Range:
@@ -141,22 +145,22 @@ def check_fields(value: object, prefix: str = "") -> None:
     """
     kind: Any = type(value)
     for name, limits, optional in _checked(kind):
-        own = getattr(value, name)
-        if own is None and optional:
+        field_value = getattr(value, name)
+        if field_value is None and optional:
             continue
         if limits is None:
-            check_switch(prefix + name, own)
+            check_switch(prefix + name, field_value)
         else:
-            object.__setattr__(value, name, limits.check(prefix + name, own))
+            object.__setattr__(value, name, limits.check(prefix + name, field_value))
 
 
 @cache
 def _checked(kind: type) -> tuple[tuple[str, Range | None, bool], ...]:
     limits = ranges_of(kind)
-    if not all(isinstance(each.type, str) for each in fields(kind)):
+    if not all(isinstance(member.type, str) for member in fields(kind)):
         raise TypeError(f"{kind.__module__} lacks: from __future__ import annotations")
     return tuple(
-        (each.name, limits.get(each.name), str(each.type).endswith("| None"))
-        for each in fields(kind)
-        if each.name in limits or each.type in ("bool", "bool | None")
+        (member.name, limits.get(member.name), str(member.type).endswith("| None"))
+        for member in fields(kind)
+        if member.name in limits or member.type in ("bool", "bool | None")
     )

@@ -68,8 +68,8 @@ def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike)
     normal, eye = checked_unit("n", n), checked_unit("v", v)
     across = slope_sample(normal, m, random[..., :2])
     sides = normal + across, normal - across
-    seen, other_seen = (np.maximum(dot(*np.broadcast_arrays(eye, h)), 0.0) for h in sides)
-    return _mirrored(eye, np.where((third * (seen + other_seen) < seen)[..., None], *sides))
+    weight, other_weight = (np.maximum(dot(*np.broadcast_arrays(eye, h)), 0.0) for h in sides)
+    return _mirrored(eye, np.where((third * (weight + other_weight) < weight)[..., None], *sides))
 
 
 def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
@@ -84,9 +84,9 @@ def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) ->
     """
     n_dot_v, n_dot_h, h_dot_h, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h) > MIN_COSINE
-    seen = np.minimum(1.0, 4.0 * n_dot_h * n_dot_v / np.where(above, h_dot_h, 1.0))
+    g1 = np.minimum(1.0, 4.0 * n_dot_h * n_dot_v / np.where(above, h_dot_h, 1.0))
     d = np.exp(-tan2 / slope**2) * (1.0 + tan2) ** 2 / (np.pi * slope**2)
-    return np.where(above, d * seen / (4.0 * np.where(above, n_dot_v, 1.0)), 0.0)
+    return np.where(above, d * g1 / (4.0 * np.where(above, n_dot_v, 1.0)), 0.0)
 
 
 def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:

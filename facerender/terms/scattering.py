@@ -46,8 +46,8 @@ def profile_of(given: Any) -> str | Gaussians:
     """
     if isinstance(given, str):
         if given not in PROFILES:
-            known = ", ".join((*PROFILES, "none"))
-            raise InputError(f"unknown scattering {shown(given)}; known: {known}")
+            names = ", ".join((*PROFILES, "none"))
+            raise InputError(f"unknown scattering {shown(given)}; known: {names}")
         return given
     try:
         rows = tuple(tuple(float(number) for number in row) for row in given)
@@ -77,7 +77,7 @@ def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
     """
     gaussians = PROFILES[given] if isinstance(given, str) else given
     narrow = (NARROW * pixel) ** 2
-    return tuple(each for each in gaussians if each[0] >= narrow and any(each[1:]))
+    return tuple(gaussian for gaussian in gaussians if gaussian[0] >= narrow and any(gaussian[1:]))
 
 
 def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
@@ -149,7 +149,7 @@ def scatter_area(c: ArrayLike) -> Float:
 
 def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
     """Return the rotation angle of a pixel's samples, in [-pi, pi], for column x and row y."""
-    column, row = (np.asarray(each, dtype=np.int64) for each in (x, y))
+    column, row = (np.asarray(coordinate, dtype=np.int64) for coordinate in (x, y))
     inner = (column * 288237660 + row * 25070368) % _WORD
     outer = (inner * 53 - inner // 59) % _WORD
     return np.asarray((outer // 256 - 8388608) * (math.pi / 8388608.0))
@@ -175,7 +175,7 @@ def scatter(
     """
     height, width = number.shape
     y, x = np.nonzero(pixels)
-    entered, own, kind = light[pixels], place[pixels], number[pixels]
+    entered, positions, kind = light[pixels], place[pixels], number[pixels]
     turn = scatter_turn(x, y)
     cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
     norm = np.full_like(entered, _OWN)
@@ -184,12 +184,12 @@ def scatter(
         column = np.floor(x + 0.5 + cosine * across - sine * up).astype(np.int64)
         row = np.floor(y + 0.5 + sine * across + cosine * up).astype(np.int64)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        at = row.clip(0, height - 1), column.clip(0, width - 1)
-        away = place[at] - own
-        counts = weight * area[at] * (inside & (number[at] == kind))
+        neighbour = row.clip(0, height - 1), column.clip(0, width - 1)
+        away = place[neighbour] - positions
+        counts = weight * area[neighbour] * (inside & (number[neighbour] == kind))
         r2 = unit**2 * np.einsum("ij,ij->i", away, away)
         share = counts[:, None] * scatter_profile(r2, gaussians)
-        sum_ += share * light[at]
+        sum_ += share * light[neighbour]
         norm += share
     stays = rest(gaussians)
     return np.asarray(stays * entered + (1.0 - stays) * sum_ / norm)

@@ -38,8 +38,8 @@ def shadow_weight(texel: ArrayLike, centre: ArrayLike, width: ArrayLike) -> Floa
     """
     low, middle = np.asarray(texel, np.float64), np.asarray(centre, np.float64)
     side = np.asarray(width, np.float64)[..., None]
-    ends = np.maximum(low, middle - 0.5 * side), np.minimum(low + 1.0, middle + 0.5 * side)
-    return np.asarray((np.maximum(ends[1] - ends[0], 0.0) / side).prod(axis=-1))
+    overlap = np.maximum(low, middle - 0.5 * side), np.minimum(low + 1.0, middle + 0.5 * side)
+    return np.asarray((np.maximum(overlap[1] - overlap[0], 0.0) / side).prod(axis=-1))
 
 
 def shadow_hard(
@@ -58,13 +58,13 @@ def shadow_hard(
     place = np.asarray(p, dtype=np.float64)
     side = np.asarray(width, dtype=np.float64)
     centre = (0.5 * place[..., :2] + 0.5) * tile[2]
-    seen = np.zeros(place.shape[:-1])
+    visibility = np.zeros(place.shape[:-1])
     for corner in np.ndindex(4, 4):
         texel = np.floor(centre - 0.5 * side[..., None]) + corner
         aside = (texel + 0.5 - centre) * (2.0 / tile[2])
         z = place[..., 2] + bias + np.maximum((np.asarray(plane) * aside).sum(axis=-1), 0.0)
-        seen += shadow_weight(texel, centre, side) * (shadow_depth(map, tile, texel) <= z)
-    return seen
+        visibility += shadow_weight(texel, centre, side) * (shadow_depth(map, tile, texel) <= z)
+    return visibility
 
 
 def shadow_disc(
@@ -102,20 +102,20 @@ def shadow_disc(
         away : distances (..., N) of the samples from p, in texels
         """
         aside = away[..., None] * spiral[..., : away.shape[-1], :]
-        other = shadow_depth(map, tile, middle + aside)
-        return other, other > z + np.maximum((slope * aside).sum(axis=-1), 0.0)
+        occluder_z = shadow_depth(map, tile, middle + aside)
+        return occluder_z, occluder_z > z + np.maximum((slope * aside).sum(axis=-1), 0.0)
 
     reach = np.maximum(cone * np.clip(top - base, 0.0, 1.0), 0.5 * width)
     away = reach * (np.arange(SEARCH) + 0.5) / SEARCH
-    other, blocks = texels(away)
+    occluder_z, blocks = texels(away)
     blocks &= base < top
-    weights = np.where(away < np.maximum(cone * (other - base), 1.0), 1.0, 0.1) * blocks
-    depth = (weights * other).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 0.1)
+    weights = np.where(away < np.maximum(cone * (occluder_z - base), 1.0), 1.0, 0.1) * blocks
+    depth = (weights * occluder_z).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 0.1)
 
     radius = cone * (depth - place[..., 2])
     away = radius[..., None] * np.sqrt((np.arange(SAMPLES) + 0.5) / SAMPLES)
-    other, above = texels(away)
-    above &= away <= np.maximum(1.5 * cone * (other - base), 1.0)
+    occluder_z, above = texels(away)
+    above &= away <= np.maximum(1.5 * cone * (occluder_z - base), 1.0)
     wide = 1.0 - above.mean(axis=-1)
     narrow = shadow_hard(map, tile, place, plane, np.clip(2.0 * radius, width, 3.0), bias)
     count = blocks.sum(axis=-1)

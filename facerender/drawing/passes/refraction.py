@@ -179,7 +179,7 @@ class Refraction:
             regions_of(triangle_setup_of(part, mesh)) if material.refracts else ()
             for part, material in zip(mesh.parts, mesh.materials, strict=True)
         )
-        pixels = max(each.pixels(view, size) for own in parts for each in own)
+        pixels = max(region.pixels(view, size) for regions in parts for region in regions)
         side = 2 ** int(np.ceil(np.log2(np.clip(2.0 * pixels, *_SIDES))))
         return cls(parts, side, np.asarray(scene.background or (0.0, 0.0, 0.0)))
 
@@ -189,21 +189,21 @@ class Refraction:
         draws : one draw for each part
         """
         changed, first = [], 0
-        for draw, own in zip(draws, self.parts, strict=True):
-            if not own:
+        for draw, regions in zip(draws, self.parts, strict=True):
+            if not regions:
                 changed.append(draw)
                 continue
-            features = (*draw.program.features, f"REFRACTIONS {len(own)}")
+            features = (*draw.program.features, f"REFRACTIONS {len(regions)}")
             uniforms = {
                 **draw.uniforms,
                 "refraction_first": first,
-                "refraction_view": np.array([each.matrix for each in own]),
-                "refraction_bottom": np.array([each.bottom for each in own])[:, None],
+                "refraction_view": np.array([region.matrix for region in regions]),
+                "refraction_bottom": np.array([region.bottom for region in regions])[:, None],
                 "refraction_background": self.background,
             }
             program = replace(draw.program, features=features)
             changed.append(replace(draw, program=program, uniforms=uniforms))
-            first += len(own)
+            first += len(regions)
         return changed
 
     def passes(self, resolved: ResolvedScene) -> list[Pass]:
@@ -218,11 +218,11 @@ class Refraction:
         return _passes[mesh][1]
 
     def _passes(self, resolved: ResolvedScene, key: tuple[Hashable, ...]) -> list[Pass]:
-        regions = [each for own in self.parts for each in own]
+        regions = [region for part_regions in self.parts for region in part_regions]
         size = (len(regions) * self.side, self.side)
         areas = [Area(i * self.side, 0, self.side, self.side) for i in range(len(regions))]
         surface = Target(size=size, sampled=True, values="number", number=2)
-        seen = Target(size=size, sampled=True, number=2)
+        map_target = Target(size=size, sampled=True, number=2)
         uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
         front = tuple(self._fronts(resolved.scene.mesh, areas))
         behind = tuple(
@@ -232,14 +232,14 @@ class Refraction:
         )
         return [
             Pass(SURFACE, surface, front, key=(SURFACE, *key)),
-            Pass(MAP, seen, behind, (0.0, 0.0, 0.0, _EMPTY), uniforms, key=(MAP, *key)),
+            Pass(MAP, map_target, behind, (0.0, 0.0, 0.0, _EMPTY), uniforms, key=(MAP, *key)),
         ]
 
     def _fronts(self, mesh: Mesh, areas: Sequence[Area]) -> Iterator[Draw]:
         """Yield the draws of the regions themselves: z in map space."""
         program, places = Program("refraction_surface.frag"), iter(areas)
-        for part, own in zip(mesh.parts, self.parts, strict=True):
-            for region in own:
+        for part, regions in zip(mesh.parts, self.parts, strict=True):
+            for region in regions:
                 uniforms = {"view_projection": region.clip, "to_map": region.matrix}
                 yield Draw(program, uniforms, part, area=next(places), order=region.faces)
 

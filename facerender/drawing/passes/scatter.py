@@ -51,9 +51,9 @@ def scatter_pass(
 
 def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> Iterator[Draw]:
     for number, gaussians in enumerate(scattering.profiles, 1):
-        own = {"profile": number, "depth": 1.0 / (1.0 + number)}
-        yield Draw(Program("scatter_mask.frag", "screen.vert", several), own, depth="mark")
-        uniforms = {**own, **scatter_uniforms(gaussians, samples, scattering.millimetres)}
+        mask = {"profile": number, "depth": 1.0 / (1.0 + number)}
+        yield Draw(Program("scatter_mask.frag", "screen.vert", several), mask, depth="mark")
+        uniforms = {**mask, **scatter_uniforms(gaussians, samples, scattering.millimetres)}
         features = (
             f"FR_SCATTER_SAMPLES {samples}",
             f"FR_SCATTER_GAUSSIANS {len(gaussians)}",

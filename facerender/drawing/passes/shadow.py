@@ -97,9 +97,9 @@ def _texels(view: View, size: tuple[int, int], count: int) -> int:
     """
     depth = max(float(view.matrix[3, 3]), 1e-3)
     across = np.linalg.norm(view.matrix[:3, :2], axis=0) * size / depth  # of the map, in pixels
-    most = min(_MOST_TEXELS, 1 << int(math.log2(_ALL_TEXELS / count) / 2.0))
-    wanted = min(max(float(across.max()), _FEWEST_TEXELS), most)
-    return 1 << math.ceil(math.log2(wanted) - 0.25)
+    limit = min(_MOST_TEXELS, 1 << int(math.log2(_ALL_TEXELS / count) / 2.0))
+    texels = min(max(float(across.max()), _FEWEST_TEXELS), limit)
+    return 1 << math.ceil(math.log2(texels) - 0.25)
 
 
 def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pass]:
@@ -119,7 +119,7 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
     blocks = Draw(Program("shadow_blocks.frag", "screen.vert"), {"block": texels // _BLOCKS})
     steps: list[tuple[Draw, ...]] = [(blocks,)]
     program = Program("shadow_cones.frag", "screen.vert")
-    for stride in [*((each, 0) for each in strides), *((0, each) for each in strides)]:
+    for stride in [*((length, 0) for length in strides), *((0, length) for length in strides)]:
         draws = []
         for number, space in enumerate(spaces):
             # The pyramid with this slope along the axes contains the cone.
@@ -151,8 +151,8 @@ def _tops(count: int, key: Hashable) -> Pass:
     for number in range(count):
         for size in _LEVELS:
             side = _BLOCKS // size
-            values = {"left": number * _BLOCKS, "column": column, "size": size}
-            draws.append(Draw(program, values, area=Area(column, 0, side, side)))
+            uniforms = {"left": number * _BLOCKS, "column": column, "size": size}
+            draws.append(Draw(program, uniforms, area=Area(column, 0, side, side)))
             column += side
     target = Target(size=(column, _BLOCKS), sampled=True, values="number")
     return Pass(SHADOW_TOPS, target, tuple(draws), key=key)
@@ -167,9 +167,9 @@ def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, .
         features = mask_features(surface_features(part, material, shading))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
         cut = alpha == "mask"
-        own = part_uniforms(part, material) if cut else {}
+        mask_uniforms = part_uniforms(part, material) if cut else {}
         for number, space in enumerate(spaces):
-            uniforms = {**own, "to_light": space.matrix, "top": space.top}
+            uniforms = {**mask_uniforms, "to_light": space.matrix, "top": space.top}
             area = Area(number * texels, 0, texels, texels)
             draws.append(Draw(program, uniforms, part, material if cut else None, area=area))
     return tuple(draws)
@@ -181,8 +181,8 @@ def _cut(material: Material) -> Hashable:
     if material.transmission > 0.0:
         return "no shadow"
     map_ = material.opacity_map and ref(material.opacity_map)
-    own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
-    return (material.alpha, map_, *own) if material.alpha != "opaque" else None
+    mask_values = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
+    return (material.alpha, map_, *mask_values) if material.alpha != "opaque" else None
 
 
 def light_visibility_pass(

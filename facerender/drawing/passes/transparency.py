@@ -43,17 +43,17 @@ class BlendedPart:
 
         draws : one draw for each part of the scene
         """
-        own = draws[self.part]
-        features = (*own.program.features, *(("DEPTH_PEELING",) * (self.layer > 0)))
-        program = replace(own.program, features=features)
+        layer_draw = draws[self.part]
+        features = (*layer_draw.program.features, *(("DEPTH_PEELING",) * (self.layer > 0)))
+        program = replace(layer_draw.program, features=features)
         hides = (depth_only(draw) for draw in unblended(scene, draws))
-        return *hides, replace(own, program=program, order=self.order)
+        return *hides, replace(layer_draw, program=program, order=self.order)
 
 
 def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
     """Return the blended parts in drawing order. The part whose nearest vertex has the largest
     depth comes first."""
-    found = []
+    pairs = []
     for number, (part, material) in enumerate(
         zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     ):
@@ -61,8 +61,8 @@ def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
             setup = triangle_setup_of(part, scene.mesh)
             depth = setup.positions @ view.forward
             order = np.argsort(-depth[setup.faces].sum(axis=1), kind="stable")
-            found.append((float(depth.min()), BlendedPart(number, order)))
-    return [part for _, part in sorted(found, key=lambda each: -each[0])]
+            pairs.append((float(depth.min()), BlendedPart(number, order)))
+    return [part for _, part in sorted(pairs, key=lambda pair: -pair[0])]
 
 
 def unblended(scene: Scene, values: Sequence[T]) -> tuple[T, ...]:
@@ -80,8 +80,8 @@ def blended_area(scene: Scene, view: View, size: tuple[int, int]) -> Area:
     size : width and height of the image
     """
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    over = [part for part, material in parts if drawn_alpha(part, material) == "blend"]
-    return around([triangle_setup_of(part, scene.mesh).area(view, size) for part in over])
+    blended = [part for part, material in parts if drawn_alpha(part, material) == "blend"]
+    return around([triangle_setup_of(part, scene.mesh).area(view, size) for part in blended])
 
 
 def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
@@ -89,8 +89,8 @@ def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw
 
     draws : one draw for each part of the scene
     """
-    over = blended_parts(scene, view)
-    return tuple(replace(draws[each.part], order=each.order, depth="blend") for each in over)
+    parts = blended_parts(scene, view)
+    return tuple(replace(draws[part.part], order=part.order, depth="blend") for part in parts)
 
 
 def with_blended(
@@ -106,9 +106,9 @@ def with_blended(
     visible : target that holds the depth of the other parts; None to draw this depth
     """
     hides = (
-        () if visible else tuple(depth_only(each) for each in shaded.draws if each.depth == "test")
+        () if visible else tuple(depth_only(draw) for draw in shaded.draws if draw.depth == "test")
     )
-    over = tuple(draw for draw in shaded.draws if draw.depth == "blend")
+    blends = tuple(draw for draw in shaded.draws if draw.depth == "blend")
     target = replace(
         shaded.target, sampled=True, number=1, resolved=visible is None, depth_of=visible
     )
@@ -116,7 +116,7 @@ def with_blended(
         shaded,
         name="transparent",
         target=target,
-        draws=(*hides, *over),
+        draws=(*hides, *blends),
         clear=(0.0,) * 4,
         area=area,
     )

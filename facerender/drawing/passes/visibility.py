@@ -40,7 +40,7 @@ def can_defer(scene: Scene, rows: int) -> bool:
     counts = [len(part.faces) for part, _ in pairs]
     if (
         not pairs
-        or any(drawn_alpha(*each) == "mask" for each in pairs)
+        or any(drawn_alpha(*pair) == "mask" for pair in pairs)
         or any(part.uv2 is not None and material.second_uv for part, material in pairs)
     ):
         return False
@@ -131,14 +131,14 @@ class Visibility:
         """Return the visibility pass."""
         draws = tuple(
             Draw(
-                Program("visibility.frag", "visibility.vert", _SELECTED * (each.front is not None)),
-                {"first": each.first},
-                each.part,
-                order=each.front,
-                double_sided=each.front is None,
+                Program("visibility.frag", "visibility.vert", _SELECTED * (part.front is not None)),
+                {"first": part.first},
+                part.part,
+                order=part.front,
+                double_sided=part.front is None,
             )
-            for each in self.parts
-            if not each.area.empty
+            for part in self.parts
+            if not part.area.empty
         )
         return Pass("visible", self.target, draws, uniforms={"view_projection": self.view.matrix})
 
@@ -197,9 +197,9 @@ def _rays(view: View, size: tuple[int, int]) -> Uniforms:
     back = np.linalg.inv(view.matrix)
 
     def to_far_plane(x: float, y: float) -> NDArray[np.float64]:
-        at = np.array([x, y, 1.0, 1.0]) @ back
-        return np.asarray(at[:3] / at[3] - view.position)
+        point = np.array([x, y, 1.0, 1.0]) @ back
+        return np.asarray(point[:3] / point[3] - view.position)
 
     corner = to_far_plane(-1.0, -1.0)
-    right, up = (to_far_plane(*each) - corner for each in ((1.0, -1.0), (-1.0, 1.0)))
+    right, up = (to_far_plane(*xy) - corner for xy in ((1.0, -1.0), (-1.0, 1.0)))
     return {"ray": corner, "ray_x": right / size[0], "ray_y": up / size[1]}
