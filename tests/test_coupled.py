@@ -26,6 +26,16 @@ def test_albedo_fit_is_slightly_above_the_integral():
     assert 0.008 < max(above) <= 0.0125
 
 
+@pytest.mark.slow
+def test_error_of_the_albedo_fit_for_a_large_f0():
+    random = np.random.default_rng(5)
+    cosines = random.random(60) ** 2 * 0.9996 + 4e-4
+    slopes, reflectances = random.uniform(0.05, 1.0, 60), random.uniform(0.1, 1.0, 60)
+    for at in zip(cosines.tolist(), slopes.tolist(), reflectances.tolist(), strict=True):
+        above = float(brdf.cook_torrance_albedo(*at)) - albedo_integral(*at)
+        assert -0.008 * at[2] <= above <= 0.0125 + 0.008 * at[2]
+
+
 @pytest.mark.parametrize("m", [0.1, 0.3, 0.6])
 def test_albedo_integral_agrees_with_sampling(m):
     """The albedo is also the mean weight of sampled directions."""

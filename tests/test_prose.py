@@ -34,6 +34,8 @@ FAULTS = {
     "'N'": r"\bso many\b",
 }
 SENTENCE = re.compile(r"(?<=[.;:?!])\s+(?=[A-Z`[])|\n\s*\n|\n\s*[-*|]\s")
+# Variables have the name of the thing.
+VAGUE = {"each", "found", "given", "wanted", "whole"}
 MESSAGES = {"InputError", "ContextError", "CannotDraw", "warn"}
 MESSAGES |= {"Help", "add_argument", "add_field", "add_flag", "add_number", "add_switch"}
 
@@ -89,6 +91,15 @@ def test_documents(path):
 def test_python():
     texts = {name(path): faults(python_text(path.read_text("utf-8"))) for path in PYTHON}
     assert {path: found for path, found in texts.items() if found} == {}
+
+
+@pytest.mark.parametrize("path", PYTHON, ids=name)
+def test_variables_have_nouns_as_names(path):
+    nodes = ast.walk(ast.parse(path.read_text("utf-8")))
+    names = {
+        each.id for each in nodes if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
+    }
+    assert names & VAGUE == set()
 
 
 def test_shaders():

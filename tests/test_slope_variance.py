@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender import brdf
 from facerender.commands import main
 from facerender.drawing.context import create_context
 from facerender.drawing.program import surface_features
@@ -226,3 +227,16 @@ def test_area_lights_are_close_to_their_integral(angle, radius, most, m):
     none, own = disc(angle, radius, m, points=150, side=40)
     assert own <= most
     assert own < none
+
+
+@pytest.mark.parametrize(("degrees", "bound"), [(2, 0.0063), (10, 0.0063), (20, 0.01), (30, 0.01)])
+def test_cosine_of_a_disc_is_close_to_the_integral(degrees, bound):
+    radius = np.radians(degrees)
+    fractions = (np.arange(100) + 0.5) / 100.0
+    cosines, turns = np.meshgrid(1.0 - fractions * (1.0 - np.cos(radius)), 2.0 * np.pi * fractions)
+    sines = np.sqrt(1.0 - cosines**2)
+    centres = np.linspace(-1.0, 1.0, 201)
+    n_dot_l = [c * cosines + np.sqrt(1.0 - c * c) * sines * np.cos(turns) for c in centres]
+    integrals = [np.maximum(cosine, 0.0).mean() for cosine in n_dot_l]
+    approximated = brdf.cosine_disc(centres, np.sin(radius), (1.0 + np.cos(radius)) / 2.0)
+    assert np.abs(approximated - integrals).max() <= bound

@@ -106,13 +106,13 @@ class Renderer:
     ----------
     size : width and height in pixels, or one number for both, each in [1, 16384]; default 1024
     samples : samples per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software
-        driver), multisampling shades each visible surface once per pixel; NVIDIA's driver shades
-        it 4 times with 16 samples, and 16 times with 64. Above this limit, the renderer averages
-        one image per sample, so that each sample is shaded
+        driver), multisampling shades each visible surface once per pixel; a GPU's driver may shade
+        it more often. Above this limit, the renderer averages one image per sample, so that each
+        sample is shaded
     backend : "auto" (default), "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the
         host's context
-    anisotropy : maximum anisotropy of texture filtering, 1 (isotropic, default) to 16; 8 nearly
-        doubles the time of a frame on a software driver
+    anisotropy : maximum anisotropy of texture filtering, 1 (isotropic, default) to 16; slow on
+        a software driver
     float_albedo : whether albedo maps are stored as linear float16 instead of 8-bit sRGB, so that
         images of different drivers differ only in the last digits; default false
     full_maps : whether maps of more than 4096 x 4096 texels keep their finest mip levels, even if

@@ -38,7 +38,7 @@ from facerender.system.memory import give_back, unload
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
 
-# Largest number of cached programs, unless one frame needs more. llvmpipe uses 2 MB per program.
+# Largest number of cached programs, unless one frame needs more.
 MOST_PROGRAMS = 64
 _STEP = 64  # pixels by which a target grows
 

@@ -119,7 +119,7 @@ def _boxes(places: Sequence[Box], front: Sequence[tuple[float, float]]) -> list[
 
 
 def _names(rows: Sequence[Row], places: Sequence[Box], boxes: list[Box]) -> list[str]:
-    """Return names with lines to their points; ``boxes`` are those that they do not overlap."""
+    """Return names with lines to their points; no name overlaps one of ``boxes``."""
     lines: list[str] = []
     texts: list[str] = []
     names: list[Box] = []

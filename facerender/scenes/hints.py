@@ -1,6 +1,6 @@
 """Hints: probable mistakes in a mesh or scene. Each function returns one line with the remedy, or
 None if nothing indicates a mistake. A wrong hint costs more than a missing one, so each
-function requires clear evidence; the thresholds come from about 250 textured meshes."""
+function requires clear evidence."""
 
 from __future__ import annotations
 

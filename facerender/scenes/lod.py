@@ -50,7 +50,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     original. Triangles are ordered for the GPU's vertex cache. In all poses of a mesh, the
     reference pose determines which triangles remain.
 
-    The result is the same in every process. Repeated calls with equal arguments return one object.
+    Repeated calls with equal arguments return one object.
 
     Reference: Kapoulkine (2016-2026), meshoptimizer: meshopt_simplifyWithAttributes.
 

@@ -13,8 +13,8 @@
 //   source:   Lagrange's identity: |n x h|^2 = (n.n)(h.h) - (n.h)^2.
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2. FR_SMALL_SLOPE 1 keeps the product accurate for
-// small m. This setting costs up to 8 % of a whole specular term (measured by facerender measure).
-// A host whose m stays above 0.2 may turn the setting off: #define FR_SMALL_SLOPE 0.
+// small m. A host whose m stays above 0.2 may turn the setting off, which saves a little time
+// (docs/measurements/trade.md): #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 

@@ -48,9 +48,8 @@ float fr_slope_filtered(float m, float variance) {
 //   formula:  FR_MAP_SHARE (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of
 //             unit normals; (0.35 alpha)^2 is the variance v of the slopes, FR_MAP_SHARE is 0.5
 //   alpha:    Alpha channel of the map, filtered together with red, green and blue, in [0, 1].
-//   error:    The default 0.5 suits skin, whose relief is mostly flat with few steep walls: the
-//             highlight loses at most 7 % of its light, but 18 to 22 % with 1.0 (slopes times 3, m
-//             = 0.15; docs/measurements/skin.md). For normally distributed slopes define
+//   error:    The default 0.5 suits skin, whose relief is mostly flat with few steep walls
+//             (docs/measurements/skin.md lists the errors). For normally distributed slopes define
 //             FR_MAP_SHARE 1.0: with 0.5 the peak is too high, about (m^2 + 2 v)/(m^2 + v) times
 //             the true peak, 1.34 times for sqrt(v) = 0.115 and m = 0.15, 1.13 times for m = 0.25;
 //             with 1.0 the error is at most 4 %. Float32 rounding: 3e-7 times the result.

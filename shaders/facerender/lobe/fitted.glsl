@@ -19,8 +19,8 @@
 // #define FR_FITTED_COEFFICIENTS(m, k) vec3(...)
 // #define FR_FITTED_FINE_COEFFICIENTS(m, k) vec4(...)
 // The module facerender.lobes and the command facerender shaders flatten --m compute the
-// coefficients. Constant coefficients save up to 30 % of the cost of the specular term. On
-// llvmpipe, reading coefficients from a uniform costs more than computing them.
+// coefficients. Constant coefficients save up to a third of the cost of the specular term
+// (docs/measurements/trade.md).
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
