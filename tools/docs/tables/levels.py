@@ -18,8 +18,12 @@ COLUMNS = (
 
 def blocks() -> dict[str, str]:
     data = load("levels")
+    full, _, simplified, *_ = data["levels"]["head-512"]
     return {
         "machine": machine(data),
+        "example": f"{simplified['triangles']:,} of its {full['triangles']:,} triangles takes"
+        f" {simplified['time'][0]:.2f} times as long. In this image"
+        f" {100 * simplified['over_1']:.0f} % of the pixels change by more than one 8-bit level",
         "seconds": f"{data['seconds']:.1f} s",
         **{name: table(COLUMNS, levels) for name, levels in data["levels"].items()},
     }
