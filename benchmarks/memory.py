@@ -37,7 +37,7 @@ from PIL import Image
 import facerender as fr
 from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb
-from facerender.terms import FRESNEL, MASKING, MODELS
+from facerender.terms import FRESNEL, MASKING
 
 
 def resident() -> int:
@@ -75,7 +75,10 @@ print(line)
 
 def changes(count: int, size: int, samples: int) -> Iterator[None]:
     random = np.random.default_rng(1)
-    terms = [*product(MODELS, ("exact", "d8", "d16", "fitted"), FRESNEL, MASKING)]
+    lobes = ("exact", "d8", "d16", "fitted")
+    terms = [{"model": "ward", "lobe": lobe} for lobe in lobes]
+    names = ("lobe", "fresnel", "masking")
+    terms += [dict(zip(names, each, strict=True)) for each in product(lobes, FRESNEL, MASKING)]
     with TemporaryDirectory() as folder, fr.Renderer((size, size), samples=samples) as renderer:
         unchanged = Path(folder, "unchanged")
         unchanged.mkdir()
@@ -88,9 +91,8 @@ def changes(count: int, size: int, samples: int) -> Iterator[None]:
                 texels = random.integers(0, 256, (256, 256, 3), dtype=np.uint8)
                 Image.fromarray(texels).save(Path(folder, "skin.png"), compress_level=1)
                 mesh = fr.load_mesh(path)
-            model, lobe, fresnel, masking = terms[random.integers(len(terms))]
-            m = 0.1 + 1e-5 * (number - number % 100)
-            shading = fr.Shading(model=model, lobe=lobe, fresnel=fresnel, masking=masking, m=m)
+            m = 0.1 + 5e-6 * (number - number % 100)
+            shading = fr.Shading(**terms[random.integers(len(terms))], m=m)
             renderer.render(fr.Scene(mesh, fr.Camera(azimuth=float(number % 360))), shading)
             if number % 1000 == 0 and renderer.render(scene).linear.tobytes() != expected:
                 raise SystemExit(f"frame {number}: an unchanged scene renders to another image")
