@@ -21,7 +21,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,7 @@ class Nothing(Executor):
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         """Return the outcome of a chunk."""
-        return Outcome(chunk.number, len(chunk.rows), 0, (), 0.0, 0, "", "none")
+        return Outcome(chunk.number, len(chunk.rows), 0, (), 0.0, (), "", "none")
 
 
 class Small(Nothing):
@@ -59,13 +59,14 @@ class Small(Nothing):
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         begin(settings, chunk)
-        tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
-        writer = Writer(settings, chunk, tar, 0)
-        records = [
-            writer.write(i, {"image.png": b"nothing"}, {"job": row.tables, **_FACTS})
-            for i, row in enumerate(chunk.rows)
-        ]
-        commit(settings, chunk, tar, records)
+        shards = settings.layout == "shards"
+        with Storage(settings.output).temporary() if shards else nullcontext() as tar:
+            writer = Writer(settings, chunk, tar, 0)
+            records = [
+                writer.write(i, {"image.png": b"nothing"}, {"job": row.tables, **_FACTS})
+                for i, row in enumerate(chunk.rows)
+            ]
+            commit(settings, chunk, tar, records)
         return super().answer(settings, chunk)
 
 

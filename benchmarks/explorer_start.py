@@ -81,7 +81,7 @@ def peer(script: str, size: list[int]) -> str:
     scene = fr.Scene(mesh, job.camera)
     facts = {
         "size": size,
-        "eye": (mesh.radius * fr.view_of(scene, size[0] / size[1]).eye).tolist(),
+        "eye": (mesh.radius * fr.view_of(scene, size[0] / size[1]).position).tolist(),
         "fov": job.camera.fov,
         "lights": [
             {"direction": list(light.direction), "irradiance": _rgb(light.irradiance)}
