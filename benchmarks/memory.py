@@ -8,7 +8,7 @@
 --frames     the camera moves, and every frame is read back
 --dropped    each frame creates a renderer and does not release it
 --changes    each frame has another camera and random terms, every 10th a mesh with a map from new
-             files, every 100th another m; every 1000th time, one scene must give the same bytes
+             files, every 1000th another m; then an unchanged scene must give the same bytes
 --maps       albedo, normal and roughness maps of N x N texels, reduced to the size that the image
              needs, and full (--full-maps): peak memory of both, and the difference of the images
 
@@ -91,7 +91,7 @@ def changes(count: int, size: int, samples: int) -> Iterator[None]:
                 texels = random.integers(0, 256, (256, 256, 3), dtype=np.uint8)
                 Image.fromarray(texels).save(Path(folder, "skin.png"), compress_level=1)
                 mesh = fr.load_mesh(path)
-            m = 0.1 + 5e-6 * (number - number % 100)
+            m = 0.1 + 5e-6 * (number - number % 1000)
             shading = fr.Shading(**terms[random.integers(len(terms))], m=m)
             renderer.render(fr.Scene(mesh, fr.Camera(azimuth=float(number % 360))), shading)
             if number % 1000 == 0 and renderer.render(scene).linear.tobytes() != expected:
