@@ -93,7 +93,8 @@ def changes(count: int, size: int, samples: int) -> Iterator[None]:
                 mesh = fr.load_mesh(path)
             m = 0.1 + 5e-6 * (number - number % 1000)
             shading = fr.Shading(**terms[random.integers(len(terms))], m=m)
-            renderer.render(fr.Scene(mesh, fr.Camera(azimuth=float(number % 360))), shading)
+            camera = fr.Camera(azimuth=float(number % 360))
+            renderer.render(fr.Scene(mesh, camera, fr.Scene.lights[:1]), shading)
             if number % 1000 == 0 and renderer.render(scene).linear.tobytes() != expected:
                 raise SystemExit(f"frame {number}: an unchanged scene renders to another image")
             yield
