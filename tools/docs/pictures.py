@@ -2,9 +2,9 @@
 
 python -m tools.docs.pictures [NAME ...]      from the repository's root; a minute
 
-All images need an OpenGL context. slope-filter and occlusion also need the head scan of the tests,
-explorer needs Chromium. explorer also writes docs/explorer.html, the page of the built-in head. Its
-3.6 MB are not in the repository.
+All images need an OpenGL context. slope-filter, occlusion and heads also need the heads of the
+tests, explorer needs Chromium. explorer also writes docs/explorer.html, the page of the built-in
+head. Its 3.6 MB are not in the repository.
 """
 
 from __future__ import annotations
@@ -178,6 +178,20 @@ def occlusion(size: int = 440) -> None:
     save("occlusion", [images], 88)
 
 
+def heads(size: int = 480) -> None:
+    """Draw the scan and ICT-FaceKit's head with default settings."""
+    if (folder := scan_folder()) is None:
+        raise SystemExit("no head scan: set FACERENDER_TEST_DATA")
+    face_kit = fr.load_mesh(folder.parent / "ICT-FaceKit" / "generic_neutral_mesh.obj")
+    with fr.Renderer((size, size)) as renderer:
+        images = [
+            renderer.render(fr.Scene(mesh, camera)).srgb8()
+            for mesh in (load_scan(folder), face_kit)
+            for camera in (fr.Camera(), fr.Camera(-35.0, 3.0))
+        ]
+    save("gallery/heads", [images], 88)
+
+
 def gallery() -> None:
     """Run the commands and the Python code of docs/gallery.md; write their images as JPEG, and
     animations as they are, for that page."""
@@ -211,7 +225,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     **{"gallery": gallery, "readme": readme},
     **{"exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
     **{"environment": environment, "lobes": lobes, "scattering": scattering, "shadows": shadows},
-    "occlusion": occlusion,
+    **{"occlusion": occlusion, "heads": heads},
 }
 
 
