@@ -25,6 +25,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from random import Random
@@ -139,7 +140,11 @@ def living(coordinator: psutil.Popen, cluster: Cluster) -> dict[str, list[psutil
 
 
 def killed(
-    command: list[str], out: Path, cluster: Cluster, options: argparse.Namespace, edit: object
+    command: list[str],
+    out: Path,
+    cluster: Cluster,
+    options: argparse.Namespace,
+    edit: Callable[[int], None],
 ) -> tuple[Counter[str], Counter[str], float]:
     """Run a batch to its end while its processes are killed; call ``edit`` --edits times.
 

@@ -143,7 +143,7 @@ def main() -> None:
         table.write_text(table_of(jobs), encoding="utf-8")
         image = ("--size", str(options.size), "--samples", str(options.samples))
         batch = (sys.executable, "-m", "facerender", "batch", str(table), *image, "-o")
-        drawn = {
+        drawn: dict[str, Callable[[str], list[str]]] = {
             LOOP: script(sys.executable, "loop.py", path),
             "pool of processes": script(sys.executable, "pool.py", path),
             "facerender batch": lambda out: [*batch, out],
@@ -154,7 +154,7 @@ def main() -> None:
             drawn["pyrender"] = script(options.python_pyrender, "with_pyrender.py", path)
         if options.only:
             drawn = {name: drawn[name] for name in (LOOP, *options.only)}
-        figures: dict[str, list[tuple[float, float]]] = {name: [] for name in drawn}
+        figures: dict[str, list[tuple[float, float, float]]] = {name: [] for name in drawn}
         for turn in range(options.turns):
             for name, command in drawn.items():
                 out = folder / f"{turn}-{name}"

@@ -25,7 +25,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Playwright, sync_playwright
+from playwright.sync_api import Playwright, ViewportSize, sync_playwright
 
 import facerender as fr
 from facerender.explorer.page import explorer_page
@@ -35,7 +35,7 @@ from tests.verification import chromium
 
 ROOT = Path(__file__).parents[1]
 SOURCE = Path(__file__).parent / "peers" / "explorer" / "main.js"
-VIEWPORT = {"width": 1280, "height": 800}
+VIEWPORT: ViewportSize = {"width": 1280, "height": 800}
 EXPLORER, EQUAL, PLAIN = "facerender explore", "three.js, equal", "three.js, plain"
 
 # Records when the frame with the first draw of the mesh is complete. A draw with fewer than 1000
@@ -111,7 +111,7 @@ def first_image(playwright: Playwright, address: str, keep: Path | None) -> floa
     page.add_init_script(CLOCK)
     page.goto(address)
     page.wait_for_function("window.firstPicture")
-    time = page.evaluate("firstPicture")
+    time = float(page.evaluate("firstPicture"))
     if keep is not None:
         page.screenshot(path=keep)
     browser.close()

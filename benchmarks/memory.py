@@ -26,6 +26,7 @@ from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import moderngl  # noqa: F401
 import numpy as np
@@ -76,7 +77,7 @@ print(line)
 def changes(count: int, size: int, samples: int) -> Iterator[None]:
     random = np.random.default_rng(1)
     lobes = ("exact", "d8", "d16", "fitted")
-    terms = [{"model": "ward", "lobe": lobe} for lobe in lobes]
+    terms: list[dict[str, Any]] = [{"model": "ward", "lobe": lobe} for lobe in lobes]
     names = ("lobe", "fresnel", "masking")
     terms += [dict(zip(names, each, strict=True)) for each in product(lobes, FRESNEL, MASKING)]
     with TemporaryDirectory() as folder, fr.Renderer((size, size), samples=samples) as renderer:
@@ -125,7 +126,7 @@ def maps(side: int, size: int, samples: int) -> None:
             path = f"{folder}/{name}.png"
             Image.fromarray(texels.clip(0, 255).astype(np.uint8)).save(path, compress_level=1)
             files += [f"--{name}", path]
-        pictures = []
+        pictures: list[NDArray[np.float64]] = []
         for kind in ([], ["--full-maps"]):
             image = f"{folder}/image{len(pictures)}.exr"
             command = [sys.executable, "-c", COMMAND, "render", *files, *kind, "-o", image]

@@ -27,6 +27,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.images.srgb import linear_to_srgb
@@ -116,9 +117,10 @@ def frames_of(own: subprocess.Popen[str]) -> Callable[[int], object]:
     """Return a function that makes a peer's process render the next frame."""
 
     def frame(turn: int) -> None:
+        assert own.stdout is not None
         print(turn, file=own.stdin, flush=True)
         if not own.stdout.readline():
-            sys.exit(f"{own.args} ended")
+            sys.exit(f"{own.args!r} ended")
 
     return frame
 
@@ -133,13 +135,14 @@ def steady(frames: int, samples: int, peers: Mapping[str, str]) -> None:
             fr.Scene(mesh, fr.Camera(azimuth=2.0 * turn), PLAIN_THREE) for turn in range(frames)
         ]
 
-        def by_script(turn: int) -> np.ndarray:
+        def by_script(turn: int) -> NDArray[np.float32]:
             with script.ctx:
-                return script.frame(2.0 * turn)
+                return np.asarray(script.frame(2.0 * turn))
 
-        def by_facerender(turn: int) -> np.ndarray:
+        def by_facerender(turn: int) -> NDArray[np.float32]:
             return renderer.render(scenes[turn]).linear
 
+        actions: dict[str, Callable[[int], object]]
         actions = {"minimal script": by_script, "facerender": by_facerender}
         processes = {
             f"{peer}, own process": started(
