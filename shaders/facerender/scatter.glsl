@@ -96,8 +96,8 @@ float fr_scatter_turn(ivec2 pixel) {
 //             distance between the surface positions in the pixel and in pixel i. Both sums include
 //             the pixel itself with w = 1e-3, in case no other surface is near. Pixels outside the
 //             image are skipped.
-//   error:    In 8-bit levels, at 99 % of the pixels of a face: at most 13 with 16 samples, 10
-//             with 32 (tests/test_scattering.py). Float32 rounding: 1e-5 of the largest
+//   error:    In 8-bit levels, at 99 % of the pixels of two heads: at most 18 with 8 samples, 14
+//             with 16, 12 with 32, 11 with 64 (docs/measurements/skin.md). Float32 rounding: 1e-5 of the largest
 //             irradiance, except where a sample rounds into another pixel.
 vec3 fr_scatter(
     sampler2D light, sampler2D place, ivec2 pixel, float scale,
