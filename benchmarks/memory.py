@@ -7,8 +7,9 @@
 
 --frames     the camera moves, and every frame is read back
 --dropped    each frame creates a renderer and does not release it
---changes    each frame has another camera and random terms, every 10th a mesh with a map from new
-             files, every 1000th another m; then an unchanged scene must give the same bytes
+--changes    each frame has another camera and random terms, every 20th a shadow and a mesh with a
+             map from new files, every 5000th another m; every 1000th time, an unchanged scene must
+             give the same bytes
 --maps       albedo, normal and roughness maps of N x N texels, reduced to the size that the image
              needs, and full (--full-maps): peak memory of both, and the difference of the images
 
@@ -23,6 +24,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -86,16 +88,17 @@ def changes(count: int, size: int, samples: int) -> Iterator[None]:
         scene = fr.Scene(fr.load_mesh(small(unchanged)))
         expected = renderer.render(scene).linear.tobytes()
         for number in range(count):
-            if number % 10 == 0:
+            if number % 20 == 0:
                 path = small(Path(folder))
                 path.write_text(path.read_text().replace("v 1 0 0", f"v {1.0 + 1e-5 * number} 0 0"))
                 texels = random.integers(0, 256, (256, 256, 3), dtype=np.uint8)
                 Image.fromarray(texels).save(Path(folder, "skin.png"), compress_level=1)
                 mesh = fr.load_mesh(path)
-            m = 0.1 + 5e-6 * (number - number % 1000)
+            m = 0.1 + 5e-6 * (number - number % 5000)
             shading = fr.Shading(**terms[random.integers(len(terms))], m=m)
             camera = fr.Camera(azimuth=float(number % 360))
-            renderer.render(fr.Scene(mesh, camera, fr.Scene.lights[:1]), shading)
+            light = replace(fr.Scene.lights[0], shadow=number % 20 == 0)
+            renderer.render(fr.Scene(mesh, camera, (light,)), shading)
             if number % 1000 == 0 and renderer.render(scene).linear.tobytes() != expected:
                 raise SystemExit(f"frame {number}: an unchanged scene renders to another image")
             yield
