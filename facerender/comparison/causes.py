@@ -152,14 +152,14 @@ class Change:
     @property
     def roughness(self) -> float:
         """RMS of the change's fine detail."""
-        return float(np.sqrt(max(self.detail, 0.0) / max(self.inside.sum(), 1)))
+        return float(np.sqrt(max(self.detail, 0.0) / max(float(self.inside.sum()), 1.0)))
 
     @property
     def few(self) -> float:
         """Fraction of the squared change in the 0.1 % of the pixels that changed most."""
         power = (self.power * self.inside).ravel()
         count = max(int(self.inside.sum()) // 1000, 1)
-        return float(np.partition(power, -count)[-count:].sum() / max(power.sum(), 1e-12))
+        return float(np.partition(power, -count)[-count:].sum() / max(float(power.sum()), 1e-12))
 
     @property
     def at_edges(self) -> float:
@@ -168,7 +168,7 @@ class Change:
 
     def share(self, mask: Mask) -> float:
         """Return the fraction of the squared change in the pixels of a mask."""
-        return float(self.power[mask].sum() / max(self.power.sum(), 1e-12))
+        return float(self.power[mask].sum() / max(float(self.power.sum()), 1e-12))
 
     @property
     def by_factor(self) -> float:

@@ -435,7 +435,8 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
         ks.append(view.mapped.specular_weight[view.counted])
         light.append(specular.sum(axis=0)[view.counted] + 1e-9)
     weights = np.concatenate(light)
-    means = [_rounded(np.average(np.concatenate(arrays), weights=weights)) for arrays in (m, ks)]
+    averages = (np.average(np.concatenate(arrays), weights=weights) for arrays in (m, ks))
+    means = [_rounded(float(average)) for average in averages]
     faintest, frontal = (
         tuple(int(light) for light in np.argsort(maxima, kind="stable"))
         for maxima in (peaks, losses)

@@ -350,12 +350,12 @@ def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[
     shown = np.clip(places, -1.0, 1.0)
     low, high = shown.min(axis=0), shown.max(axis=0)
     cells = np.clip((places - low) / np.maximum(high - low, 1e-9) * _CELLS, -1.0, _CELLS)
-    cells = np.floor(cells).astype(np.int64) + 1
+    indices = np.floor(cells).astype(np.int64) + 1
     nearest = np.full((_CELLS + 2, _CELLS + 2), np.inf)
-    np.minimum.at(nearest, tuple(cells.T), np.where(depth > 0.0, depth, np.inf))
+    np.minimum.at(nearest, tuple(indices.T), np.where(depth > 0.0, depth, np.inf))
     around = np.pad(nearest[1:-1, 1:-1], 2, constant_values=np.inf)
     farthest = sliding_window_view(around, (3, 3)).max(axis=(2, 3))
-    return np.asarray(depth > farthest[tuple(cells.T)] + _BEHIND)
+    return np.asarray(depth > farthest[tuple(indices.T)] + _BEHIND)
 
 
 def _framing_distance(

@@ -58,7 +58,8 @@ def exact_d16() -> None:
     with fr.Renderer((960, 960)) as renderer:
         exact, d16 = (renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d16"))
     difference = np.abs(d16.linear[..., :3] - exact.linear[..., :3])
-    shown = (exact.srgb8(), d16.srgb8(), encode_srgb8(8.0 * difference))
+    amplified = np.multiply(difference, 8.0, dtype=np.float32)
+    shown = (exact.srgb8(), d16.srgb8(), encode_srgb8(amplified))
     save("exact-d16", [map(halved, shown)], 90)
 
 

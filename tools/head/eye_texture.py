@@ -91,7 +91,8 @@ def _iris(around: Floats, place: Floats, random: np.random.Generator) -> Floats:
     # Furrows of the outer iris.
     for furrow, depth in ((0.60, 0.14), (0.76, 0.18)):
         bent = place - furrow - 0.03 * np.sin(3 * around + 9 * furrow) - 0.01 * fibre
-        colour = colour * (1 - depth * bell(bent / 0.02))[:, None]
+        shade = 1 - depth * bell(np.asarray(bent / 0.02, np.float32))
+        colour = np.asarray(colour * shade[:, None], np.float32)
     colour = cover(np.asarray(colour, np.float32), 0.85 * ramp(0.66, 0.94, place), RIM)
     return cover(colour, 0.9 * ramp(0.075, 0.0, place), RUFF)
 
