@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import tarfile
+import tempfile
 import threading
 import time
 import tomllib
@@ -950,6 +951,20 @@ def check_place(table, draw, small, tmp_path: Path, place: str, layout: str, fre
 @pytest.mark.parametrize("layout", ["files", "shards"])
 def test_an_object_store_gets_the_same_files(table, draw, small, tmp_path, s3, layout):
     check_place(table, draw, small, tmp_path, f"{s3}/{layout}", layout, fresh=True)
+
+
+def test_a_url_leaves_the_temporary_folder_empty(table, draw, small, tmp_path, monkeypatch):
+    """Another user of the machine could not write to a folder that stays."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    for folder in ("begun", "records", "shards", "stale"):
+        (tmp_path / "there" / folder).mkdir(parents=True)
+    place = f"file://{tmp_path}/there"
+    jobs = table(rows(1, mesh=str(small)))
+    assert draw(jobs, "x", "--layout", "shards", "-o", place, fresh=True)["drawn"] == 1
+    assert [*temporary.glob(".*")] == []
 
 
 @pytest.mark.parametrize("layout", ["files", "shards"])

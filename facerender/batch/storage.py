@@ -83,10 +83,12 @@ class Storage:
     def temporary(self) -> Iterator[Path]:
         """Yield a unique local path, whose folder exists. Remove the file at the end of the context
         unless it has been moved."""
-        folder = Path(temporary_folder() if self.remote else self.root, _UNFINISHED)
-        with self.scratch():
-            folder.mkdir(parents=True, exist_ok=True)
-        file = folder / uuid4().hex
+        if self.remote:  # Users of a machine share this folder, so it gets no folder of one user.
+            file = Path(temporary_folder(), f".facerender-{uuid4().hex}")
+        else:
+            file = Path(self.root, _UNFINISHED, uuid4().hex)
+            with self.scratch():
+                file.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield file
         finally:
