@@ -29,7 +29,8 @@ LARGE = 64 << 20
 @pytest.fixture(autouse=True)
 def _few_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sample fewer points for framing, as tools.fuzz does; they take most of the time."""
-    monkeypatch.setattr(framing, "_SAMPLES", framing._SAMPLES // 100)
+    for name in ("_SAMPLES", "_FACE_SAMPLES"):
+        monkeypatch.setattr(framing, name, getattr(framing, name) // 100)
 
 
 def named(name: str) -> Subject:

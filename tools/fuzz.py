@@ -98,6 +98,7 @@ def work(share: Share) -> NoReturn:
             import_module(parser)
     # Sampling points on the surface of a few triangles took most of the time.
     framing._SAMPLES //= 100
+    framing._FACE_SAMPLES //= 100
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     chosen = [each for each in subjects() if share.only in each.name]

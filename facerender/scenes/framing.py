@@ -170,11 +170,11 @@ def _words(name: str) -> set[str]:
 
 def _found(mesh: Mesh) -> dict[str, Region | None]:
     surface = _Surface(mesh)
-    points = surface.points(surface.all)
+    points = surface.points(surface.all, _SAMPLES)
     named, clear = surface.named(mesh), False
     heads: list[_Head] = []
     for chosen in (named, surface.all) if named.any() else (surface.all,):
-        chosen_points = points if chosen.all() else surface.points(chosen)
+        chosen_points = points if chosen.all() else surface.points(chosen, _SAMPLES)
         if (head := _head(surface, chosen, chosen_points)) is not None:
             clear = head.has_nose or (chosen is named and _is_clear(mesh))
             heads = [head] if clear else [*heads, head]
@@ -219,7 +219,7 @@ class _Surface:
         self.owners = np.repeat(np.arange(len(counts)), counts)
         self.all = np.ones(len(self.corners), dtype=bool)
 
-    def points(self, chosen: NDArray[np.bool_], count: int = _SAMPLES) -> Float:
+    def points(self, chosen: NDArray[np.bool_], count: int) -> Float:
         """Return points of uniform density on triangles, (count, 3), in the renderer's space.
 
         chosen : mask of the triangles, (F,)
@@ -303,7 +303,7 @@ def _has_second(surface: _Surface, head: _Head) -> bool:
     beside = above & ((surface.high[:, 0] < low) | (surface.low[:, 0] > high))
     if surface.areas[beside].sum() < _SECOND * surface.areas[above & ~beside].sum():
         return False
-    second_head = _head(surface, beside, surface.points(beside))
+    second_head = _head(surface, beside, surface.points(beside, _SAMPLES))
     return second_head is not None and second_head.has_nose
 
 
