@@ -15,7 +15,7 @@ from typing import Any
 from uuid import uuid4
 
 from facerender.errors import InputError
-from facerender.system.atomic import reported
+from facerender.system.atomic import TEMPORARY, reported
 
 _UNFINISHED = ".unfinished"
 _AGAIN = "and run the same command again"
@@ -84,7 +84,7 @@ class Storage:
         """Yield a unique local path, whose folder exists. Remove the file at the end of the context
         unless it has been moved."""
         if self.remote:  # Users of a machine share this folder, so it gets no folder of one user.
-            file = Path(temporary_folder(), f".facerender-{uuid4().hex}")
+            file = Path(temporary_folder(), f"{TEMPORARY}{uuid4().hex}")
         else:
             file = Path(self.root, _UNFINISHED, uuid4().hex)
             with self.scratch():

@@ -14,7 +14,7 @@ from facerender.errors import InputError, reason
 from facerender.system.signals import if_ended
 
 ABANDONED = 3600.0  # age in seconds at which a temporary file counts as abandoned
-_UNFINISHED = ".facerender-"  # prefix of temporary files
+TEMPORARY = ".facerender-"  # prefix of temporary files
 _REMEDIES = {
     **dict.fromkeys((ENOSPC, EDQUOT), "free space there"),
     **dict.fromkeys((EACCES, EPERM), "correct its permissions"),
@@ -94,7 +94,7 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) ->
     InputError : as in :func:`check_writable`, or writing fails, for example on a full disk
     """
     target = check_writable(path)
-    temporary = target.with_name(f"{_UNFINISHED}{os.urandom(8).hex()}")
+    temporary = target.with_name(f"{TEMPORARY}{os.urandom(8).hex()}")
 
     def remove() -> None:
         with suppress(OSError):
@@ -112,7 +112,7 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
     """Remove the temporary files of :func:`write_whole` that killed processes left in a folder."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.startswith(_UNFINISHED):
+            if entry.name.startswith(TEMPORARY):
                 with suppress(OSError):
                     if entry.stat().st_mtime < time.time() - ABANDONED:
                         os.unlink(entry)
