@@ -6,8 +6,10 @@ until the output.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
@@ -90,9 +92,8 @@ def _iris(around: Floats, place: Floats, random: np.random.Generator) -> Floats:
     colour = colour * (1 + 0.40 * ridge)[:, None]
     # Furrows of the outer iris.
     for furrow, depth in ((0.60, 0.14), (0.76, 0.18)):
-        bent = place - furrow - 0.03 * np.sin(3 * around + 9 * furrow) - 0.01 * fibre
-        shade = 1 - depth * bell(np.asarray(bent / 0.02, np.float32))
-        colour = np.asarray(colour * shade[:, None], np.float32)
+        bent: NDArray[Any] = place - furrow - 0.03 * np.sin(3 * around + 9 * furrow) - 0.01 * fibre
+        colour = colour * (1 - depth * bell(bent / 0.02))[:, None]
     colour = cover(np.asarray(colour, np.float32), 0.85 * ramp(0.66, 0.94, place), RIM)
     return cover(colour, 0.9 * ramp(0.075, 0.0, place), RUFF)
 

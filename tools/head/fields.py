@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ def ramp(start: float, end: float, value: Floats) -> Floats:
     return np.asarray(share * share * (3 - 2 * share), np.float32)
 
 
-def bell(*offsets: Floats) -> Floats:
+def bell(*offsets: NDArray[Any]) -> Floats:
     """Return the Gaussian of offsets in standard deviations; 1 where all offsets are 0."""
     total = np.zeros((), np.float32)
     for offset in offsets:
