@@ -349,3 +349,27 @@ def test_simplified_mesh_keeps_its_regions(head):
 def test_a_frame_is_one_of_four():
     with pytest.raises(fr.InputError, match="camera frame = 'nose': give auto, all, head, face"):
         fr.Camera(frame="nose")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("width", [0.001, 0.01])
+def test_head_below_a_thin_tip_is_found(width):
+    """A strand of hair is not the head, although a wider shape follows below."""
+    shape, low = head_shape(), 0.115
+    tip = np.array([(-width, low, 0.0), (width, low, 0.0), (0.0, low + 0.06, 0.0)])
+    mesh = mesh_of("tip", [(shape.vertices, shape.faces), (tip, [(0, 1, 2)])])
+    low, high = ends(mesh, region := find_regions(mesh)["head"])
+    assert CHIN - 0.06 < low < CHIN + 0.005
+    assert CROWN - 0.004 < high < 0.176
+    assert 0.09 < region.radius * mesh.radius < 0.17
+    assert 0.8 < height_in_image(mesh, fr.Camera(frame="face"), TRICHION, MENTON) < 0.95
+
+
+@pytest.mark.parametrize("sizes", [(0, 1, 1), (1, 1, 0), (3e-4, 1, 1)])
+def test_regions_of_a_flat_box_are_the_box(sizes):
+    """The front and the back of the thin box are apart, so a row has points of one x only."""
+    corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij")).reshape(3, -1).T * sizes
+    faces = [(0, 1, 3), (0, 3, 2), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 3, 7), (2, 7, 6)]
+    regions = find_regions(mesh_of("box", [(corners, [*faces, (0, 2, 6), (1, 3, 7)])]))
+    assert regions["auto"] is None
+    for name in ("head", "face"):
+        assert regions[name].height == pytest.approx(0.707, abs=0.01)

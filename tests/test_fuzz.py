@@ -30,7 +30,7 @@ LARGE = 64 << 20
 def _few_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sample fewer points for framing, as tools.fuzz does; they take most of the time."""
     for name in ("_SAMPLES", "_FACE_SAMPLES"):
-        monkeypatch.setattr(framing, name, getattr(framing, name) // 100)
+        monkeypatch.setattr(framing, name, getattr(framing, name) // 16)
 
 
 def named(name: str) -> Subject:

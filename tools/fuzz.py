@@ -97,8 +97,8 @@ def work(share: Share) -> NoReturn:
         for parser in ("trimesh.exchange.load", "trimesh.visual", "tomllib"):
             import_module(parser)
     # Sampling points on the surface of a few triangles took most of the time.
-    framing._SAMPLES //= 100
-    framing._FACE_SAMPLES //= 100
+    framing._SAMPLES //= 16
+    framing._FACE_SAMPLES //= 16
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     chosen = [each for each in subjects() if share.only in each.name]

@@ -42,6 +42,7 @@ _ROWS, _FACE_ROWS = 256, 96  # number of rows for the whole mesh, and for its he
 _SHOULDERS = 1.55  # minimum: width of the shoulders / width of the head
 # Maximum: size of the neck / size of the head. Minimum: size below the neck / size of the neck.
 _NECK, _WIDENED = 0.88, 1.2
+_TIP = 0.05  # maximum: size of a tip above the head, such as a strand of hair / largest size
 _HEAD = (0.8, 2.0)  # range: height of the head / size of the head
 _BREADTH = 0.75  # maximum: width of the head / height of the head; wider hair is ignored
 _NOSE = (0.3, 0.82)  # range: distance from the top of the head to the nose / height of the head
@@ -108,8 +109,8 @@ def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
     cached.
 
     "auto" is the head if a head is found and the mesh is clearly larger than the head. Otherwise
-    "auto" is None, which means the whole mesh. If the mesh has no height, "head" and "face" are the
-    whole mesh.
+    "auto" is None, which means the whole mesh. If the mesh is flat, "head" and "face" are the whole
+    mesh.
     """
     if mesh.regions is not None:
         return mesh.regions
@@ -256,7 +257,7 @@ class _Surface:
 
 
 def _head(surface: _Surface, chosen: NDArray[np.bool_], points: Float) -> _Head | None:
-    """Return the head that triangles contain; None if the triangles have no height.
+    """Return the head that triangles contain; None if the triangles are flat.
 
     Parameters
     ----------
@@ -279,21 +280,22 @@ def _head(surface: _Surface, chosen: NDArray[np.bool_], points: Float) -> _Head 
         choice = candidate if choice is None or bun else choice
         if choice[3]:
             break
-    assert choice is not None
+    if choice is None:
+        return None
     neck, face, chin, has_nose = choice
     return _Head(body[body[:, 1] >= min(neck, chin)], chin, face, has_nose)
 
 
 def _with_hair(points: Float, head: Float) -> Float:
     """Return the points of a mesh that are in the head's neighbourhood: hair, but neither arms nor
-    long ponytails. If no point is, return the head."""
+    long ponytails. If these are fewer than half of the head's points, return the head."""
     low, high = head.min(axis=0), head.max(axis=0)
     middle, height = (low[0] + high[0]) / 2.0, high[1] - low[1]
     x, y, z = points.T
     near = (y >= low[1]) & (y <= high[1] + _ABOVE * height)
     near &= np.abs(x - middle) <= _BESIDE * height
     near &= (z >= high[2] - _BACK * height) & (z <= high[2] + _BEFORE * height)
-    return points[near] if near.any() else head
+    return points[near] if 2 * near.sum() >= len(head) else head
 
 
 def _has_second(surface: _Surface, head: _Head) -> bool:
@@ -332,8 +334,11 @@ def _ends(points: Float) -> Iterator[tuple[float, float]]:
     filled = np.isfinite(low[0])
     extents = np.subtract(high, low, out=np.zeros_like(low), where=filled)
     extents[:, 1:-1] = np.median([extents[:, i : i + _ROWS - 2] for i in range(3)], axis=0)
-    extents[:, -1] = extents[:, -2]  # few points are in the last row
-    size, start = np.sqrt(extents[0] * extents[1]), 0
+    extents[:, [0, -1]] = extents[:, [1, -2]]  # few points are in the first and the last row
+    size = np.sqrt(extents[0] * extents[1])
+    if not size.any():
+        return  # flat
+    start = int((size > _TIP * size.max()).argmax())
     for _ in range(_MOST_HEADS):
         end = start + _neck(extents[0, start:], size[start:], step)
         above = filled & (np.arange(_ROWS) <= end) & (np.arange(_ROWS) >= start)
