@@ -16,10 +16,9 @@ import pytest
 
 import facerender as fr
 from facerender.errors import FacerenderError, InputError, warn
-from facerender.scenes import framing
 from tests.conftest import require_module
 from tests.verification.fuzz.mutate import mutate
-from tests.verification.fuzz.subjects import FAULTS, Subject, examine, subjects
+from tests.verification.fuzz.subjects import FAULTS, REDUCED, Subject, examine, subjects
 
 ROOT = Path(__file__).parents[1]
 FOUND = sorted((Path(__file__).parent / "data" / "fuzz").iterdir())
@@ -27,10 +26,9 @@ LARGE = 64 << 20
 
 
 @pytest.fixture(autouse=True)
-def _few_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sample fewer points for framing, as tools.fuzz does; they take most of the time."""
-    for name in ("_SAMPLES", "_FACE_SAMPLES"):
-        monkeypatch.setattr(framing, name, getattr(framing, name) // 16)
+def _reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, name, value in REDUCED:
+        monkeypatch.setattr(module, name, value)
 
 
 def named(name: str) -> Subject:

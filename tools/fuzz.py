@@ -88,17 +88,21 @@ def work(share: Share) -> NoReturn:
     with following():
         from PIL import Image
 
-        from facerender.scenes import framing
         from tests.verification.fuzz.mutate import mutate
-        from tests.verification.fuzz.subjects import FAULTS, OUTCOMES, examine, subjects
+        from tests.verification.fuzz.subjects import (
+            FAULTS,
+            OUTCOMES,
+            REDUCED,
+            examine,
+            subjects,
+        )
 
         # Modules that are normally imported lazily.
         Image.init()
         for parser in ("trimesh.exchange.load", "trimesh.visual", "tomllib"):
             import_module(parser)
-    # Sampling points on the surface of a few triangles took most of the time.
-    framing._SAMPLES //= 16
-    framing._FACE_SAMPLES //= 16
+    for module, name, value in REDUCED:
+        setattr(module, name, value)
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     chosen = [each for each in subjects() if share.only in each.name]

@@ -21,16 +21,26 @@ import numpy as np
 import facerender as fr
 from facerender.batch.jobs import JobTable
 from facerender.commands import main
+from facerender.drawing.passes import shadow
 from facerender.errors import FacerenderError, InputError
 from facerender.images.read import read_image
 from facerender.loading.environment import load_environment
 from facerender.loading.vertices import posed
+from facerender.scenes import framing
 from facerender.scenes.file import EnvironmentFile, load_scene
 from tests.verification.fuzz import seeds
 
 SLOW = 10.0  # seconds of processor time per input; waiting is limited by HANGS
 LARGE = 1 << 30  # bytes of resident memory that one input may add
 LONGEST = 600  # characters in a message, which has one line
+# Smaller values of constants (module, name, value): points for framing and texels of shadow maps
+# take most of the time.
+REDUCED = (
+    (framing, "_SAMPLES", framing._SAMPLES // 16),
+    (framing, "_FACE_SAMPLES", framing._FACE_SAMPLES // 16),
+    (shadow, "_FEWEST_TEXELS", shadow._FEWEST_TEXELS // 8),
+    (shadow, "_BLOCKS", shadow._BLOCKS // 8),
+)
 _HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 OUTCOMES = ("clean", "warned", "refused", "crash", "unsound", "slow", "large")
