@@ -369,7 +369,21 @@ def test_regions_of_a_flat_box_are_the_box(sizes):
     """The front and the back of the thin box are apart, so a row has points of one x only."""
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij")).reshape(3, -1).T * sizes
     faces = [(0, 1, 3), (0, 3, 2), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 3, 7), (2, 7, 6)]
-    regions = find_regions(mesh_of("box", [(corners, [*faces, (0, 2, 6), (1, 3, 7)])]))
+    mesh = mesh_of("box", [(corners, [*faces, (0, 2, 6), (1, 3, 7)])])
+    check_regions_are_the_mesh(mesh)
+
+
+def check_regions_are_the_mesh(mesh):
+    regions = find_regions(mesh)
     assert regions["auto"] is None
+    own = view_of(fr.Scene(mesh), 1.0).position
     for name in ("head", "face"):
-        assert regions[name].height == pytest.approx(0.707, abs=0.01)
+        position = view_of(fr.Scene(mesh, fr.Camera(frame=name)), 1.0).position
+        np.testing.assert_allclose(position, own, rtol=1e-6)
+
+
+def test_regions_of_a_mesh_with_a_far_vertex_are_the_mesh():
+    """All triangles but one are at one point in float64."""
+    shape = ball((0, 0, 0), (1, 1, 1))
+    shape.vertices[0] = (0.0, 0.0, 1e30)
+    check_regions_are_the_mesh(mesh_of("far", [(shape.vertices, shape.faces)]))

@@ -182,7 +182,11 @@ def _found(mesh: Mesh) -> dict[str, Region | None]:
         if clear:
             break
     if not heads:
-        return {"auto": None, **dict.fromkeys(("head", "face"), _region(points))}
+        radius, height = map(float, np.abs(mesh.profile).max(axis=0))
+        return {
+            "auto": None,
+            **dict.fromkeys(("head", "face"), Region(np.zeros(3), radius, height)),
+        }
     region = _region(_with_hair(np.concatenate([points, heads[0].points]), heads[0].points))
     wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
     larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height
