@@ -5,11 +5,12 @@ The mesh must have y up, and its face must look along +z.
 If the mesh file names parts or joints of a head, the search uses only the surface of these parts or
 joints, and then adds the hair and other parts near it. Otherwise it uses the whole surface.
 
-The algorithm scans rows of a front view from the top down. The head ends at the neck: the narrowest
-row between the head's widest row and the shoulders, if the head's height is then plausible. If hair
-hides the neck, the head ends at the shoulders. Without neck and shoulders, the whole surface is the
-head. If the part above a neck is small and has no nose, that part is a hair bun, and the head ends
-at the next neck below.
+The algorithm scans rows of a front view from the top down, below the thin rows of a tip such as a
+strand of hair. The head ends at the neck: the narrowest row between the head's widest row and the
+shoulders, if the head's height is then plausible. If hair hides the neck, the head ends at the
+shoulders. Without neck and shoulders, the whole surface is the head. If the part above a neck is
+small and has no nose, that part is a hair bun, and the head ends at the next neck below. A flat
+mesh has no head.
 
 The nose is the row whose middle protrudes most beyond the points on both sides. The chin is the row
 below which the front of the face recedes and stays behind. The root of the nose is the row above
