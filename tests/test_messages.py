@@ -167,7 +167,7 @@ MESSAGES = [
         "render tri.obj --scattering skin -o x.png",
         (
             "scattering needs the size of tri.obj, which does not specify its unit: give "
-            "--millimetres 140000 for a head of 230 mm (load_mesh(..., millimetres=140000))"
+            "--millimetres 230 for a head of 230 mm (load_mesh(..., millimetres=230))"
         ),
     ),
     (
