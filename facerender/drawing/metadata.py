@@ -97,7 +97,8 @@ def _mesh(mesh: Mesh) -> str:
 
 def _checksum(part: Part) -> int:
     if part not in _checksums:
-        _checksums[part] = zlib.crc32(part.positions.astype(np.float32).tobytes())
+        with np.errstate(over="ignore"):  # a pose may exceed float32
+            _checksums[part] = zlib.crc32(part.positions.astype(np.float32).tobytes())
     return _checksums[part]
 
 
