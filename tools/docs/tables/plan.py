@@ -17,7 +17,7 @@ RATES = (
     ("planned for", "{planned}"),
     ("budget", "{budget}"),
     ("planned cameras", _OVER.format("own")),
-    ("50 other cameras", _OVER.format("others")),
+    ("10 other cameras", _OVER.format("others")),
 )
 CHECKS = (
     ("GPU", "{name}"),
