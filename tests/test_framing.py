@@ -354,8 +354,8 @@ def test_a_frame_is_one_of_four():
 @pytest.mark.parametrize("width", [0.001, 0.01])
 def test_head_below_a_thin_tip_is_found(width):
     """A strand of hair is not the head, although a wider shape follows below."""
-    shape, low = head_shape(), 0.115
-    tip = np.array([(-width, low, 0.0), (width, low, 0.0), (0.0, low + 0.06, 0.0)])
+    shape = head_shape()
+    tip = np.array([(-width, 0.115, 0.0), (width, 0.115, 0.0), (0.0, 0.175, 0.0)])
     mesh = mesh_of("tip", [(shape.vertices, shape.faces), (tip, [(0, 1, 2)])])
     low, high = ends(mesh, region := find_regions(mesh)["head"])
     assert CHIN - 0.06 < low < CHIN + 0.005
@@ -376,10 +376,10 @@ def test_regions_of_a_flat_box_are_the_box(sizes):
 def check_regions_are_the_mesh(mesh):
     regions = find_regions(mesh)
     assert regions["auto"] is None
-    own = view_of(fr.Scene(mesh), 1.0).position
+    whole_position = view_of(fr.Scene(mesh), 1.0).position
     for name in ("head", "face"):
         position = view_of(fr.Scene(mesh, fr.Camera(frame=name)), 1.0).position
-        np.testing.assert_allclose(position, own, rtol=1e-6)
+        np.testing.assert_allclose(position, whole_position, rtol=1e-6)
 
 
 def test_regions_of_a_mesh_with_a_far_vertex_are_the_mesh():
