@@ -38,6 +38,7 @@ from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
 from facerender.scenes.environment import studio
 from facerender.scenes.material import MAPS
+from facerender.scenes.presets import changed
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
@@ -753,14 +754,35 @@ def test_renderer_does_not_keep_meshes_alive(renderer):
     others = len(renderer._resources.geometries)
     mesh = fr.load_mesh(MINI_HEAD)
     renderer.render(fr.Scene(mesh))
-    changed = mesh.with_material(m=0.2)
-    renderer.render(fr.Scene(changed))
+    variant = mesh.with_material(m=0.2)
+    renderer.render(fr.Scene(variant))
     renderer.render(fr.Scene(mesh), fr.Shading(m=0.25, ks=0.5, normal_map=False))
     assert len(renderer._resources.geometries) == others + 1, "variants share their geometry"
-    dead = weakref.ref(mesh), weakref.ref(changed), weakref.ref(mesh.parts[0])
-    del mesh, changed
+    dead = weakref.ref(mesh), weakref.ref(variant), weakref.ref(mesh.parts[0])
+    del mesh, variant
     gc.collect()
     assert [reference() for reference in dead] == [None] * 3
+
+
+def test_maps_of_earlier_frames_are_freed(renderer):
+    mesh = fr.load_mesh(MINI_HEAD)
+    for level in range(6):
+        albedo = fr.Texture.from_array(np.full((8, 8, 3), 40 * level, np.uint8))
+        renderer.render(fr.Scene(mesh.with_material(albedo_map=albedo)))
+    with renderer.context.drawing() as gl:
+        assert gl.gc() < 4, "only objects of the last frame wait to be freed"
+
+
+def test_copies_of_a_material_share_packed_maps():
+    grey = [fr.Texture.from_array(np.full((4, 4), 50 * i, np.uint8)) for i in range(3)]
+    material = fr.Material(occlusion_map=grey[0], roughness_map=grey[1], specular_map=grey[2])
+    packed = weakref.ref(changed(material, {"m": 0.2}).property_map)
+    gc.collect()
+    assert changed(material, {"m": 0.3}).property_map is packed() is not None
+    other = fr.Texture.from_array(np.zeros((4, 4), np.uint8))
+    foreign = weakref.ref(changed(material, {"roughness_map": other}).property_map)
+    gc.collect()
+    assert foreign() is None, "maps of a copy live as long as the copy"
 
 
 @pytest.mark.slow

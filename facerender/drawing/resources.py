@@ -251,7 +251,8 @@ class Resources:
         self.context.gl.gc()
 
     def settle(self) -> None:
-        """Free unused programs beyond MOST_PROGRAMS, and return freed memory to the system.
+        """Free dropped objects and unused programs beyond MOST_PROGRAMS, and return freed memory to
+        the system. The renderer calls this method before each frame.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
         head). After a frame that created GPU objects, this memory is released, and so are the
@@ -264,6 +265,7 @@ class Resources:
             for geometry in self.geometries.values():
                 geometry.forget(program)
         self._frame_programs.clear()
+        self.context.gl.gc()
         if not self._settled:
             for texture, uploaded in self.textures.items():
                 for kind in uploaded if not texture.coarse else ():
@@ -391,7 +393,8 @@ class Resources:
         if not maps:
             return
         costly: tuple[Kind, ...] = ("normal", "color", "data")
-        with self.context.drawing():
+        with self.context.drawing() as gl:
+            gl.gc()
             for name, source, kind in sorted(
                 maps, key=lambda map_: (costly.index(map_[2]), math.prod(map_[1].size))
             ):
@@ -453,7 +456,6 @@ class Resources:
             self.programs[source] = self.programs.pop(source)
         else:
             self._settled = False
-            self.context.gl.gc()
             stages = source.sources("330 core")
             try:
                 self.programs[source] = self.context.gl.program(
@@ -471,7 +473,6 @@ class Resources:
         setup, root = triangle_setup_of(part, mesh), part.root
         geometry = self.geometries.get(root)
         if geometry is None:
-            self.context.gl.gc()
             geometry = self.geometries[root] = Geometry.of(self.context.gl, root, setup)
         elif geometry.setup is not setup:
             geometry.show(setup)
@@ -482,7 +483,6 @@ class Resources:
         gl, geometry = self.context.gl, self.geometry(part, mesh)
         if geometry.table is None:
             self._settled = False
-            gl.gc()
             geometry.table = TriangleTable.of(gl, part.root)
         table = geometry.table
         if table.setup is geometry.setup:
@@ -511,7 +511,6 @@ class Resources:
         """Return a texture of triangle indices, IN_ROW in a row."""
         root = part.root
         if root not in self.selected:
-            self.context.gl.gc()
             self.selected[root] = _empty(self.context.gl, len(part.faces), 1, 1)
         _fill(self.selected[root], order.astype(np.float32))
         return self.selected[root]
@@ -520,7 +519,6 @@ class Resources:
         """Return the texture of a panorama, which is uploaded on first use."""
         if source not in self.panoramas:
             self._settled = False
-            self.context.gl.gc()
             height, width, components = source.map.shape
             texture = self.context.gl.texture((width, height), components, source.map, dtype="f4")
             texture.filter = moderngl.NEAREST, moderngl.NEAREST

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -162,8 +162,29 @@ class Material:
     @cached_property
     def property_map(self) -> Texture | None:
         """Occlusion, roughness and specular map packed in one texture, to save texture fetches.
-        None without any of these maps, or if they differ in wrap mode, filtering or coordinates."""
-        return pack(*self.properties) if self.packs else None
+        None without any of these maps, or if they differ in wrap mode, filtering or coordinates.
+
+        Copies with the same maps share this texture, also if an earlier copy is no longer in use.
+        """
+        if not self.packs:
+            return None
+        packed = pack(*self.properties)
+        maps, textures = self._packed
+        if maps.issuperset(self.properties):
+            textures.add(packed)
+        return packed
+
+    @cached_property
+    def _packed(self) -> tuple[frozenset[Texture | None], set[Texture]]:
+        """Maps that :meth:`with_values` has copied, and the textures in which they are packed.
+        Copies share this property, so the textures exist as long as the original."""
+        return frozenset({*self.properties, None}), set()
+
+    def with_values(self, **values: Any) -> Material:
+        """Return a copy with other values of fields."""
+        copy = replace(self, **values)
+        vars(copy)["_packed"] = self._packed  # sets the cached property
+        return copy
 
     @property
     def properties(self) -> tuple[Texture | None, Texture | None, Texture | None]:

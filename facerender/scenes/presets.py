@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 from facerender.errors import InputError, check_known, shown
@@ -95,7 +95,7 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
         values = _fields_for(material, preset(name)) | values
     if "m" in values:
         values = {"roughness_map": None, **values}
-    return replace(material, **values)
+    return material.with_values(**values)
 
 
 def without_effect(
