@@ -387,3 +387,8 @@ def test_regions_of_a_mesh_with_a_far_vertex_are_the_mesh():
     shape = ball((0, 0, 0), (1, 1, 1))
     shape.vertices[0] = (0.0, 0.0, 1e30)
     check_regions_are_the_mesh(mesh_of("far", [(shape.vertices, shape.faces)]))
+
+
+def test_copies_with_other_materials_share_regions():
+    mesh = fr.load_mesh()
+    assert find_regions(mesh.with_material(m=0.2)) is find_regions(mesh.with_material(m=0.3))

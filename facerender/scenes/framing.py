@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import check_type
 from facerender.scenes.camera import Frame
-from facerender.scenes.mesh import Mesh, Region, in_space
+from facerender.scenes.mesh import Mesh, Region, ShapeKey, in_space
 from facerender.scenes.repair import used
 
 Float = NDArray[np.float64]
@@ -85,7 +85,7 @@ _OTHER_WORDS = {
 _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
 _HAIR_WORDS = {"braid", "braids", "hair", "ponytail"}
 
-_known: WeakKeyDictionary[Mesh, Mapping[str, Region | None]] = WeakKeyDictionary()
+_known: WeakKeyDictionary[ShapeKey, Mapping[str, Region | None]] = WeakKeyDictionary()
 
 
 class _Head(NamedTuple):
@@ -117,9 +117,9 @@ def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
         return mesh.regions
     if mesh.rest is not None:
         return _scaled(find_regions(mesh.rest), mesh.rest.radius / mesh.radius)
-    if mesh not in _known:
-        _known[mesh] = _found(mesh)
-    return _known[mesh]
+    if mesh.shape_key not in _known:
+        _known[mesh.shape_key] = _found(mesh)
+    return _known[mesh.shape_key]
 
 
 def _scaled(regions: Mapping[str, Region | None], scale: float) -> Mapping[str, Region | None]:

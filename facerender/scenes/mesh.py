@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -139,6 +140,10 @@ class Region:
     def profile(self) -> NDArray[np.float64]:
         """Outline of the cylinder: distance from its axis, and height, like ``Mesh.profile``."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])
+
+
+class ShapeKey:
+    """Weakly referenced key of cached values that depend on the shape of a mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,6 +343,11 @@ class Mesh:
             return f"its {len(self.parts)} parts have no names"
         return f"its parts are {', '.join(part.name for part in self.parts)}"
 
+    @cached_property
+    def shape_key(self) -> ShapeKey:
+        """Key of the cached regions. Copies with other materials share it."""
+        return ShapeKey()
+
     @property
     def skin(self) -> tuple[int, ...]:
         """Indices of the parts that are skin: their ``Part.skin`` is true, and their materials have
@@ -431,7 +441,9 @@ class Mesh:
         ):
             warn(f"{fault}: give both for a part of {self.name}")
         materials = tuple(updates.get(i, material) for i, material in enumerate(self.materials))
-        return replace(self, materials=materials)
+        copy = replace(self, materials=materials)
+        vars(copy)["shape_key"] = self.shape_key  # sets the cached property
+        return copy
 
     @property
     def shapes(self) -> tuple[str, ...]:
