@@ -366,6 +366,7 @@ def test_a_line_of_costs():
     flat = Line(5.0, 0.0)
     assert Line.through((10.0, 5.0), (5.0, 6.0)) == flat  # the lower price was slower
     assert Line.through((10.0, 5.0), (10.0, 4.0)) == flat  # equal prices
+    assert Line.through((10.0, 5.0), (9.0, 4.0)) == Line(0.0, 0.5)  # steeper: from 0
 
 
 @pytest.fixture

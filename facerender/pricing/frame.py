@@ -91,11 +91,12 @@ class Line:
     def through(cls, full: tuple[float, float], cheap: tuple[float, float]) -> Line:
         """Return the line through two frames, each given by its fragment price and milliseconds.
 
-        The slope is 0 if the cheaper frame was not faster.
+        The slope is 0 if the cheaper frame was not faster. If noise makes the line steep, the line
+        ends at the origin instead, so that no shading saves more than the whole frame.
         """
         (price, time), (low_price, low_time) = full, cheap
         slope = (time - low_time) / (price - low_price) if price > low_price else 0.0
-        slope = max(slope, 0.0)
+        slope = min(max(slope, 0.0), time / price)
         return cls(time - slope * price, slope)
 
     def cost(self, total: float, specular: float) -> tuple[float, float]:
