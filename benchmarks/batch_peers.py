@@ -174,6 +174,7 @@ def main() -> None:
                 f"CPU ms {cpu} {ratios[2]:.2f}   {away:.1f}/255"
             )
         if options.keep:
+            options.keep.mkdir(parents=True, exist_ok=True)
             for name in drawn:
                 (folder / f"{options.turns - 1}-{name}").rename(options.keep / name)
 

@@ -17,7 +17,7 @@ RATES = (
     ("planned for", "{planned}"),
     ("budget", "{budget}"),
     ("planned cameras", _OVER.format("own")),
-    ("10 other cameras", _OVER.format("others")),
+    ("other cameras", _OVER.format("others")),
 )
 CHECKS = (
     ("GPU", "{name}"),

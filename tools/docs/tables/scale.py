@@ -23,7 +23,7 @@ SCHEDULER = (
 PLAN_HEAD = ("part", "measured, or limit", "for 10^8 images a day", "utilisation")
 PLAN = (
     (
-        *("cores", "{draw_ms:.0f} ms per image, {base.chunk_start:.1f} s per chunk for its mesh"),
+        *("cores", "{draw_ms:.0f} ms per image, {base.chunk_start:.2f} s per chunk for its mesh"),
         *("{base.workers} in {machines} machines of 16", "{fraction[workers]:.1f%}"),
     ),
     ("chunks", "{base.chunk} jobs", "{shards:.1f}/s, {shards_day:.2f} M a day", ""),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tools.docs.tables import load, machine, table, with_median
-from tools.docs.tables.frame import PLANS
+from tools.docs.tables import load, machine, table
 
 COSTS = (
     ("frame", "{part}"),
@@ -14,10 +13,11 @@ COSTS = (
 
 def blocks() -> dict[str, str]:
     data = load("skin_together")
-    over = sum(each["over_budget"] for each in data["plans"])
+    plans = data["plans"]
+    full = sum(each["chosen"] == "the full frame" for each in plans)
     return {
         "machine": machine(data),
         "costs": table(COSTS, data["costs"]),
-        "plans": table(PLANS, with_median(data["plans"], data["median"])),
-        "violations": f"{over} of {len(data['plans'])}",
+        "full": f"{full} of {len(plans)}",
+        "forward": f"{data['median']['of_drawn']:.2f}",
     }
