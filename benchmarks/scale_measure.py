@@ -27,6 +27,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -71,6 +72,9 @@ def draw() -> dict[str, Any]:
 
     head = MeshFile(str(data_dir("assets") / "head.glb"))
     head.load(cache=True)
+    for thread in threading.enumerate():
+        if thread.name == "facerender-cache":
+            thread.join()
     start = time.process_time()
     head.load(cache=True)
     loaded = time.process_time() - start
