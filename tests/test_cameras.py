@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,9 +130,7 @@ def test_turntable_replaces_matrices_by_azimuths(mini):
 
 def test_camera_and_its_matrices_give_the_same_image(mini):
     """This includes subsurface scattering, whose radius in pixels depends on the camera."""
-    mesh = fr.Mesh(**{**vars(mini), "millimetres": 1000.0 * 0.15 / mini.radius}).with_material(
-        scattering="skin"
-    )
+    mesh = replace(mini, millimetres=1000.0 * 0.15 / mini.radius).with_material(scattering="skin")
     camera = fr.Camera(25.0, 10.0, zoom=1.3)
     with fr.Renderer(SIZE, samples=1) as renderer:
         own = renderer.render(fr.Scene(mesh, camera)).linear
