@@ -783,6 +783,12 @@ def test_copies_of_a_material_share_packed_maps():
     foreign = weakref.ref(changed(material, {"roughness_map": other}).property_map)
     gc.collect()
     assert foreign() is None, "maps of a copy live as long as the copy"
+    maps = weakref.ref(grey[1])
+    plain = changed(material, {"occlusion_map": None, "roughness_map": None, "specular_map": None})
+    del material, grey
+    gc.collect()
+    assert maps() is None, "a copy without maps does not keep them alive"
+    assert plain.property_map is None
 
 
 @pytest.mark.slow

@@ -117,9 +117,10 @@ def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
         return mesh.regions
     if mesh.rest is not None:
         return _scaled(find_regions(mesh.rest), mesh.rest.radius / mesh.radius)
-    if mesh.shape_key not in _known:
-        _known[mesh.shape_key] = _found(mesh)
-    return _known[mesh.shape_key]
+    key = mesh.shape_key  # read once: two threads may set it
+    if (regions := _known.get(key)) is None:
+        regions = _known[key] = _found(mesh)
+    return regions
 
 
 def _scaled(regions: Mapping[str, Region | None], scale: float) -> Mapping[str, Region | None]:

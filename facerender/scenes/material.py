@@ -169,21 +169,20 @@ class Material:
         if not self.packs:
             return None
         packed = pack(*self.properties)
-        maps, textures = self._packed
-        if maps.issuperset(self.properties):
-            textures.add(packed)
+        self._packed[1].add(packed)
         return packed
 
     @cached_property
     def _packed(self) -> tuple[frozenset[Texture | None], set[Texture]]:
-        """Maps that :meth:`with_values` has copied, and the textures in which they are packed.
-        Copies share this property, so the textures exist as long as the original."""
+        """Maps of a material, and the textures in which its copies pack them. Copies that have none
+        but these maps share this property, so the textures exist as long as one of the copies."""
         return frozenset({*self.properties, None}), set()
 
     def with_values(self, **values: Any) -> Material:
         """Return a copy with other values of fields."""
         copy = replace(self, **values)
-        vars(copy)["_packed"] = self._packed  # sets the cached property
+        if copy.packs and self._packed[0].issuperset(copy.properties):
+            vars(copy)["_packed"] = self._packed  # sets the cached property
         return copy
 
     @property
