@@ -27,7 +27,6 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -69,12 +68,11 @@ def draw() -> dict[str, Any]:
     """Measure the time per image as the difference of a longer and a shorter batch."""
     from facerender import MeshFile
     from facerender.system.data import data_dir
+    from tests.verification.cache import wait_for_cache
 
     head = MeshFile(str(data_dir("assets") / "head.glb"))
     head.load(cache=True)
-    for thread in threading.enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
+    wait_for_cache()
     start = time.process_time()
     head.load(cache=True)
     loaded = time.process_time() - start

@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -150,13 +149,6 @@ def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
     return tmp_path / "cache" / "facerender"
-
-
-def wait_for_cache() -> None:
-    """Wait until all loaded meshes are written to the cache."""
-    for thread in threading.enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
 
 
 @pytest.fixture

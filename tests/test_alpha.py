@@ -27,9 +27,9 @@ from facerender.scenes.mesh import Part
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 from tests.awkward_files import assert_equal
-from tests.conftest import wait_for_cache
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped
+from tests.verification.cache import wait_for_cache
 from tests.verification.lights import PLAIN
 from tests.verification.parts_head import NAMES, hairs, parts_head
 

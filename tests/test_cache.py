@@ -24,8 +24,8 @@ from facerender.scenes.framing import find_regions
 from facerender.system import cache
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
-from tests.conftest import wait_for_cache
 from tests.test_cli import assert_error
+from tests.verification.cache import wait_for_cache
 
 SMALL = ("--size", "48", "--samples", "1", "--light", "key,radius=0,no-shadow")
 

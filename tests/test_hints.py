@@ -13,8 +13,8 @@ from facerender.commands import main
 from facerender.errors import noting
 from facerender.scenes import hints
 from tests.awkward_files import MINI_HEAD, mini_head, write_glb, write_obj
-from tests.conftest import wait_for_cache
 from tests.test_batch import draw, reused, rows, table  # noqa: F401  # fixtures
+from tests.verification.cache import wait_for_cache
 from tests.verification.scan import load_scan
 
 RNG = np.random.default_rng(33)

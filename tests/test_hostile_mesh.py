@@ -29,7 +29,7 @@ from facerender.system import cache
 from facerender.system.data import data_dir
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
-from tests.conftest import wait_for_cache
+from tests.verification.cache import wait_for_cache
 
 Change = Callable[[dict[str, Any]], Any]
 

@@ -29,7 +29,7 @@ from tests.awkward_files import (
     write_stl,
     write_textured_obj,
 )
-from tests.conftest import wait_for_cache
+from tests.verification.cache import wait_for_cache
 from tests.verification.lights import PLAIN
 
 HEAD = mini_head()

@@ -24,7 +24,8 @@ from tests.awkward_files import (
     write_ply,
     write_stl,
 )
-from tests.conftest import require_module, wait_for_cache
+from tests.conftest import require_module
+from tests.verification.cache import wait_for_cache
 
 VERTICES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"

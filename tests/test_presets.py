@@ -19,8 +19,9 @@ from facerender.scenes.file import parse_part, part_text, scene_toml
 from facerender.scenes.material import SKIN_ALBEDO, Material
 from facerender.scenes.presets import PRESETS, preset_of
 from tests.awkward_files import mini_head, write_glb
-from tests.conftest import missing, wait_for_cache
+from tests.conftest import missing
 from tests.test_parts import FACES, VERTICES, names, row, run
+from tests.verification.cache import wait_for_cache
 from tests.verification.scan import TEST_DATA
 
 KNOWN = {

@@ -19,7 +19,7 @@ from facerender.commands import main
 from facerender.errors import InputError
 from tests import awkward_files as files
 from tests.awkward_files import assert_equal, join_glb
-from tests.conftest import wait_for_cache
+from tests.verification.cache import wait_for_cache
 
 KINDS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
 KINDS["|u1"], KINDS["|i1"] = 5121, 5120

@@ -20,9 +20,10 @@ from facerender.scenes import hints
 from facerender.scenes.file import scene_toml
 from facerender.scenes.repair import Piece
 from tests.awkward_files import gltf, join_glb, mini_head
-from tests.conftest import require_module, wait_for_cache
+from tests.conftest import require_module
 from tests.test_parts import FACES, VERTICES, names, row, run
 from tests.test_presets import KNOWN
+from tests.verification.cache import wait_for_cache
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*presets by name")
 

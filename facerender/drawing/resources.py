@@ -251,7 +251,7 @@ class Resources:
         self.context.gl.gc()
 
     def settle(self) -> None:
-        """Free dropped objects and unused programs beyond MOST_PROGRAMS, and return freed memory to
+        """Free dropped objects, and unused programs beyond MOST_PROGRAMS. Return freed memory to
         the system. The renderer calls this method before each frame.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in

@@ -15,9 +15,11 @@ def blocks() -> dict[str, str]:
     data = load("skin_together")
     plans = data["plans"]
     full = sum(each["chosen"] == "the full frame" for each in plans)
+    over = sum(each["over_budget"] for each in plans)
     return {
         "machine": machine(data),
         "costs": table(COSTS, data["costs"]),
         "full": f"{full} of {len(plans)}",
+        "violations": f"{over} of {len(plans)}",
         "forward": f"{data['median']['of_drawn']:.2f}",
     }
