@@ -18,11 +18,11 @@ from facerender.commands.streams import print_message
 from facerender.errors import InputError, shown
 from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.loading.references import named_files
-from facerender.loading.source import FORMATS, GLTF
+from facerender.loading.source import FORMATS, GLTF, source_of
 from facerender.scenes.file import STUDIO, ImageSettings, parse_part
 from facerender.scenes.presets import PRESETS
 from facerender.system.atomic import check_writable, remove_abandoned
-from facerender.system.files import check_file, suffix_of
+from facerender.system.files import check_file
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, Range, range_of
 
@@ -271,7 +271,7 @@ def part_materials(
 def check_inputs(job: Job) -> None:
     """Raise InputError if an input file of a job is missing, before other checks refer to it."""
     if job.mesh.path is not None:
-        suffix_of(job.mesh.path, (*FORMATS,), "mesh", "a mesh file")
+        source_of(job.mesh.path)
     for name in MESH_PATHS:
         if name != "path" and (path := getattr(job.mesh, name)) is not None:
             check_file(path, "an image file")
@@ -354,7 +354,7 @@ def import_trimesh(mesh: str | None) -> None:
     # trimesh imports scipy and networkx if they are installed; no switch prevents that. The import
     # takes 1.0 s with both and 0.23 s without, and reading a file needs neither. Hiding both is
     # safe: no other code runs in the process of the command.
-    if mesh is None or Path(mesh).suffix.lower() in GLTF:
+    if source_of(mesh).suffix in GLTF:
         return
     absent = [name for name in ("scipy", "networkx") if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]

@@ -22,10 +22,11 @@ from facerender.commands.common import (
 from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
+from facerender.loading.source import source_of
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, clips_of
-from facerender.scenes.presets import PRESETS, preset_of
+from facerender.scenes.presets import PRESETS
 from facerender.system.data import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
@@ -61,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     path = Path(options.mesh) if options.mesh else data_dir("assets") / "head.glb"
     facts = {
         "file": str(path),
-        "format": path.suffix.lower()[1:],
+        "format": source_of(path).suffix[1:],
         "bytes": path.stat().st_size,
         **facts_of(mesh),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
@@ -111,7 +112,7 @@ def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
         "triangles": len(part.faces),
         "has": [name for name in ("uv", "uv2", "colors") if getattr(part, name) is not None],
         "material": factors,
-        "preset": preset_of(material),
+        "preset": part.preset or None,
         "maps": {
             name: {
                 "name": texture.name,

@@ -30,7 +30,7 @@ from facerender.commands.help import Help
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped, warn
 from facerender.job import Job, MeshFile
-from facerender.loading.source import GLTF, NORMAL_MAP_Y
+from facerender.loading.source import GLTF, NORMAL_MAP_Y, source_of
 from facerender.scenes.camera import (
     CAMERA_FILES,
     FRAMES,
@@ -60,7 +60,6 @@ from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene, background_of, default_light
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
-from facerender.system.files import check_file
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
 
@@ -502,13 +501,17 @@ def _is_file(place: str) -> bool:
 def _file_cameras(
     place: str, file: str | None, name: str, size: tuple[int, int] | None
 ) -> dict[str, Camera]:
-    if place.startswith("gltf") and file is not None:
-        check_file(file, "a mesh file")
-    if place.startswith("gltf") and not (file or "").lower().endswith(GLTF):
-        raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
-    from facerender.loading.cameras import load_cameras
+    from facerender.loading.cameras import gltf_cameras, load_cameras
 
-    cameras = load_cameras(str(file), size)
+    if place.startswith("gltf"):
+        source = source_of(file)
+        if file is None or source.suffix not in GLTF:
+            raise InputError(
+                f"--camera {place}: the mesh is not a .glb or .gltf; give another camera"
+            )
+        cameras = gltf_cameras(source.read(), source.name)
+    else:
+        cameras = load_cameras(str(file), size)
     if not place.startswith("gltf:"):
         return cameras
     if name not in cameras:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, clipped, reason
 from facerender.system.files import check_downloaded
 
 if TYPE_CHECKING:
@@ -88,6 +88,25 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
         raise InputError(f"{name} is damaged ({reason(error)}); save it again") from None
     check_pixels(name, *image.size, 4, length)
     return image
+
+
+def in_srgb(image: Image, profile: bytes) -> tuple[Image, str]:
+    """Convert an image in mode L, RGB or CMYK from an ICC profile to sRGB, with relative
+    colorimetric intent, clipped to the sRGB gamut. Return the image in mode RGB, and the name of
+    the profile.
+
+    Raises
+    ------
+    OSError, ImageCms.PyCMSError : the profile is damaged, or does not match the channels
+    """
+    from PIL import ImageCms
+
+    source = ImageCms.ImageCmsProfile(BytesIO(profile))
+    srgb, intent = ImageCms.createProfile("sRGB"), ImageCms.Intent.RELATIVE_COLORIMETRIC
+    transform = ImageCms.buildTransform(source, srgb, image.mode, "RGB", intent)
+    converted = ImageCms.applyTransform(image, transform)
+    assert converted is not None  # only a conversion in place returns None
+    return converted, clipped(source.profile.profile_description or "no name")
 
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:

@@ -14,7 +14,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason
-from facerender.images.decode import MAX_BYTES, check_pixels, open_image, texels
+from facerender.images.decode import MAX_BYTES, check_pixels, in_srgb, open_image, texels
 from facerender.images.exr import read_exr
 from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file, suffix_of
@@ -144,15 +144,12 @@ def _to_srgb(pixels: NDArray[np.uint8], content: bytes) -> tuple[NDArray[np.uint
     ------
     OSError, ImageCms.PyCMSError : the profile is damaged, or does not match the channels
     """
-    from PIL import Image, ImageCms
+    from PIL import Image
 
     grey = pixels.shape[2] < 3
     colors = pixels[..., 0] if grey else np.ascontiguousarray(pixels[..., :3])
-    profile = ImageCms.ImageCmsProfile(BytesIO(content))
-    srgb, intent = ImageCms.createProfile("sRGB"), ImageCms.Intent.RELATIVE_COLORIMETRIC
-    transform = ImageCms.buildTransform(profile, srgb, "L" if grey else "RGB", "RGB", intent)
-    converted = np.asarray(ImageCms.applyTransform(Image.fromarray(colors), transform))
+    image, name = in_srgb(Image.fromarray(colors), content)
+    converted = np.asarray(image)
     result = pixels.copy()
     result[..., : 1 if grey else 3] = converted[..., 1:2] if grey else converted
-    changed = not np.array_equal(result, pixels)
-    return result, clipped(profile.profile.profile_description or "no name") if changed else ""
+    return result, "" if np.array_equal(result, pixels) else name

@@ -107,7 +107,7 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
             preset = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
         if preset is None or not _is_bare(piece):
             continue
-        piece.material = changed(piece.material, {"preset": preset})
+        piece.material, piece.preset = changed(piece.material, {"preset": preset}), preset
         if preset == "skin" and np.ptp(piece.material.albedo) < _GREY:
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
         if eye_map and any(piece is eye for eye in eyes):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
-from facerender.scenes.repair import Piece, check_count, placed
+from facerender.scenes.repair import Piece, check_count, placed, with_face_colors
 from facerender.scenes.texture import Texture
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ def piece_of(
     textures: dict[int, Texture],
     lost_images: bool,
     library: Library | None = None,
+    material_name: str = "",
 ) -> Piece:
     """Return a trimesh geometry as a piece.
 
@@ -107,6 +108,7 @@ def piece_of(
         because Pillow decodes an image in one thread only
     lost_images : whether an image that the file names is missing
     library : the materials of an OBJ file, or None
+    material_name : name of the material in an OBJ file
     """
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if vertices.shape[1:] != (3,):
@@ -125,15 +127,17 @@ def piece_of(
         uv = np.array(uv, dtype=np.float64)[:, :2]
     else:
         uv = None
+    has_colors = visual.kind in ("vertex", "face")
     colors = None
-    if visual.kind in ("vertex", "face"):
+    if visual.kind == "vertex":
         colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
     source = getattr(visual, "material", None)
     uv2 = None
     if library is None:
-        material = _material(source, colors is not None, name, textures)
+        material = _material(source, has_colors, name, textures)
+        material_name = str(getattr(source, "name", None) or "")
     else:
-        look = library.look(getattr(source, "name", ""), colors is not None)
+        look = library.look(material_name, has_colors)
         material = look.material
         if uv is not None:
             uv2 = None if look.second is None else look.second.applied(uv)
@@ -143,7 +147,7 @@ def piece_of(
         material = replace(material, albedo=SKIN_ALBEDO)
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
-    return Piece(
+    piece = Piece(
         positions=vertices,
         faces=faces,
         normals=normals,
@@ -152,8 +156,15 @@ def piece_of(
         material=material,
         out_of_range=int((~valid).sum()),
         uv2=uv2,
-        material_name=str(getattr(source, "name", None) or ""),
+        material_name=material_name,
+        ks_ignored=library is not None
+        and library.ignores_ks(library.materials.get(material_name, {})),
     )
+    if visual.kind != "face":
+        return piece
+    # trimesh needs SciPy to convert these colours to vertices, and would blur them.
+    face_colors = srgb_to_linear(np.asarray(visual.face_colors)[:, :3] / 255.0)
+    return with_face_colors(piece, face_colors)
 
 
 def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Texture]) -> Material:

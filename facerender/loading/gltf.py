@@ -63,6 +63,8 @@ class Primitive:
         values = self.decoded.get(key)
         if values is None:
             values = self.buffers.accessor(accessors[key])
+        else:
+            values = self.buffers.converted(values, accessors[key])
         if values.ndim != 2 or values.shape[1] not in widths:
             raise ValueError(f"{self.where}: {key} has the wrong type")
         return values
@@ -495,10 +497,10 @@ class _File:
         pose uses."""
         targets = primitive.properties.get("targets", ())
         if targets and primitive.where not in self.shapes:
-            extras = self.document["meshes"][instance.mesh].get("extras")
+            mesh = self.document["meshes"][instance.mesh]
             self.shapes[primitive.where] = self.rigs.shapes(
                 targets,
-                extras.get("targetNames") if isinstance(extras, dict) else None,
+                (mesh.get("extras"), primitive.properties.get("extras")),
                 len(primitive.positions),
                 primitive.vertices,
                 has_normals,

@@ -144,7 +144,7 @@ class RigReader:
     def shapes(
         self,
         targets: Sequence[Doc],
-        names: Any,
+        extras: Iterable[Any],
         count: int,
         kept: NDArray[np.int64] | slice,
         has_normals: bool,
@@ -154,13 +154,19 @@ class RigReader:
 
         Parameters
         ----------
-        names : targetNames of the file, of any type
+        extras : extras of the mesh and of the primitive, of any type. The first of them with
+            targetNames names the shapes. Otherwise the accessors do, if their names differ
         count : number of vertices in the file
         kept : indices of the vertices that the part keeps, in increasing order, or all
         has_normals : whether the part has normals, which targets may move
         where : path of the primitive, for messages
         """
-        stored_names = names if isinstance(names, list) else []
+        lists = [table.get("targetNames") for table in extras if isinstance(table, dict)]
+        accessors = self.document["accessors"]
+        of_accessors = [accessors[t["POSITION"]].get("name") for t in targets if "POSITION" in t]
+        if len({*of_accessors, ""}) > len(targets):  # exporters without targetNames write these
+            lists.append(of_accessors)
+        stored_names = next((names for names in lists if isinstance(names, list)), [])
         padded = [*stored_names[: len(targets)], *[None] * (len(targets) - len(stored_names))]
         shapes = []
         for i, (target, name) in enumerate(zip(targets, _named(padded, "shape"), strict=True)):

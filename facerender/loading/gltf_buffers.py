@@ -195,6 +195,17 @@ class Buffers:
             values[indices] = replacing
         return _normalized(values, accessor)
 
+    def converted(self, values: NDArray[Any], index: int) -> NDArray[Any]:
+        """Return Draco's values of an accessor, as the accessor without Draco would return them.
+
+        DracoPy returns all integers but 8-bit ones as 32-bit unsigned integers, so that the
+        accessor's type restores sign and range.
+        """
+        accessor = self.document["accessors"][index]
+        if values.dtype.kind in "iu":
+            values = values.astype(COMPONENTS[accessor["componentType"]])
+        return _normalized(values, accessor)
+
     def rows(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the indices of an accessor's rows that are not 0, in increasing order, and these
         rows. A sparse accessor without a view may have any length."""

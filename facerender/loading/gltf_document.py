@@ -62,6 +62,7 @@ _OBJECTS: dict[str, dict[str, Any]] = {
         "filter": "text",
     },
     "accessor": {
+        "name": "name",
         "bufferView": "#bufferViews",
         "byteOffset": "size",
         "componentType!": "component",
@@ -158,6 +159,7 @@ _OBJECTS: dict[str, dict[str, Any]] = {
         "material": "#materials",
         "mode": "mode",
         "targets": "[{#accessors}]",
+        "extras": "any",
         "extensions": {
             "KHR_draco_mesh_compression": {"bufferView!": "#bufferViews", "attributes!": "{size}"}
         },

@@ -47,7 +47,7 @@ _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
 
-_PLAIN_FIELDS = ("name", "skin", "source_count")
+_PLAIN_FIELDS = ("name", "skin", "source_count", "preset", "ks_ignored")
 _ARRAYS = tuple(
     field.name for field in fields(Part) if field.name not in (*_PLAIN_FIELDS, "rest", "rig")
 )

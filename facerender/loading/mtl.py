@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +17,7 @@ from facerender.loading.conventions import preset_for
 from facerender.loading.materials import Look, WarnOnce, image_of, second_of, unreadable
 from facerender.loading.references import UDIM, References, text_of
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
-from facerender.scenes.repair import Piece
+from facerender.scenes.repair import Piece, subset
 from facerender.scenes.texture import Texture, with_green_turned
 from facerender.scenes.vectors import MOST_RADIANCE, Vector
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
@@ -213,6 +213,29 @@ class Library:
             elif arguments.strip():
                 statements[key.lower()] = arguments.strip()
 
+    def matched(self, names: Sequence[str]) -> list[str]:
+        """Return a material for the name that each part of the OBJ file has, which is "" without
+        usemtl. If all parts have one name, they get the only material of an MTL file. Warn of names
+        that the MTL file lacks."""
+        known, missing = [*self.materials], sorted({*names} - self.materials.keys())
+        if not known or not missing:
+            return [*names]
+        listing = clipped(", ".join(known), 120)
+        if len(known) == len({*names}) == 1:
+            if names[0]:
+                self.warn(
+                    f"{self.name} uses the material {clipped(names[0], 60)}, but its MTL has only "
+                    f"{listing}: this is used"
+                )
+            return known * len(names)
+        for name in missing:
+            subject = f"uses the material {clipped(name, 60)}" if name else "has faces without one"
+            self.warn(
+                f"{self.name} {subject}, and its MTL has the materials {listing}: drawn without a "
+                "material; correct usemtl in the OBJ file"
+            )
+        return [*names]
+
     def look(self, name: str, has_colors: bool, tile: int = 0) -> Look[UvSpread]:
         """Return the look of a material, or the default look if the material is not defined.
 
@@ -259,22 +282,15 @@ class Library:
     ) -> Iterator[Piece]:
         """Yield the part of a piece on each UDIM tile, with texture coordinates moved into the unit
         square."""
-        assert piece.uv is not None
-        for tile, chosen in tiles.items():
-            vertices, inverse = np.unique(piece.faces[chosen], return_inverse=True)
+        for tile, mask in tiles.items():
+            part = subset(piece, mask)
             corner = (tile - 1001) % 10, (tile - 1001) // 10
+            assert part.uv is not None
             yield replace(
-                piece,
-                positions=piece.positions[vertices],
-                faces=inverse.reshape(-1, 3),
-                normals=None if piece.normals is None else piece.normals[vertices],
-                uv=piece.uv[vertices] - corner,
-                uv2=None if piece.uv2 is None else piece.uv2[vertices] - corner,
-                colors=None if piece.colors is None else piece.colors[vertices],
+                part,
+                uv=part.uv - corner,
+                uv2=None if part.uv2 is None else part.uv2 - corner,
                 material=self.look(name, piece.colors is not None, tile).material,
-                out_of_range=0,
-                sources=vertices if piece.sources is None else piece.sources[vertices],
-                source_count=piece.source_count or len(piece.positions),
             )
 
     # --- factors ---------------------------------------------------------------------------------
@@ -373,11 +389,7 @@ class Library:
         """
         fields: dict[str, Any] = {}
         ks, ns, pr = (self._numbers(statements, key) for key in ("ks", "ns", "pr"))
-        if ks and not any(ks) and "map_ks" not in statements:
-            self.warn(
-                f"{self.name} has Ks 0 in its MTL, which many exporters write by default: drawn "
-                "with the highlights of skin; pass --ks 0 for none"
-            )
+        if self.ignores_ks(statements):
             ns = []
         elif any(ks):
             mean = sum(ks[:3]) / len(ks[:3])
@@ -387,6 +399,12 @@ class Library:
         elif ns and ns[0] > 0.0:
             fields["m"] = min(max(math.sqrt(2.0 / (ns[0] + 2.0)), MIN_SLOPE), MAX_SLOPE)
         return fields
+
+    def ignores_ks(self, statements: Mapping[str, str]) -> bool:
+        """Return whether Ks is 0 without a map. Many exporters write this by default, so that skin
+        gets its highlights nevertheless; :func:`facerender.scenes.hints.no_ks` hints at it."""
+        ks = self._numbers(statements, "ks")
+        return bool(ks) and not any(ks) and "map_ks" not in statements
 
     # --- maps ------------------------------------------------------------------------------------
 

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import warn
+from facerender.errors import InputError, warn
+from facerender.loading.references import text_of
 from facerender.scenes.repair import Piece
 
 # A face with a reference below 1. The reference -1 means the last element defined before the face;
@@ -22,6 +23,39 @@ _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 _OWNER = re.compile(rb"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\r\n]*?))?[ \t]*\r?$", re.MULTILINE)
 _MOST_GROUPS = 256  # maximum number of parts: each part needs a draw call
 _KINDS = (b"v", b"vt", b"vn")  # vertex, texture coordinate, normal: the references of a corner
+
+
+def normalized(data: bytes, file: str) -> bytes:
+    """Return an OBJ file as UTF-8 with the line ends and the spaces that trimesh expects, and with
+    vertex colours in [0, 1]. trimesh reads neither tabs after keywords nor indented lines.
+
+    file : name of the file, for the error about UTF-16 without a byte-order mark, an InputError
+    """
+    if any(half and not half.strip(b"\0") for half in (data[:128:2], data[1:128:2])):
+        raise InputError(f"{file} is UTF-16 without a byte order mark: save it as UTF-8")
+    data = text_of(data).replace("\t", " ").encode()
+    if _INDENTED.search(data):
+        data = _INDENTED.sub(b"", data)
+    return _with_unit_colors(data)
+
+
+def _with_unit_colors(data: bytes) -> bytes:
+    """Return an OBJ file whose vertex colours, if some exceed 2, are divided by 255: some scanners
+    write 8-bit colours."""
+    if _COLORED.search(data) is None:
+        return data
+    try:
+        largest = max(float(channel) for line in _COLORED.findall(data) for channel in line[1:])
+    except ValueError:  # trimesh reads or refuses them
+        return data
+    if not MOST_UNIT < largest <= 255.0:
+        return data
+    return _COLORED.sub(
+        lambda line: (
+            line[1] + b" %.7g %.7g %.7g" % tuple(float(line[i]) / 255.0 for i in (2, 3, 4))
+        ),
+        data,
+    )
 
 
 def has_relative(data: bytes) -> bool:
@@ -71,12 +105,18 @@ def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes,
     return b"/".join(references)
 
 
+# A vertex with a colour: position and colour.
+_COLORED = re.compile(rb"^(v +\S+ +\S+ +\S+) +(\S+) +(\S+) +(\S+)", re.MULTILINE)
+MOST_UNIT = 2.0  # above any colour in [0, 1], also one that sharpening has made brighter
+_INDENTED = re.compile(rb"^ +", re.MULTILINE)
+
 Owners = tuple[bytes, ...]  # names of object, group and material
 
 
-def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
+def with_parts(data: bytes, file: str) -> tuple[bytes, list[str], list[str]]:
     """Rewrite an OBJ file to have one numbered object for each combination of object, group and
-    material that has faces. Return the content, and the part names in order of object numbers.
+    material that has faces. Return the content, and in order of object numbers the names of the
+    parts and of their materials, which are "" without usemtl.
 
     A part is named after its group, or else its object, or else its material. Parts with the same
     name are renamed to group.material or, if they share this name, too, to object.group.material.
@@ -104,14 +144,15 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
                 "parts: groups of the same material are joined"
             )
         parts = joined
+    materials = [" ".join(_text(material).split()) for *_, material in parts]
     if len(parts) < 2:
-        return data, _names(parts)
+        return data, _names(parts), materials
     numbers = {key: number for number, key in enumerate(parts)}
     lines = [
         b"o %d\n%b%b" % (numbers.get(key, len(parts)), head, data[slice(*span)])
         for key, head, span in zip(keys, heads, spans, strict=True)
     ]
-    return b"".join(lines), _names(parts)
+    return b"".join(lines), _names(parts), materials
 
 
 def _with_faces(keys: Sequence[Owners], has_faces: Sequence[bool]) -> list[Owners]:
@@ -126,7 +167,11 @@ def _names(parts: Sequence[Owners]) -> list[str]:
             name if counts[name] == 1 else b".".join(filter(None, key[which]))
             for name, key in zip(names, parts, strict=True)
         ]
-    return [name.decode("utf-8", "replace") for name in names]
+    return [*map(_text, names)]
+
+
+def _text(name: bytes) -> str:
+    return name.decode("utf-8", "replace")
 
 
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)

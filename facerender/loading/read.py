@@ -7,20 +7,31 @@ import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import PurePath
 from threading import get_ident
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.loading.from_trimesh import has_normals, piece_of
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
 from facerender.loading.materials import image_of, missing_image, unreadable
-from facerender.loading.obj import has_relative, number_vertices, with_absolute, with_parts
+from facerender.loading.obj import (
+    MOST_UNIT,
+    has_relative,
+    normalized,
+    number_vertices,
+    with_absolute,
+    with_parts,
+)
 from facerender.loading.references import TEXTURE_FILE, References, text_of
 from facerender.loading.source import GLTF, Source, check_format
-from facerender.scenes.repair import Piece, check_count
+from facerender.scenes.material import Material
+from facerender.scenes.repair import Piece, check_count, subset
 from facerender.scenes.texture import Texture
 
 if TYPE_CHECKING:
@@ -42,25 +53,31 @@ _LINES = re.compile(
     rf"element \S+ \d{{1,18}}|property (?:{_TYPE}) \S+|property list (?:{_TYPE}) (?:{_TYPE}) \S+"
 )
 _INDICES = ("vertex_index", "vertex_indices")
+_COLORS = ("red", "green", "blue")
+_OTHER_COLORS = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _SLACK = 16  # blank lines allowed at the end
 
 
-def checked_ply(data: bytes) -> tuple[bytes, str | None]:
-    """Check a PLY file. Return the content and the name of the texture or None. Edges are renamed
-    in the content, because trimesh would load a file with edges as a 2D drawing.
+def checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
+    """Check a PLY file. Return the content and the names of its textures. Properties of colours get
+    the names that trimesh reads, and edges another name, because trimesh would load a file with
+    edges as a 2D drawing.
+
+    name : name of the file, for messages
 
     Raises
     ------
     ValueError : the header is damaged, or declares more elements than the bytes can hold
+    InputError : the file has triangle strips
     """
     end = data.find(b"end_header", 0, _MOST_HEADER)
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("it has no PLY header")
     lines = [" ".join(line.split()) for line in text_of(data[:end]).splitlines()]
     lines = [line for line in lines if line]
-    body = data[end:]
     is_text = any(line.startswith("format ascii") for line in lines)
-    texture = None
+    body = text_of(data[end:]).encode() if is_text and b"\r" in data[end:] else data[end:]
+    textures = []
     count = rows = needed = 0
     for line in lines:
         if _LINES.fullmatch(line) is None:
@@ -69,16 +86,30 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
         if words[0] == "element":
             count = int(words[2])
             rows += count
+            if words[1] == "tristrips" and count:
+                raise InputError(
+                    f"{name} has triangle strips, which are not supported; export it with triangles"
+                )
         elif words[0] == "property":
             needed += count * _least_bytes(words, is_text)
         elif (comment := TEXTURE_FILE.fullmatch(line.encode())) is not None:
-            texture = comment[1].decode()
+            textures.append(comment[1].decode())
     if needed > len(body):
         raise ValueError(f"its header declares at least {needed} bytes, but it has {len(body)}")
     if is_text and body.count(b"\n") > rows + _SLACK:
         raise ValueError(f"its header declares {rows} lines, but it has more")
-    renamed = [line.replace("element edge ", "element line ") for line in lines]
-    return "\n".join([*renamed, ""]).encode() + body, texture
+    elements = "".join(f"{line}\n" for line in lines).split("element ")
+    header = "element ".join(map(_with_known_names, elements))
+    return header.replace("element edge ", "element line ").encode() + body, textures
+
+
+def _with_known_names(element: str) -> str:
+    """Return the header of a PLY element with names of colours that trimesh reads."""
+    for names in _OTHER_COLORS:
+        if " red\n" not in element and all(f" {name}\n" in element for name in names):
+            for name, known in zip(names, _COLORS, strict=True):
+                element = element.replace(f" {name}\n", f" {known}\n")
+    return element
 
 
 def _least_bytes(words: list[str], is_text: bool) -> int:
@@ -141,12 +172,12 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
         raise InputError(f"{name} is an empty file; give a mesh file")
     check_format(data, suffix, name)
     references = References(name, source.folder, allow_outside)
-    if suffix in GLTF:
-        pieces = read_gltf(data, references, albedo_given)
-        if not pieces:
-            raise _no_faces(name, points=False)
-        return pieces, references
     try:
+        if suffix in GLTF:
+            pieces = read_gltf(data, references, albedo_given)
+            if not pieces:
+                raise _no_faces(name, points=False)
+            return pieces, references
         import trimesh  # noqa: F401  # creates the loggers that _quiet filters
 
         with _quiet():
@@ -156,8 +187,11 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
                 pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
     except InputError:
         raise
-    except Exception as error:  # trimesh's readers raise many exceptions for damaged files
+    except ValueError as error:
         raise damaged(name, reason(error)) from None
+    except Exception as error:  # not a fault of the file, such as a missing package
+        error.add_note(f"while reading {name}")
+        raise
     return pieces, references
 
 
@@ -169,30 +203,119 @@ def _no_faces(name: str, points: bool) -> InputError:
 def _read_ply_or_stl(
     data: bytes, name: str, suffix: str, references: References, albedo_given: bool
 ) -> list[Piece]:
-    texture = None
     if suffix == ".ply":
-        data, texture = checked_ply(data)
+        data, names = checked_ply(data, name)
+        (geometry,) = _geometries(data, suffix, name).values()
+        pieces = _ply_pieces(geometry, names, references, albedo_given)
+        _clear(geometry)
     else:
         check_count(len(_SOLIDS.findall(data)), name)
-        data = _checked_stl(data, name)
-    geometries = [*_geometries(data, suffix, name).values()]
-    if texture is not None:
-        _give_texture(geometries, texture, references, not albedo_given)
-    textures: dict[int, Texture] = {}
-    lost = bool(references.missing())
-    pieces = [piece_of(geometry, name, textures, lost) for geometry in geometries]
-    _clear(*geometries)
+        geometries = _geometries(_checked_stl(data, name), suffix, name).values()
+        pieces = [piece_of(geometry, name, {}, False) for geometry in geometries]
+        _clear(*geometries)
     check_count(len(pieces), name)
     _warn_of_missing(references, albedo_given)
     return pieces
 
 
+def _ply_pieces(
+    geometry: trimesh.Trimesh, names: Sequence[str], references: References, albedo_given: bool
+) -> list[Piece]:
+    """Return a piece for each texture of a PLY file, or one piece without textures.
+
+    names : names of the textures. The face property texnumber is an index into them
+    """
+    colors_of = getattr(geometry.visual, "kind", None)
+    if colors_of in ("vertex", "face") and (values := _ply_values(geometry, colors_of, _COLORS)):
+        setattr(geometry.visual, f"{colors_of}_colors", _eight_bit(np.stack(values, axis=1)))
+    textures = [_ply_texture(name, references, not albedo_given) for name in names]
+    numbers = _ply_values(geometry, "face", ("texnumber",)) if len(names) > 1 else None
+    if numbers:
+        geometry.face_attributes["texnumber"] = numbers[0]
+    piece = piece_of(geometry, references.name, {}, bool(references.missing()))
+    if not any(textures):
+        return [piece]
+    if piece.uv is None:
+        warn(f"{references.name} has no texture coordinates: its texture is ignored")
+        return [piece]
+    if not numbers:
+        if len(names) > 1:
+            warn(
+                f"{references.name} names {len(names)} textures, but its faces have no texnumber: "
+                f"all get {clipped(names[0], 60)}"
+            )
+        return [_textured(piece, textures[0])]
+    number = geometry.face_attributes["texnumber"]
+    pieces = []
+    for value in np.unique(number).astype(np.int64).tolist():
+        part = subset(piece, number == value)
+        known = 0 <= value < len(names)
+        part.name = PurePath(names[value]).stem if known else ""
+        pieces.append(_textured(part, textures[value] if known else None))
+    pieces[0].out_of_range = piece.out_of_range
+    return pieces
+
+
+def _textured(piece: Piece, texture: Texture | None) -> Piece:
+    if texture is None:
+        return piece
+    return replace(piece, material=Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture))
+
+
+def _ply_values(
+    geometry: trimesh.Trimesh, element: str, names: Sequence[str]
+) -> list[NDArray[Any]] | None:
+    """Return properties of a PLY file's vertices, or for each triangle, properties of its face;
+    None if the file lacks one of them."""
+    data = geometry.metadata["_ply_raw"].get(element, {}).get("data")
+    known = (data.dtype.names or ()) if isinstance(data, np.ndarray) else data or ()
+    if not {*names} <= {*known}:
+        return None
+    columns = [np.asarray(data[name]).reshape(-1) for name in names]
+    if element == "vertex":
+        return columns
+    corners = next(data[name] for name in _INDICES if name in known)
+    corners = corners["f1"] if corners.dtype.names else corners
+    counts = np.array([len(face) for face in corners])
+    triangles, quads, others = (np.flatnonzero(m) for m in (counts == 3, counts == 4, counts > 4))
+    # The order of trimesh.geometry.triangulate_quads, which also makes fans of polygons.
+    owners = [triangles, quads, quads, np.repeat(others, counts[others] - 2)]
+    return [column[np.concatenate(owners)] for column in columns]
+
+
+def _eight_bit(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return colours as 8 bits. Their type does not tell their range: there are floats up to 255
+    and 32-bit integers up to 255."""
+    largest = float(colors.max(initial=0))
+    unit = 1.0 if colors.dtype.kind == "f" and largest <= MOST_UNIT else 255.0
+    scale = 255.0 / (unit if largest <= 255.0 else 65535.0)
+    return np.asarray(np.clip(np.nan_to_num(colors * scale), 0.0, 255.0).round(), dtype=np.uint8)
+
+
+def _ply_texture(name: str, references: References, fatal: bool) -> Texture | None:
+    """Return a texture of a PLY file, or None if it is missing.
+
+    fatal : whether a texture that is not an image raises InputError instead of a warning
+    """
+    try:
+        content = references.read(name, "an image file")
+    except FileNotFoundError:
+        return None
+    try:
+        image_of(content)
+    except ValueError as error:
+        unreadable(f"{clipped(name, 80)} (named by {references.name})", "albedo", error, fatal)
+        return None
+    return Texture.of(content, clipped(name, 80))
+
+
 def _read_obj(data: bytes, name: str, references: References, albedo_given: bool) -> list[Piece]:
     from facerender.loading.mtl import Library
 
-    data = text_of(data).encode()
+    data = normalized(data, name)
     library = Library(data, references, name, albedo_given)
-    data, names = with_parts(data, name)
+    data, names, materials = with_parts(data, name)
+    materials = library.matched(materials) or [""]
     check_count(len(names), name)
     out_of_range = 0
     if has_relative(data):
@@ -213,8 +336,9 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     pieces: list[tuple[int, Piece]] = []
     for key, geometry in geometries.items():
         number = int(key.partition("_")[0]) if len(names) > 1 else 0
-        pieces.append((number, piece_of(geometry, name, {}, False, library)))
-        pieces[-1][1].name = names[number]
+        piece = piece_of(geometry, name, {}, False, library, materials[number])
+        piece.name = names[number]
+        pieces.append((number, piece))
     pieces[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
     pieces.sort(key=lambda pair: pair[0])
@@ -252,13 +376,18 @@ def _geometries(
     """Return the geometries with faces, keyed by trimesh's names; InputError if there are none."""
     import trimesh
 
-    scene = trimesh.load_scene(
-        trimesh.util.wrap_as_stream(data),
-        file_type=suffix[1:],
-        resolver=None if library is None else _MaterialNames(library, name),
-        process=False,
-        **_OPTIONS.get(suffix, {}),
-    )
+    try:
+        scene = trimesh.load_scene(
+            trimesh.util.wrap_as_stream(data),
+            file_type=suffix[1:],
+            resolver=None if library is None else _MaterialNames(library, name),
+            process=False,
+            **_OPTIONS.get(suffix, {}),
+        )
+    except (ImportError, MemoryError):
+        raise
+    except Exception as error:  # trimesh's readers raise many exceptions for damaged files
+        raise ValueError(reason(error)) from None
     names = (scene.graph[node][1] for node in scene.graph.nodes_geometry)
     instances = {key: scene.geometry[key] for key in names}
     geometries = {
@@ -300,28 +429,6 @@ class _MaterialNames:
     __getitem__ = get
 
 
-def _give_texture(
-    geometries: Sequence[trimesh.Trimesh], texture: str, references: References, fatal: bool
-) -> None:
-    """Assign the texture of a PLY file to its geometries.
-
-    fatal : whether a texture that is not an image raises InputError instead of a warning
-    """
-    try:
-        content = references.read(texture, "an image file")
-    except FileNotFoundError:
-        return
-    try:
-        image = image_of(content)
-    except ValueError as error:
-        unreadable(f"{clipped(texture, 80)} (named by {references.name})", "albedo", error, fatal)
-        return
-    image.info["file_path"] = texture
-    for geometry in geometries:
-        if geometry.visual.kind == "texture":
-            geometry.visual.material.image = image
-
-
 def _checked_stl(data: bytes, name: str) -> bytes:
     """Return the content of an STL file: text in UTF-8, or binary data without the bytes after
     the last triangle.
@@ -338,6 +445,12 @@ def _checked_stl(data: bytes, name: str) -> bytes:
         raise ValueError(f"{count} triangles need {needed} bytes, but it has {len(data)}")
     if needed < len(data):
         warn(f"{name} has {len(data) - needed} bytes after its {count} triangles: ignored")
+    # VisCAM sets bit 15 of a coloured triangle's last word. Magics writes COLOR= in the header.
+    words = np.frombuffer(data, "<u2", count * (_TRIANGLE // 2), 84)[
+        _TRIANGLE // 2 - 1 :: _TRIANGLE // 2
+    ]
+    if b"COLOR=" in data[:80] or (words >> 15).any():
+        warn(f"{name} has colours of triangles, which are not read: export it as .ply or .glb")
     return data[:needed]
 
 

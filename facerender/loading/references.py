@@ -9,11 +9,12 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePath
 from urllib.parse import unquote, unquote_to_bytes
 
-from facerender.errors import InputError, clipped
+from facerender.errors import InputError, clipped, warn
 from facerender.loading.gltf_document import chunks
+from facerender.loading.source import GLTF, source_of
 from facerender.system.files import MOST, read_file
 
 ALLOW = "pass --allow-outside (allow_outside=True)"
@@ -67,6 +68,11 @@ class References:
         path = self.folder and _place(self.folder, name, self.allow_outside)
         if path is None:
             raise FileNotFoundError(self.why_not(name))
+        if path.name not in map(os.path.basename, _all_spellings(name)):
+            warn(
+                f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(path.name, 80)} "
+                "is used, whose name differs in upper and lower case"
+            )
         remaining = MOST - sum(
             len(content) for content in self.files.values() if content is not None
         )
@@ -113,24 +119,50 @@ def inline(uri: str) -> bytes | None:
 
 
 def text_of(content: bytes) -> str:
-    """Decode the text of a file: UTF-8, or else Windows-1252, which decodes all bytes."""
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("latin-1").translate(_WINDOWS)
+    """Decode the text of a file: UTF-16 with a byte order mark, UTF-8, or else Windows-1252, which
+    decodes all bytes. All line ends become LF."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = content.decode("utf-16", "replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1").translate(_WINDOWS)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
     """Find a referenced file at its path relative to ``folder``, or else by its file name in
     ``folder``. Return its path, or None if it does not exist or is not allowed."""
-    for spelling in (path for name in (name, *_recoded(name)) for path in _spellings(name)):
-        if allow_outside or _is_inside(folder, spelling):
-            try:
-                if os.path.exists(folder / spelling):
-                    return folder / spelling
-            except ValueError:  # an invalid file name
-                pass
+    for find in (_exact, _in_any_case):
+        for spelling in _all_spellings(name):
+            with suppress(ValueError, OSError):  # an invalid file name, or an unreadable folder
+                inside = allow_outside or _is_inside(folder, spelling)
+                if inside and (path := find(folder, spelling)) is not None:
+                    return path
     return None
+
+
+def _exact(folder: Path, name: str) -> Path | None:
+    return folder / name if os.path.exists(folder / name) else None
+
+
+def _in_any_case(folder: Path, name: str) -> Path | None:
+    """Return the first file whose path differs from a path below `folder` in case only."""
+    path = folder
+    for part in PurePath(name).parts:
+        if not os.path.exists(path / part):
+            entries = sorted(os.listdir(path))
+            part = next((entry for entry in entries if entry.lower() == part.lower()), "")
+            if not part:
+                return None
+        path /= part
+    return path
+
+
+def _all_spellings(name: str) -> Iterator[str]:
+    """Yield the possible paths of a referenced file, relative to the mesh file's folder."""
+    return (path for name in (name, *_recoded(name)) for path in _spellings(name))
 
 
 def _spellings(name: str) -> tuple[str, ...]:
@@ -159,9 +191,9 @@ def _is_inside(folder: Path, name: str) -> bool:
 def named_files(path: Path) -> list[Path]:
     """Return the paths of the files to which a mesh file refers, whether they exist or not. The
     list is empty if the mesh file cannot be read."""
-    suffix = path.suffix.lower()
     try:
-        if suffix in (".gltf", ".glb"):
+        suffix = source_of(path).suffix
+        if suffix in GLTF:
             return [path.parent / unquote(uri) for uri in _uris(path)]
         if suffix == ".obj":
             lines = _names(_LIBRARY, path)

@@ -12,7 +12,14 @@ from typing import Any
 
 from facerender.errors import InputError, check_path, check_switch, clipped, reason, shown
 from facerender.system.data import data_dir
-from facerender.system.files import MOST, check_downloaded, read_file, suffix_of
+from facerender.system.files import (
+    MOST,
+    check_downloaded,
+    check_suffix,
+    open_file,
+    read_file,
+    suffix_of,
+)
 
 GLTF = (".glb", ".gltf")
 NORMAL_MAP_Y = ("up", "down")
@@ -39,6 +46,7 @@ _BEGINNINGS = (
 )
 _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
 FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
+_LONGEST_START = 1 << 16  # bytes at the start of a file that are searched for its format
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
 
@@ -89,11 +97,7 @@ class Source:
         ------
         InputError : the file cannot be read, or its format is not supported
         """
-        if self.content is not None:
-            return self.content
-        if self.suffix not in FORMATS:
-            suffix_of(self.path, (*FORMATS,), "mesh", "a mesh file")
-        return read_file(self.path, "a mesh file")
+        return read_file(self.path, "a mesh file") if self.content is None else self.content
 
 
 def source_of(source: Any, kind: str | None = None) -> Source:
@@ -109,7 +113,7 @@ def source_of(source: Any, kind: str | None = None) -> Source:
     if isinstance(source, str | os.PathLike):
         check_path("mesh file", source)
         path = Path(source)
-        return Source(path, suffix or path.suffix.lower(), None, path.parent)
+        return Source(path, suffix or _suffix_at(path), None, path.parent)
     folder, path = None, Path("bytes")
     if hasattr(source, "read"):
         name = getattr(source, "name", None)
@@ -122,9 +126,8 @@ def source_of(source: Any, kind: str | None = None) -> Source:
             "scene"
         )
     content = bytes(source)
-    if suffix is None:
-        named = path.suffix.lower()
-        suffix = named if named in FORMATS else _suffix_of(content, path.name)
+    if suffix is None and (suffix := _suffix_of(content, path)) is None:
+        raise InputError(f"{path.name}: unknown mesh format; specify it, such as kind='obj'")
     return Source(path, suffix, content, folder)
 
 
@@ -143,48 +146,63 @@ def _content(file: Any, name: str) -> bytes:
     return content
 
 
-def _suffix_of(data: bytes, name: str) -> str:
-    """Detect the format of bytes, and return the file suffix of this format.
+def _suffix_at(path: Path) -> str:
+    """Return the suffix of the format of a mesh file; see :func:`_suffix_of`."""
+    named = path.suffix.lower() in FORMATS
+    try:
+        with open_file(path, "a mesh file") as file:
+            content = file.read(_LONGEST_START if named else MOST)
+    except InputError:
+        suffix_of(path, (*FORMATS,), "mesh", "a mesh file")  # may suggest another name
+        raise
+    return _suffix_of(content, path) or check_suffix(path, (*FORMATS,), "mesh")
+
+
+def _suffix_of(data: bytes, path: Path) -> str | None:
+    """Return the suffix of the format of a mesh file's bytes, or None if the format is unknown. The
+    first bytes identify glTF and PLY. For other formats the name decides, or else the content.
 
     Raises
     ------
-    InputError : the format is unknown
+    InputError : the content has a format that is not supported
     """
-    start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
+    start = data[:_LONGEST_START].removeprefix(b"\xef\xbb\xbf").lstrip()
     for beginning, suffix in _MESHES:
         if start.startswith(beginning):
             return suffix
+    if (named := path.suffix.lower()) in FORMATS:
+        return named
     if start.startswith(b"{"):
         return ".gltf"
     if len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
         return ".stl"
     if start[:5].lower() == b"solid" and b"facet" in start:
         return ".stl"
-    check_format(data, ".obj", name)
-    if b"\0" not in start and _OBJ.search(start):
-        return ".obj"
-    raise InputError(f"{name}: unknown mesh format; specify it, such as kind='obj'")
+    check_format(data, None, path.name)
+    return ".obj" if b"\0" not in start and _OBJ.search(start) else None
 
 
-def check_format(data: bytes, suffix: str, name: str) -> None:
-    """Raise InputError if the content has a known format that differs from the suffix."""
+def check_format(data: bytes, suffix: str | None, name: str) -> None:
+    """Raise InputError if the content has a known format that differs from the suffix; None accepts
+    all mesh formats."""
     start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
-    format_name = FORMATS[suffix]
+    format_name = suffix and FORMATS[suffix]
+    subject = f"{name} is not {format_name} but" if format_name else f"{name} is"
     for beginning, kind, remedy in _BEGINNINGS:
         if start.startswith(beginning):
-            raise InputError(f"{name} is not {format_name} but {kind}; {remedy}")
-    check_downloaded(start, f"{name} is not {format_name} but")
+            raise InputError(f"{subject} {kind}; {remedy}")
+    check_downloaded(start, subject)
     if start.startswith(b"<"):
-        raise InputError(f"{name} is not {format_name} but an XML file; download the file itself")
+        raise InputError(f"{subject} an XML file; download the file itself")
     if data[257:262] == b"ustar":
-        raise InputError(f"{name} is not {format_name} but a tar archive; unpack it")
+        raise InputError(f"{subject} a tar archive; unpack it")
+    if format_name is None:
+        return
     for beginning, actual_suffix in _MESHES:
         if start.startswith(beginning) and FORMATS[actual_suffix] != format_name:
-            raise InputError(
-                f"{name} is not {format_name} but {FORMATS[actual_suffix]}; name it {actual_suffix}"
-            )
+            raise InputError(f"{subject} {FORMATS[actual_suffix]}; name it {actual_suffix}")
     if format_name != "glTF" and start.startswith(b"{"):
-        raise InputError(f"{name} is not {format_name} but {_json(data)}")
+        raise InputError(f"{subject} {_json(data)}")
 
 
 def _json(data: bytes) -> str:

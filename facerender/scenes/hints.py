@@ -68,6 +68,7 @@ def emit_all(mesh: Mesh) -> None:
         _of_maps[mesh.parts[0].root] = maps, results
     for hint, line in results:
         emit(mesh, hint, line)
+    emit(mesh, no_ks, no_ks(mesh))
     pairs = ((mesh.parts[i], mesh.materials[i]) for i in mesh.skin)
     if all(_gloss(material) == _loaded.get(part.root) for part, material in pairs):
         emit(mesh, faint, faint(mesh))
@@ -84,7 +85,10 @@ def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
 
 def of_mesh(mesh: Mesh) -> list[str]:
     """Return all hints on a mesh. Decodes the maps."""
-    hints = *(hint(mesh, True) for hint in (upside_down, green_down, faint)), wrong_unit(mesh)
+    hints = (
+        *(hint(mesh, True) for hint in (upside_down, green_down, no_ks, faint)),
+        wrong_unit(mesh),
+    )
     return [hint for hint in hints if hint]
 
 
@@ -323,6 +327,20 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     return (
         f"{mesh.name} has no visible highlight with ks {ks:.2g} and m {m:.2g}: give "
         f"{' '.join(remedies or [f'--f0 {skin.f0:g}'])} for skin"
+    )
+
+
+def no_ks(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if a part whose file has Ks 0 is drawn with highlights nevertheless."""
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    if not any(
+        part.ks_ignored and not part.preset and material.ks == Material.ks
+        for part, material in pairs
+    ):
+        return None
+    return (
+        f"{mesh.name} has Ks 0 in its MTL, which many exporters write by default: drawn with the "
+        "highlights of skin; pass --ks 0 for none"
     )
 
 

@@ -122,6 +122,9 @@ class Material:
                 raise InputError(
                     f"{name} = {shown(texture)}: give facerender.Texture.open(FILE) or None"
                 )
+        for name in ("albedo_map", "emissive_map"):
+            if (texture := getattr(self, name)) is not None:
+                object.__setattr__(self, name, texture.in_srgb())
         if self.double_sided is not None:
             check_switch("double_sided", self.double_sided)
         if self.scattering is not None:

@@ -67,6 +67,8 @@ class Part:
     source_count : number of these vertices of the file or arrays
     rest : the part in the reference pose, if this part is in another pose, else None
     rig : data of the poses of a glTF file; None for a part that cannot be posed
+    preset : name of the preset that the part got by its name when it was loaded, or ""
+    ks_ignored : whether the part's MTL file has Ks 0, which was loaded as ks 1
     """
 
     positions: NDArray[np.float64]
@@ -83,6 +85,8 @@ class Part:
     source_count: int = 0
     rest: Part | None = None
     rig: Rig | None = None
+    preset: str = ""
+    ks_ignored: bool = False
 
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
@@ -250,6 +254,8 @@ class Mesh:
                 sources=piece.sources,
                 source_count=piece.source_count,
                 rig=piece.rig,
+                preset=piece.preset,
+                ks_ignored=piece.ks_ignored,
             )
             for piece, part_name in zip(pieces, unique(names), strict=True)
         ]

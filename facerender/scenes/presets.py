@@ -111,17 +111,6 @@ def without_effect(
             yield f"{name} = {shown(table[name])} has no effect without {needed}"
 
 
-def preset_of(material: Material) -> str | None:
-    """Return the name of the preset whose fields a material has, or None."""
-    if material.roughness_map is not None:
-        return None
-    for name, preset_fields in PRESETS.items():
-        values = _fields_for(material, preset_fields)
-        if all(getattr(material, field) == value for field, value in values.items()):
-            return name
-    return None
-
-
 def _fields_for(material: Material, preset_fields: Mapping[str, Any]) -> dict[str, Any]:
     values = dict(preset_fields)
     if material.albedo_map is not None:

@@ -33,7 +33,8 @@ class Piece:
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head, skin, sources, source_count, rig : see :class:`facerender.scenes.mesh.Part`
+    head, skin, sources, source_count, rig, preset, ks_ignored : see
+        :class:`facerender.scenes.mesh.Part`
     """
 
     positions: NDArray[np.float64]
@@ -51,6 +52,8 @@ class Piece:
     sources: NDArray[np.integer] | None = None
     source_count: int = 0
     rig: Rig | None = None
+    preset: str = ""
+    ks_ignored: bool = False
 
 
 def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -114,6 +117,37 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
     positions, normals, mirrored = transformed(piece.positions, piece.normals, transform)
     faces = piece.faces[:, ::-1] if mirrored else piece.faces
     return replace(piece, positions=positions, faces=faces, normals=normals)
+
+
+def with_faces(piece: Piece, chosen: NDArray[Any], vertices: NDArray[Any]) -> Piece:
+    """Return a piece with new faces of the vertices (N,) of its own, of which each may occur more
+    than once. The new faces, (F, 3), are indices into `vertices`."""
+    attributes = ("positions", "normals", "uv", "uv2", "colors")
+    arrays = {
+        name: values[vertices]
+        for name in attributes
+        if (values := getattr(piece, name)) is not None
+    }
+    sources = vertices if piece.sources is None else piece.sources[vertices]
+    count = piece.source_count or len(piece.positions)
+    return replace(piece, **arrays, faces=chosen, sources=sources, source_count=count)
+
+
+def subset(piece: Piece, mask: NDArray[np.bool_]) -> Piece:
+    """Return the faces in a mask (F,) of a piece, with the vertices that these faces use."""
+    vertices, inverse = np.unique(piece.faces[mask], return_inverse=True)
+    return replace(with_faces(piece, inverse.reshape(-1, 3), vertices), out_of_range=0)
+
+
+def with_face_colors(piece: Piece, colors: NDArray[np.float64]) -> Piece:
+    """Return a piece with a colour (F, 3) for each face: faces share a vertex only if they have the
+    same colour."""
+    palette, numbers = np.unique(colors, axis=0, return_inverse=True)
+    keys, inverse = np.unique(
+        piece.faces * len(palette) + numbers.reshape(-1, 1), return_inverse=True
+    )
+    vertices, numbers = np.divmod(keys, len(palette))
+    return replace(with_faces(piece, inverse.reshape(-1, 3), vertices), colors=palette[numbers])
 
 
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:

@@ -26,7 +26,7 @@ from facerender.errors import (
     reason,
     shown,
 )
-from facerender.images.decode import check_pixels, open_image
+from facerender.images.decode import check_pixels, in_srgb, open_image
 from facerender.images.srgb import linear_to_srgb
 from facerender.images.write import png_bytes
 from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
@@ -62,11 +62,14 @@ class Texture:
     wrap : wrap modes in u and v: "repeat", "clamp" or "mirror"
     nearest : whether to sample the nearest texel of the nearest mip level, without interpolation
     coarse : whether the finest mip levels of the image are omitted
+    profile : ICC profile of an image file, which :meth:`in_srgb` applies; None without
     """
 
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     nearest: bool = False
     coarse: bool = False
+    profile: bytes | None = None
+    _in_srgb: Texture | None = None
     _source: Texture | None = None  # texture whose image this one shares, with another sampling
     _fine: tuple[Texture, int] | None = None  # full texture, and number of omitted finest levels
 
@@ -90,14 +93,14 @@ class Texture:
         self._make_coarser = coarser
         self._coarser: WeakValueDictionary[int, Texture] = WeakValueDictionary()
 
-    def __getstate__(self) -> tuple[str, Image, tuple[Wrap, Wrap], bool]:
+    def __getstate__(self) -> tuple[str, Image, tuple[Wrap, Wrap], bool, bytes | None]:
         """Pickle the decoded image instead of its source."""
-        return self.name, self.rgb(), self.wrap, self.nearest
+        return self.name, self.rgb(), self.wrap, self.nearest, self.profile
 
-    def __setstate__(self, state: tuple[str, Image, tuple[Wrap, Wrap], bool]) -> None:
-        name, image, wrap, nearest = state
+    def __setstate__(self, state: tuple[str, Image, tuple[Wrap, Wrap], bool, bytes | None]) -> None:
+        name, image, wrap, nearest, profile = state
         Texture.__init__(self, lambda: _flipped(image), name, image.size)
-        self._rgb, self.wrap, self.nearest = image, wrap, nearest
+        self._rgb, self.wrap, self.nearest, self.profile = image, wrap, nearest, profile
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
@@ -118,7 +121,10 @@ class Texture:
             if file.seek(0, os.SEEK_END) <= _MOST_KEPT:
                 file.seek(0)
                 return cls.of(file.read(), name)
-            return cls(decode, name, _opened(file, name).size)
+            opened = _opened(file, name)
+            texture = cls(decode, name, opened.size)
+            texture.profile = opened.info.get("icc_profile")
+            return texture
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
@@ -128,7 +134,10 @@ class Texture:
         ------
         InputError : the content is not an image, or too large
         """
-        return cls(lambda: _opened(content, name), name, _opened(content, name).size)
+        opened = _opened(content, name)
+        texture = cls(lambda: _opened(content, name), name, opened.size)
+        texture.profile = opened.info.get("icc_profile")
+        return texture
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
@@ -186,7 +195,9 @@ class Texture:
             copy = image.copy()
         except Exception as error:  # Pillow's decoders raise many types
             raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
-        return cls(lambda: copy, name)
+        texture = cls(lambda: copy, name)
+        texture.profile = copy.info.get("icc_profile")
+        return texture
 
     def __repr__(self) -> str:
         size = "" if self._size is None else f", {self._size[0]} x {self._size[1]}"
@@ -229,7 +240,7 @@ class Texture:
         source = self._source or self
         texture = Texture(source.rgb, self.name)
         texture._source, texture.wrap, texture.nearest = source, (wrap[0], wrap[1]), nearest
-        texture.coarse = source.coarse
+        texture.coarse, texture.profile = source.coarse, source.profile
         return texture
 
     @property
@@ -390,6 +401,25 @@ class Texture:
             return with_green_turned(raw() if raw else _flipped(self.rgb()))
 
         return Texture(decode, self.name, self.size)
+
+    def in_srgb(self) -> Texture:
+        """Return this texture converted from its ICC profile to sRGB, or itself without a profile.
+        Data maps do not use it: their values are no colours."""
+        if self.profile is None:
+            return self
+        if self._in_srgb is None:
+            if self._source:
+                self._in_srgb = self._source.in_srgb().sampled(*self.sampling)
+            else:
+                self._in_srgb = Texture(self._decode_srgb, self.name, self._size)
+        return self._in_srgb
+
+    def _decode_srgb(self) -> Image:
+        with self._lock:
+            decode = self._decode
+        assert self.profile is not None
+        image = _loaded(decode() if decode else _flipped(self.rgb()), self.name)
+        return _srgb_of(image, self.profile, self.name)
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Return the future of a mip chain. A thread computes each chain once.
@@ -566,6 +596,31 @@ def _loaded(image: Image, name: str) -> Image:
     except Exception as error:  # Pillow's decoders raise many types
         raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
     return image
+
+
+def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
+    """Convert an image from an ICC profile to sRGB, unless the profile is sRGB itself: the image
+    then keeps its texels, which a conversion would change by a level."""
+    from PIL import Image as images
+
+    if image.mode.startswith(("I", "F")):  # 16-bit grey
+        return image
+    bands = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}.get(image.mode, "RGB")
+    colors = image.convert(bands)
+    ramp = np.arange(0, 256, 15, dtype=np.uint8)
+    samples = np.stack(np.meshgrid(*[ramp] * len(bands)), axis=-1).reshape(
+        len(ramp), -1, len(bands)
+    )
+    grid = images.fromarray(samples[..., 0] if bands == "L" else samples, bands)
+    try:
+        changes = np.asarray(in_srgb(grid, profile)[0], dtype=np.int16) - np.asarray(
+            grid.convert("RGB")
+        )
+        return image if np.abs(changes).max() <= 1 else in_srgb(colors, profile)[0]
+    except Exception as error:  # LittleCMS raises several types
+        raise InputError(
+            f"{name} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
+        ) from None
 
 
 def _upright_rgb(image: Image, name: str) -> Image:
