@@ -160,11 +160,12 @@ def code_version() -> str:
 
 
 def key_of(row: Row) -> str:
-    """Return a digest of everything that a job's files depend on.
+    """Return a digest of everything that a job's files and record depend on.
 
     The digests of the job's input files are cached until :func:`forget_files` is called.
     """
     facts = [row.id, _with_contents(row.tables), row.outputs, row.exposure]
+    facts += [row.meta] if row.meta else []
     return digest_of(code_version(), json.dumps(facts, sort_keys=True))[:24]
 
 

@@ -141,7 +141,9 @@ def _csv(path: Path) -> Iterator[Found]:
         try:
             names = next(filter(any, rows), [])
             _check_columns(path, names)
-            readers = [str if name in _TEXT else _cell for name in names]
+            readers = [
+                str if name in _TEXT or name.startswith("meta.") else _cell for name in names
+            ]
             for cells in filter(any, rows):
                 yield reader.line_num, _csv_row(names, readers, cells)
         except csv.Error as error:

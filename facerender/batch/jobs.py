@@ -10,7 +10,7 @@ import re
 import string
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any
@@ -40,7 +40,7 @@ from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "landmarks")
-OWN = ("id", "outputs", "exposure", "scene")  # Keys of a row that are not in TABLES.
+OWN = ("id", "outputs", "exposure", "scene", "meta")  # Keys of a row that are not in TABLES.
 TABLE_KINDS: dict[str, Any] = {
     "mesh": MeshFile,
     "camera": Camera,
@@ -75,6 +75,7 @@ class Row:
         tables: do not modify these tables
     outputs : names from OUTPUTS
     exposure : exposure of the 8-bit images, in stops
+    meta : values that the job's record repeats, such as the age of a person
     """
 
     number: int
@@ -82,6 +83,7 @@ class Row:
     tables: Table
     outputs: tuple[str, ...] = ("image",)
     exposure: float = 0.0
+    meta: Table = field(default_factory=dict)
 
 
 class JobTable:
@@ -239,6 +241,9 @@ def _over_scene(tables: Table, scene: Any) -> Table:
 
 def _row(number: int, values: Table, folder: str) -> Row:
     values = with_default_lights(values)
+    meta = values.pop("meta", {})
+    if type(meta) is not dict:
+        raise InputError(f"meta = {shown(meta)}: give a table, or values such as meta.age")
     tables: Table = {key: listed(value, key) for key, value in values.items()}
     template, outputs, exposure = (tables.pop(key, None) for key in ("id", "outputs", "exposure"))
     for key in tables:
@@ -272,6 +277,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
         tables,
         ("image",) if outputs is None else _outputs(outputs),
         0.0 if exposure is None else float(exposure),
+        meta,
     )
 
 

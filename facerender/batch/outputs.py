@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from facerender.batch.jobs import OUTPUTS, check_outputs, file_name
 from facerender.drawing.frame import Frame, data_view
-from facerender.drawing.metadata import scene_metadata
 from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
@@ -126,7 +125,8 @@ def draw(
         file = file_name(name)
         if name == "layers":
             moved = frames.get("motion", frames["image"])
-            metadata = {**moved.metadata, **frames["image"].metadata}
+            metadata = {**frames["mask"].metadata, **moved.metadata, **frames["image"].metadata}
+            del metadata["only"]
             files[file] = exr_bytes(file, _layers(frames), metadata)
         else:
             files[file] = _png(frames[name], name, exposure, facts.get("depth_scale", 1.0))
@@ -150,12 +150,11 @@ def _frames(
         if name in outputs
     }
     if shared := outputs - _APART.keys():
-        gbuffer = renderer.gbuffer(still_scene, job.shading, blended=False)
-        metadata = scene_metadata(still_scene, job.shading, renderer.albedo_kind)
-        metadata |= renderer.metadata | {"samples": "1"}
+        gbuffer = renderer.gbuffer(still_scene, job.shading, blended=False, cut=True)
         for only in DATA:
             if only in shared:
                 linear = data_view(gbuffer, scene, only)
+                metadata = renderer.data_metadata(still_scene, job.shading, only)
                 frames[only] = Frame(linear, only, scene.background is None, metadata)
     return frames
 
@@ -163,18 +162,19 @@ def _frames(
 def _png(frame: Frame, name: str, exposure: float, depth_scale: float) -> bytes:
     """Return the content of a PNG file."""
     pixels: NDArray[Any]
-    if name == "mask":
-        pixels = np.uint8(255) * (frame.linear[..., 0] > 0.0)
-    elif name == "parts":
-        pixels = frame.linear[..., 0].astype(np.uint16)
+    if name == "parts":
+        pixels, values = frame.linear[..., 0].astype(np.uint16), "number of the part from 1"
     elif name == "depth":
         depth = frame.linear[..., 0].astype(np.float64)
         pixels = np.round(depth / depth_scale).astype(np.uint16)
+        values = f"{depth_scale:.9g} mesh units per step"
     elif name == "motion":
-        pixels = _flow(frame.linear)
+        pixels, values = _flow(frame.linear), "1/64 pixel per step, 0 at 32768"
+    elif name == "mask":
+        pixels, values = np.uint8(255) * (frame.linear[..., 0] > 0.0), "0 at 0, 255 at 1"
     else:
         return frame.encoded("png", exposure)
-    return png_bytes(pixels, frame.metadata)
+    return png_bytes(pixels, {**frame.metadata, "range": values})
 
 
 def _flow(linear: NDArray[np.float32]) -> NDArray[np.uint16]:

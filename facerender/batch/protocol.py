@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from facerender.batch.chunk import Chunk, Record, Settings
+from facerender.batch.jobs import Row
 
 NO_MEMORY = 9  # Exit status of a worker: out of memory.
 
@@ -55,4 +56,9 @@ def failure(chunk: Chunk, position: int, kind: str, text: str) -> Record:
     """Return the record of a failed job."""
     row = chunk.rows[position]
     job = {"id": row.id, "number": row.number, "key": chunk.keys[position]}
-    return {**job, "error": text, "kind": kind, "job": row.tables}
+    return {**job, "error": text, "kind": kind, "job": row.tables, **meta_of(row)}
+
+
+def meta_of(row: Row) -> Record:
+    """Return the item "meta" of a job's record, if the job has it."""
+    return {"meta": row.meta} if row.meta else {}

@@ -57,6 +57,7 @@ def schema() -> Schema:
         "outputs": _default({"anyOf": [outputs, _NAMES_AS_TEXT]}, [OUTPUTS[0]]),
         "exposure": _default(_of_range(EXPOSURES), 0.0),
         "scene": {"type": "string", "description": "scene file; values of the row override it"},
+        "meta": {"type": "object", "description": "values that the job's record repeats"},
     }
     dotted = {
         f"^{key}$": subschema
@@ -68,7 +69,7 @@ def schema() -> Schema:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A row of a table of jobs",
         **_object(properties | tables),
-        "patternProperties": dotted,
+        "patternProperties": dotted | {r"^meta\.": {}},
     }
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from facerender.batch.chunk import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import draw
-from facerender.batch.protocol import NO_MEMORY, Message, Order, failure
+from facerender.batch.protocol import NO_MEMORY, Message, Order, failure, meta_of
 from facerender.batch.records import Writer
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
@@ -86,7 +86,7 @@ def _draw(order: Order) -> Iterator[Message]:
             with noting() as warned:
                 renderer = _renderer(job.image, settings.backend)
                 drawn = draw(job, mesh, renderer, row.outputs, row.exposure)
-            facts: Record = {"job": row.tables, **drawn.facts}
+            facts: Record = {"job": row.tables, **meta_of(row), **drawn.facts}
             if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
                 facts["warnings"] = texts
             record = writer.write(position, drawn.files, facts)
@@ -98,7 +98,8 @@ def _draw(order: Order) -> Iterator[Message]:
             if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                 yield Message("cannot", text=why)
                 return
-            text = " ".join(str(error).split()) or type(error).__name__
+            notes = (str(error), *getattr(error, "__notes__", ()))
+            text = " ".join(" ".join(notes).split()) or type(error).__name__
             record = failure(chunk, position, type(error).__name__, text)
             yield Message("failed", position, record, writer.size)
             continue

@@ -110,7 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except Exception as error:
             if os.environ.get("FACERENDER_DEBUG"):
                 traceback.print_exception(error)
-            cause = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
+            notes = " ".join(["", *getattr(error, "__notes__", ())])  # such as the file's name
+            cause = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ") + notes
             print_message(
                 f"facerender: error: internal error ({cause}): please report it with the traceback "
                 "that FACERENDER_DEBUG=1 prints"

@@ -51,7 +51,7 @@ from facerender.images.write import FRAME_RATES
 from facerender.job import MeshFile, Output, parse_size
 from facerender.loading.vertices import posed
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import Pose
+from facerender.scenes.file import ImageSettings, Pose
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.scene import ONLY, Scene
 from facerender.scenes.view import view_of
@@ -103,6 +103,8 @@ def add(render: argparse.ArgumentParser) -> None:
     note = "parts gives each part a colour, or in an .exr file the number of the part"
     only = Help("term or data to render", "the whole image", note=note)
     image.add_argument("--only", choices=ONLY, help=only)
+    opacity = "smallest opacity at which a blended part counts as a surface in data"
+    add_field(image, ImageSettings, "alpha_threshold", opacity, metavar="A")
     image.add_argument("--format", choices=IMAGE_FORMATS, help=Help("format of -o -", "png"))
     add_flag(image, "sheet", "arrange all views in one image")
     rate, default = (

@@ -38,6 +38,7 @@ from facerender.scenes.camera import (
     ORBITS,
     TURNS,
     Camera,
+    named,
     orbit_of,
     orbiting,
     turntable,
@@ -448,11 +449,8 @@ def _cameras(
         changes["target"] = tuple(numbers_of("target", target, (3,)))
     if not options.camera:
         camera = replace(camera, **changes)
-        changed_cameras = [replace(file_camera, **changes) for file_camera in path] or [camera]
-        return camera, {
-            f"camera_{number:03d}": named_camera
-            for number, named_camera in enumerate(changed_cameras)
-        }
+        changed_cameras = [replace(file_camera, **changes) for file_camera in path]
+        return camera, named(changed_cameras or [camera], "camera")
     camera = replace(orbiting(camera), **changes)
     cameras: dict[str, Camera] = {}
     for place in options.camera:

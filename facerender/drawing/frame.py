@@ -24,6 +24,13 @@ from facerender.terms.ranges import EXPOSURES
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+# Keyed by term: linear values of 8-bit images, as metadata.
+_RANGES: dict[str | None, str] = {
+    **dict.fromkeys(("specular", "diffuse", "albedo"), "sRGB of 0 to 1"),
+    **dict.fromkeys(("cosines", "visibility", "mask"), "0 at 0, 255 at 1"),
+    "normal": "0 at -1, 255 at 1",
+    "parts": "a colour for each part",
+}
 IMAGE_FORMATS: tuple[Format, ...] = get_args(Format)
 
 
@@ -35,7 +42,8 @@ class Frame:
     ----------
     linear : (H, W, 4) float32, row 0 on top: linear RGB, unclamped, and the mesh's coverage. If the
         scene has a background, RGB includes it; otherwise RGB is premultiplied by coverage.
-        If ``only`` is set, the background is 0, and the content of RGB depends on the term:
+        If ``only`` is set, the background is 0, and the content of RGB depends on the term. Only
+        for albedo, it is the scene's background, if that is not the default:
 
         - specular, diffuse: the radiance of this term
         - albedo: linear colour
@@ -144,10 +152,21 @@ class Frame:
         return lossy_bytes(format, self.srgb8(exposure), self._metadata(exposure))
 
     def _metadata(self, exposure: float) -> Mapping[str, str]:
-        """Return the metadata of an 8-bit image, with an exposure that changes its pixels."""
+        """Return the metadata of an 8-bit image, with the linear values that its bytes stand for,
+        and with an exposure that changes its pixels."""
+        metadata = dict(self.metadata)
         if exposure and self.only in (None, "specular", "diffuse", "albedo"):
-            return {**self.metadata, "exposure": str(float(exposure))}
-        return self.metadata
+            metadata["exposure"] = str(float(exposure))
+        if self.only in _RANGES:
+            metadata["range"] = _RANGES[self.only]
+        covered = self.linear[self.linear[..., 3] > 0.0]
+        if self.only == "depth" and len(covered):
+            near, far = covered[:, 0].min(), covered[:, 0].max()
+            metadata["range"] = f"255 at {near:.6g}, 26 at {far:.6g} mesh units"
+        if self.only == "motion" and len(covered):
+            longest = np.hypot(*covered[:, :2].T).max()
+            metadata["range"] = f"brightness 255 at {longest:.6g} pixels"
+        return metadata
 
     @property
     def image(self) -> Image:
@@ -344,4 +363,7 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
         h = unit(l + v)
         values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
     view[covered, :3] = values
+    # The default background would tint the zeros that programs expect around the mesh.
+    if only == "albedo" and scene.background not in (None, Scene.background):
+        view[~covered, :3] = scene.background
     return view

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 from facerender.errors import InputError
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part, coordinates
+from facerender.scenes.mesh import Mesh, Part, blends_only, coordinates
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import LARGE, Texture
@@ -75,6 +75,24 @@ def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh])
             variants.pop(next(iter(variants)), None)  # another thread may have removed it
         mesh = variants[key] = change(scene.mesh)
     return replace(scene, mesh=mesh)
+
+
+def cut_out(scene: Scene, threshold: float) -> Scene:
+    """Return the scene of data images: blended parts that do not transmit light become parts with
+    an alpha mask, which have a surface where their opacity is at least `threshold`. Many exporters
+    mark a whole face as blended. The mesh is cached."""
+    if not any(blends_only(material) for material in scene.mesh.materials):
+        return scene
+
+    def masked(mesh: Mesh) -> Mesh:
+        changes: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": threshold}
+        materials = (
+            material.with_values(**changes) if blends_only(material) else material
+            for material in mesh.materials
+        )
+        return replace(mesh, materials=tuple(materials))
+
+    return _changed(scene, ("cut_out", threshold), masked)
 
 
 def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:

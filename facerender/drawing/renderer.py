@@ -39,7 +39,7 @@ from facerender.drawing.passes.transparency import (
     with_blended,
 )
 from facerender.drawing.passes.visibility import Visibility, can_defer, deferred_is_cheaper
-from facerender.drawing.prepare import check_memory, reduced, simplify, start_maps
+from facerender.drawing.prepare import check_memory, cut_out, reduced, simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP
 from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.drawing.resources import Resources, read
@@ -55,7 +55,7 @@ from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import ImageSettings
-from facerender.scenes.hints import emit_all
+from facerender.scenes.hints import emit, emit_all, too_clear
 from facerender.scenes.landmarks import Landmarks, located
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
@@ -117,6 +117,9 @@ class Renderer:
         images of different drivers differ only in the last digits; default false
     full_maps : whether maps of more than 4096 x 4096 texels keep their finest mip levels, even if
         the image does not need these; default false, but float_albedo implies it
+    alpha_threshold : smallest opacity of a blended part that data images, such as mask and depth,
+        and landmarks count as a surface, in [0, 1]; default 0.5. Parts that transmit light are
+        never counted
     memory : limit of the process's memory in MiB, at least 1; a scene that needs more is refused.
         None (default) is the free memory of the system
 
@@ -135,11 +138,13 @@ class Renderer:
         anisotropy: float = 1.0,
         float_albedo: bool = False,
         full_maps: bool = False,
+        alpha_threshold: float = 0.5,
         memory: float | None = None,
     ) -> None:
         self.size = _LIMITS["size"].check("size", size)
         self.samples = _LIMITS["samples"].check("samples", samples)
         _LIMITS["anisotropy"].check("anisotropy", anisotropy)
+        _LIMITS["alpha_threshold"].check("alpha_threshold", alpha_threshold)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
         # Depth peeling reads the target of the previous layer: other threads must not change it.
@@ -147,6 +152,7 @@ class Renderer:
         if memory is not None:
             MEMORY.check("memory", memory)
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
+        self.alpha_threshold = alpha_threshold
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         # Samples that the driver draws at once, for each mesh that the memory suffices for.
         self._fitting: weakref.WeakKeyDictionary[Mesh, int] = weakref.WeakKeyDictionary()
@@ -184,6 +190,7 @@ class Renderer:
             anisotropy=job.image.anisotropy,
             float_albedo=job.image.float_albedo,
             full_maps=job.image.full_maps,
+            alpha_threshold=job.image.alpha_threshold,
             memory=memory,
         )
 
@@ -238,7 +245,8 @@ class Renderer:
         Parameters
         ----------
         only : term to draw instead of the whole image. All terms except specular and diffuse are
-            drawn with one sample per pixel and without blended parts. "motion" needs
+            data images: they have one sample per pixel, and blended parts count as surfaces where
+            their opacity is at least the renderer's ``alpha_threshold``. "motion" needs
             ``scene.before``
         samples : samples per pixel; default: the renderer's samples
         shading_rate : "sample" (default) shades each triangle that covers a sample of the pixel.
@@ -255,8 +263,9 @@ class Renderer:
 
         Warns
         -----
-        FacerenderWarning : no pixel shows the mesh; the message gives the reason. A hint of
-            :mod:`facerender.scenes.hints`, once for each mesh
+        FacerenderWarning : no pixel shows the mesh; the message gives the reason. The opacity of a
+            part is below ``alpha_threshold`` everywhere, for data images. A hint of
+            :mod:`facerender.scenes.hints`. The last two are emitted once for each mesh
         """
         _check_scene(scene, shading)
         check_shading_rate("shading_rate", shading_rate)
@@ -276,6 +285,7 @@ class Renderer:
         metadata = scene_metadata(scene, shading, self.albedo_kind)
         metadata |= shading_metadata(resolved, only) | self.metadata | {"samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
+        metadata |= {"only": only} if only else {}
         return Frame(linear, only, scene.background is None, metadata)
 
     def _radiance(
@@ -303,13 +313,19 @@ class Renderer:
         if only == "motion":
             linear = self._motion(scene, drawn)
         else:
-            linear = data_view(self.gbuffer(scene, drawn, blended=False), scene, only)
-        _check(linear, scene)
-        metadata = scene_metadata(scene, shading, self.albedo_kind)
-        metadata |= self.metadata | {"samples": "1"}
+            linear = data_view(self.gbuffer(scene, drawn, blended=False, cut=True), scene, only)
+        _check(linear, scene, self.alpha_threshold)
+        return Frame(
+            linear, only, scene.background is None, self.data_metadata(scene, shading, only)
+        )
+
+    def data_metadata(self, scene: Scene, shading: Shading, only: Only) -> dict[str, str]:
+        """Return the metadata of a data image."""
+        metadata = scene_metadata(scene, shading, self.albedo_kind) | self.metadata
+        metadata |= {"samples": "1", "only": only, "alpha_threshold": str(self.alpha_threshold)}
         if only == "parts":
             metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
-        return Frame(linear, only, scene.background is None, metadata)
+        return metadata
 
     def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
@@ -319,7 +335,7 @@ class Renderer:
         if lens:
             renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
         view = view_of(flat, renderer.size[0] / renderer.size[1])
-        resolved = renderer._resolved(flat, shading, view, 1)
+        resolved = renderer._cut(renderer._resolved(flat, shading, view, 1))
         drawn = triangle_pass(resolved, view)
         (triangles,) = renderer._draw([drawn], resolved.scene)
         triangles = lens.nearest_values(triangles) if lens else triangles
@@ -337,7 +353,8 @@ class Renderer:
             pixel's centre (0.5, 0.5). NaN behind the camera
         depth : (N,), distance from the camera along the viewing direction, in mesh units
         visible : (N,), whether the landmark is in the image, with no surface in front of it; see
-            :func:`facerender.scenes.landmarks.located`. Blended parts hide nothing
+            :func:`facerender.scenes.landmarks.located`. Blended parts hide it where their opacity
+            is at least ``alpha_threshold``
 
         Raises
         ------
@@ -359,26 +376,46 @@ class Renderer:
         _LIMITS["samples"].check("samples", samples)
         return samples > 1 and self._can_defer(scene, samples)
 
-    def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
+    def gbuffer(
+        self,
+        scene: Scene,
+        shading: Shading = Shading(),
+        blended: bool = True,
+        cut: bool = False,
+    ) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
 
+        Parameters
+        ----------
         blended : whether to draw blended parts too, with one G-buffer for each of their layers;
             default true
+        cut : whether blended parts that do not transmit light become surfaces where their opacity
+            is at least ``alpha_threshold``, as in data images; default false
         """
         _check_scene(scene, shading)
         check_switch("blended", blended)
+        check_switch("cut", cut)
         view = view_of(scene, self.size[0] / self.size[1])
         if lens := _lens(scene, self.size):
-            drawn = self._of_size(lens.wide).gbuffer(lens.undistorted(scene), shading, blended)
+            wide = self._of_size(lens.wide)
+            drawn = wide.gbuffer(lens.undistorted(scene), shading, blended, cut)
             return lens.nearest(drawn, view)
-        resolved = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
+        original = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
+        resolved = self._cut(original) if cut else original
         with self._layer_lock:
             layers = [
                 layer
                 for blended_part in (blended_parts(resolved.scene, view) if blended else ())
                 for layer in self._layers(resolved, view, blended_part)
             ]
-        return replace(self._gbuffer(resolved, view)[0], transparent_layers=tuple(layers))
+        gbuffer, _ = self._gbuffer(resolved, view, casting=original)
+        return replace(gbuffer, transparent_layers=tuple(layers))
+
+    def _cut(self, resolved: ResolvedScene) -> ResolvedScene:
+        """Return the scene of data images; see :func:`facerender.drawing.prepare.cut_out`."""
+        mesh = resolved.scene.mesh
+        emit(mesh, too_clear, too_clear(mesh, self.alpha_threshold))
+        return replace(resolved, scene=cut_out(resolved.scene, self.alpha_threshold))
 
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
@@ -395,9 +432,15 @@ class Renderer:
             numbers.append(number)
 
     def _gbuffer(
-        self, resolved: ResolvedScene, view: View, blended_part: BlendedPart | None = None
+        self,
+        resolved: ResolvedScene,
+        view: View,
+        blended_part: BlendedPart | None = None,
+        casting: ResolvedScene | None = None,
     ) -> tuple[GBuffer, NDArray[np.float32]]:
         """Return the G-buffer of all parts that are not blended, or of one layer of a blended part.
+
+        casting : scene whose parts cast the shadows; default: the resolved scene
 
         For a layer, the second result holds the index of each pixel's triangle in drawing order.
         Without a layer, the second result is empty.
@@ -423,7 +466,7 @@ class Renderer:
         if number := len(lighting.shadowed):
             light_pass = light_visibility_pass(resolved, view, visibility, blended_part)
             light_passes = [visibility.drawn(), light_pass] if visibility else [light_pass]
-            passes = with_shadows(resolved, view, self.size, light_passes)
+            passes = with_shadows(casting or resolved, view, self.size, light_passes)
             fractions = self._draw(passes, scene, textures)
             visibilities[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
@@ -631,8 +674,11 @@ def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
     return lens_of(scene.camera, size)
 
 
-def _check(linear: NDArray[np.float32], scene: Scene) -> None:
-    """Raise InputError if a pixel is not finite, and warn if no pixel shows the mesh."""
+def _check(linear: NDArray[np.float32], scene: Scene, threshold: float | None = None) -> None:
+    """Raise InputError if a pixel is not finite, and warn if no pixel shows the mesh.
+
+    threshold : smallest opacity of blended parts in a data image; None for other images
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         total = linear.sum()  # a sum is three times as fast as isfinite on every value
     if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
@@ -645,7 +691,7 @@ def _check(linear: NDArray[np.float32], scene: Scene) -> None:
         )
     coverage = linear[..., 3]
     if not coverage[len(coverage) // 2].any() and not coverage.any():
-        warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1])}")
+        warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1], threshold)}")
 
 
 def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:

@@ -17,6 +17,7 @@ from facerender.errors import InputError, check_path, clipped, reason
 from facerender.images.decode import MAX_BYTES, check_pixels, in_srgb, open_image, texels
 from facerender.images.exr import read_exr
 from facerender.images.image import ImageData, image_from_array
+from facerender.images.write import PREFIX
 from facerender.system.files import check_downloaded, open_file, suffix_of
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
@@ -114,7 +115,11 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
         pixels = texels(image, image.mode)
     except Exception as error:  # Pillow's decoders raise many types
         raise InputError(f"{path} is damaged ({reason(error)}); save it again") from None
-    metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
+    metadata = {
+        str(key).removeprefix(PREFIX): value
+        for key, value in image.info.items()
+        if isinstance(value, str)
+    }
     image_data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
     if "icc_profile" in image.info:
         try:

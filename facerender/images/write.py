@@ -24,6 +24,8 @@ WRITTEN: dict[str, Format] = {
 }
 QUALITY = 95  # quality setting of JPEG and WebP, at most 100
 FRAME_RATES = (0.1, 100.0)  # images per second; a GIF stores delays in hundredths of a second
+PREFIX = "facerender:"
+_INTERPRETED = ("alpha", "background")  # ImageMagick reads these keys of a PNG as settings
 _DESCRIPTION = 0x010E  # Exif tag ImageDescription
 
 
@@ -66,15 +68,16 @@ def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[
     np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
     depth = 8 * pixels.itemsize
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))]
-    for key, value in metadata.items():
+    for name, value in metadata.items():
+        key = f"{PREFIX}{name}" if name in _INTERPRETED else name
         try:
             chunks.append((b"tEXt", f"{key}\0{value}".encode("latin-1")))
         except UnicodeEncodeError:
             chunks.append((b"iTXt", f"{key}\0\0\0\0\0{value}".encode()))
     chunks += [(b"IDAT", zlib.compress(filtered.data, 1)), (b"IEND", b"")]
     packed = [
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in chunks
+        struct.pack(">I", len(data)) + chunk + data + struct.pack(">I", zlib.crc32(chunk + data))
+        for chunk, data in chunks
     ]
     return b"".join([b"\x89PNG\r\n\x1a\n", *packed])
 

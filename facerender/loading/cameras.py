@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,13 @@ from facerender.errors import InputError, check_path, clipped, reason, shown
 from facerender.loading.gltf_document import chunks, damaged, document_of
 from facerender.loading.gltf_nodes import scene_nodes
 from facerender.loading.source import GLTF
-from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera
+from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file, suffix_of
 
 _DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
-_IGNORED = ("name", "transform_matrix")  # ignored keys: both transform_matrix and Rt hold the pose
+_IGNORED = ("transform_matrix",)  # in records of batches, where Rt also holds the pose
 
 
 def load_cameras(
@@ -41,7 +41,8 @@ def load_cameras(
         - .json: one table, a list of tables, or the key "cameras" with a list of tables. A table
           has the fields of :class:`Camera`, or intrinsics "K" (3 x 3), a pose ("Rt", 3 x 4 or
           4 x 4, or "R" and "t"), "width" and "height". The keys "name" and "distortion" ("dist",
-          "distCoeffs" or "D") are optional
+          "distCoeffs" or "D") are optional. Or a transforms.json with "frames", as
+          ``facerender batch --transforms``, nerfstudio and instant-ngp write it
         - .npz: arrays named like the keys of a .json table; an extra first axis is the camera index
         - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
     size : width and height of the images in pixels; used if the file has intrinsics without a size
@@ -57,14 +58,14 @@ def load_cameras(
     if suffix == ".toml":
         scene = load_scene(path)
         single = [scene["camera"]] if "camera" in scene else []
-        cameras = _named((("", camera) for camera in scene.get("cameras", single)), Path(path).stem)
+        cameras = named(scene.get("cameras", single), Path(path).stem)
     else:
         content = read_file(path, "a camera file", MOST if suffix in GLTF else MOST_BYTES)
         try:
             if suffix in GLTF:
                 return gltf_cameras(content, name)
             tables = _json(content) if suffix == ".json" else _arrays(content)
-            cameras = _named([_camera(table, size) for table in tables], Path(path).stem)
+            cameras = named([_camera(table, size) for table in tables], Path(path).stem)
         except InputError as error:
             place = "" if name in str(error) else f"{name}: "
             raise InputError(f"{place}{error}") from None
@@ -92,32 +93,29 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
                     raise InputError(
                         f"camera {shown(label)} of {name} is orthographic: give a perspective one"
                     )
-                cameras.append((label, _looking(node.world, camera["perspective"]["yfov"])))
+                cameras.append(_looking(node.world, camera["perspective"]["yfov"], label))
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise damaged(name, str(error)) from None
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
-    return _named(cameras, "camera")
+    return named(cameras, "camera")
 
 
-def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
+def _looking(world: NDArray[np.float64], yfov: float, name: str) -> Camera:
     """Return the camera of a node. The camera looks along the node's -z axis; its y axis is up."""
-    axes = world[:3, :3] * (1.0, -1.0, -1.0)
     with np.errstate(all="ignore"):
-        turn = (axes / np.linalg.norm(axes, axis=0)).T
-        pose = np.column_stack([turn, -turn @ world[:3, 3]])
-    return Camera(fov=math.degrees(yfov), extrinsics=pose.tolist())
+        axes = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0)
+        pose = _world_to_camera(axes, world[:3, 3])
+    return Camera(fov=math.degrees(yfov), extrinsics=pose.tolist(), name=name)
 
 
-def _named(pairs: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
-    """Return cameras keyed by unique names; a missing or repeated name is replaced."""
-    cameras: dict[str, Camera] = {}
-    for number, (name, camera) in enumerate(pairs):
-        key = name if name and name not in cameras else f"{name or stem}_{number:03d}"
-        cameras[key] = camera
-    return cameras
+def _world_to_camera(axes: NDArray[np.float64], position: NDArray[np.float64]) -> Any:
+    """Return [R|t] of OpenCV's camera space for a camera's axes in OpenGL's: x to the right, y up,
+    z backwards; each is a column."""
+    turn = (axes * (1.0, -1.0, -1.0)).T
+    return np.column_stack([turn, -turn @ position])
 
 
 def _json(content: bytes) -> list[Any]:
@@ -125,12 +123,47 @@ def _json(content: bytes) -> list[Any]:
         tables = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its JSON cannot be read ({reason(error)})") from None
-    if isinstance(tables, Mapping) and "cameras" in tables:
+    if isinstance(tables, Mapping) and isinstance(tables.get("frames"), list):
+        tables = [_of_frame(tables, frame) for frame in tables["frames"][: MOST_CAMERAS + 1]]
+    elif isinstance(tables, Mapping) and "cameras" in tables:
         tables = tables["cameras"]
     tables = tables if isinstance(tables, list) else [tables]
     if len(tables) > MOST_CAMERAS:
         raise InputError(f"it has {len(tables)} cameras, but the limit is {MOST_CAMERAS}")
     return tables
+
+
+def _of_frame(shared: Mapping[str, Any], frame: Any) -> dict[str, Any]:
+    """Convert an item of "frames" in a transforms.json of nerfstudio or instant-ngp to a table with
+    matrices.
+
+    shared : the file's table, whose intrinsics apply to frames without their own
+    """
+    table = {**shared, **frame} if isinstance(frame, Mapping) else {}
+    model = table.get("camera_model", "OPENCV")
+    if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE") or any(
+        table.get(key) for key in ("k4", "is_fisheye")
+    ):
+        raise InputError(f"camera_model = {shown(model)}, or k4: give OPENCV, without fisheye")
+    try:
+        to_world = np.array(table["transform_matrix"], dtype=np.float64)
+        pose = _world_to_camera(to_world[:3, :3], to_world[:3, 3])
+        width, height = float(table["w"]), float(table["h"])
+        focal = table.get("fl_x") or width / 2.0 / math.tan(float(table["camera_angle_x"]) / 2.0)
+        k = [
+            [focal, 0.0, table.get("cx", width / 2.0)],
+            [0.0, table.get("fl_y", focal), table.get("cy", height / 2.0)],
+            [0.0, 0.0, 1.0],
+        ]
+        coefficients = [float(table.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3")]
+        size = [int(width), int(height)]
+    except (KeyError, IndexError, TypeError, ValueError, ArithmeticError) as error:
+        raise InputError(
+            f"a frame cannot be read ({type(error).__name__} {reason(error)}): give "
+            "transform_matrix, w, h, and fl_x or camera_angle_x"
+        ) from None
+    lens = {"distortion": coefficients} if any(coefficients) else {}
+    return {"K": k, "Rt": pose.tolist(), "width": size[0], "height": size[1], **lens}
 
 
 def _arrays(content: bytes) -> list[dict[str, Any]]:
@@ -168,8 +201,8 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
     return tables
 
 
-def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
-    """Convert a table with matrices, or with fields of Camera, to a name and a camera."""
+def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
+    """Convert a table with matrices, or with fields of Camera, to a camera."""
     if not isinstance(table, Mapping):
         raise InputError(f"camera = {shown(table)}: give a table")
     fields = {key: value for key, value in table.items() if key not in _IGNORED}
@@ -199,5 +232,6 @@ def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
         fields["size"] = [fields.pop("width"), fields.pop("height")]
     if "intrinsics" in fields and size is not None:
         fields.setdefault("size", list(size))
-    name = table.get("name", "")
-    return (name if isinstance(name, str) else ""), from_table(Camera, "camera", fields)
+    fields["name"] = str(fields.get("name", ""))
+    camera: Camera = from_table(Camera, "camera", fields)
+    return camera

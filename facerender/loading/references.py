@@ -7,7 +7,7 @@ import glob
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path, PurePath
 from urllib.parse import unquote, unquote_to_bytes
@@ -194,16 +194,27 @@ def named_files(path: Path) -> list[Path]:
     try:
         suffix = source_of(path).suffix
         if suffix in GLTF:
-            return [path.parent / unquote(uri) for uri in _uris(path)]
+            return _paths(path.parent, [unquote(uri) for uri in _uris(path)])
         if suffix == ".obj":
             lines = _names(_LIBRARY, path)
-            libraries = [path.parent / name for line in lines for name in (line, *line.split())]
+            names = [name for line in lines for name in (line, *line.split())]
+            libraries = _paths(path.parent, names)
             return libraries + [map_path for library in libraries for map_path in _maps(library)]
         if suffix == ".ply":
-            return [path.parent / name for name in _names(TEXTURE_FILE, path)]
+            return _paths(path.parent, _names(TEXTURE_FILE, path))
     except (ValueError, TypeError, RecursionError):  # loading the file reports the error
         pass
     return []
+
+
+def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Return the paths of referenced files, and the paths of the files that are used instead."""
+    paths: dict[Path, None] = {}
+    for name in names:
+        paths[folder / name] = None
+        if (found := _place(folder, name, False)) is not None:
+            paths[found] = None
+    return [*paths]
 
 
 def _uris(path: Path) -> list[str]:
@@ -226,7 +237,7 @@ def _maps(library: Path) -> list[Path]:
     tiled = {name for name in names if UDIM in name}
     patterns = (glob.escape(str(library.parent / name)) for name in sorted(tiled))
     tiles = [tile for pattern in patterns for tile in glob.glob(pattern.replace(UDIM, _TILE))]
-    return [*(library.parent / name for name in sorted(names - tiled)), *map(Path, tiles)]
+    return [*_paths(library.parent, sorted(names - tiled)), *map(Path, tiles)]
 
 
 def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:

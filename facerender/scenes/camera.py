@@ -4,7 +4,7 @@ units."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -65,6 +65,7 @@ class Camera:
     distortion : lens distortion of OpenCV's model, (k1, k2, p1, p2[, k3[, k4, k5, k6]]), each in
         [-1e6, 1e6]; needs intrinsics. None (default) or only zeros: no distortion. The distortion
         must be invertible in the whole image
+    name : name of the view, which the files of several views may contain; default ""
     """
 
     azimuth: float = ranged(AZIMUTHS, 0.0)
@@ -78,6 +79,8 @@ class Camera:
     intrinsics: tuple[Vector, Vector, Vector] | None = None
     size: tuple[int, int] | None = ranged(SizeRange(1, 1 << 30, "pixels"), None)
     distortion: tuple[float, ...] | None = None
+    # Not part of the view: equal views have equal metadata.
+    name: str = field(default="", repr=False, compare=False)
 
     __repr__ = short_repr
 
@@ -96,12 +99,14 @@ class Camera:
             intrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
             size: int | tuple[int, int] | None = ...,
             distortion: Sequence[float] | Matrix | None = ...,
+            name: str = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         if isinstance(self.azimuth, str):
             object.__setattr__(self, "azimuth", _azimuth(self.azimuth))
         check_fields(self, "camera ")
+        check_type("camera name", self.name, str, "text")
         for name in ("azimuth", "elevation", "fov", "zoom"):
             object.__setattr__(self, name, float(getattr(self, name)))
         if not (isinstance(self.frame, str) and self.frame in FRAMES):
@@ -132,10 +137,10 @@ class Camera:
         self._check_unused(_PLACED, "extrinsics")
 
     def _check_unused(self, names: Sequence[str], placement: str) -> None:
-        for field in fields(self):
-            if field.name in names and (value := getattr(self, field.name)) != field.default:
+        for member in fields(self):
+            if member.name in names and (value := getattr(self, member.name)) != member.default:
                 raise InputError(
-                    f"camera {field.name} = {shown(value)} and {placement} exclude each other: "
+                    f"camera {member.name} = {shown(value)} and {placement} exclude each other: "
                     "leave one out"
                 )
 
@@ -195,6 +200,15 @@ class Camera:
                 f"{self.size[0]} x {self.size[1]}: crop the image, or calibrate with points up "
                 "to its corners"
             )
+
+
+def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
+    """Return cameras keyed by unique names; a missing or repeated name is replaced."""
+    keyed: dict[str, Camera] = {}
+    for number, camera in enumerate(cameras):
+        unique = camera.name and camera.name not in keyed
+        keyed[camera.name if unique else f"{camera.name or stem}_{number:03d}"] = camera
+    return keyed
 
 
 def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:

@@ -25,6 +25,7 @@ from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
 from facerender.system.reprs import short_repr
 from facerender.terms.ranges import (
+    FRACTION,
     IntegerRange,
     Range,
     SizeRange,
@@ -80,6 +81,7 @@ class ImageSettings:
     anisotropy: float = ranged(Range(1.0, 16.0), 1.0)
     float_albedo: bool = False
     full_maps: bool = False
+    alpha_threshold: float = ranged(FRACTION, 0.5)
 
     __repr__ = short_repr
 

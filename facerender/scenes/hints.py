@@ -11,10 +11,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, note, warn
+from facerender.errors import InputError, clipped, note, warn
 from facerender.scenes.framing import find_regions
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part, coordinates
+from facerender.scenes.mesh import Mesh, Part, blends_only, coordinates, largest_opacity
 from facerender.scenes.texture import Texture
 from facerender.terms.ranges import range_of
 
@@ -359,6 +359,26 @@ def _least_slope(part: Part, material: Material, decode: bool) -> float:
 def _area(part: Part) -> float:
     a, b, c = np.moveaxis(part.positions[part.faces], 1, 0)
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+# --- opacity ------------------------------------------------------------------------------------
+
+
+def too_clear(mesh: Mesh, threshold: float) -> str | None:
+    """Return a hint if data images lack a part, because its opacity is below a threshold
+    everywhere. Decodes the opacity maps of blended parts."""
+    names = [
+        part.name or "the part without a name"
+        for part, material in zip(mesh.parts, mesh.materials, strict=True)
+        if blends_only(material) and largest_opacity(part, material) < threshold
+    ]
+    if not names:
+        return None
+    return (
+        f"data images and landmarks omit parts of {mesh.name} whose opacity is below "
+        f"{threshold:g} everywhere: {clipped(', '.join(names), 200)}; give a lower "
+        "--alpha-threshold to include them"
+    )
 
 
 # --- size ---------------------------------------------------------------------------------------

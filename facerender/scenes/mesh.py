@@ -524,6 +524,19 @@ def drawn_alpha(part: Part, material: Material) -> Alpha:
     return "opaque" if material.solid else material.alpha
 
 
+def blends_only(material: Material) -> bool:
+    """Return whether a material is blended and transmits no light."""
+    return material.alpha == "blend" and not material.transmission
+
+
+def largest_opacity(part: Part, material: Material) -> float:
+    """Return the largest opacity of a part. Decodes the opacity map if necessary."""
+    texture = material.opacity_map
+    if texture is None or coordinates(part, material, "opacity_map") is None:
+        return material.opacity
+    return material.opacity * float(texture.ends()[1, 0]) / 255.0
+
+
 def base_slope(part: Part, material: Material) -> float:
     """Return m of a part's first lobe, or the factor that maps squared roughness texels to m."""
     mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None

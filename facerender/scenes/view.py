@@ -14,7 +14,7 @@ from facerender.errors import InputError, check_range, check_type
 from facerender.scenes.camera import Camera
 from facerender.scenes.distortion import distort
 from facerender.scenes.framing import region_of
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh, Part, largest_opacity
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import check_array, direction_to, within_reach
 from facerender.terms.ranges import range_of
@@ -259,8 +259,11 @@ def _projection(
     return lens
 
 
-def hidden(scene: Scene, size: tuple[int, ...]) -> str:
-    """Return the reason why an image of the given size shows nothing of the mesh, and a remedy."""
+def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
+    """Return the reason why an image of the given size shows nothing of the mesh, and a remedy.
+
+    threshold : smallest opacity of blended parts in a data image; None for other images
+    """
     width, height = size
     view = view_of(scene, width / height)
     places = np.concatenate([part.positions for part in scene.mesh.parts])
@@ -275,6 +278,12 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
         if max(extents) < 2.0:
             return f"it is {max(extents):.2g} pixels large; move the camera nearer, or zoom in"
+        causes = [
+            _not_drawn(scene.mesh, number, view, threshold)
+            for number in range(len(scene.mesh.parts))
+        ]
+        if all(causes):
+            return "; ".join(dict.fromkeys(causes))
         return (
             f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
             "pixel; frame more of the mesh, or give more pixels"
@@ -282,6 +291,28 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
     outside = x.max() < -1.0, x.min() > 1.0, y.max() < -1.0, y.min() > 1.0
     ways = compress(("left of", "right of", "above", "below"), outside)
     return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
+
+
+def _not_drawn(mesh: Mesh, number: int, view: View, threshold: float | None) -> str:
+    """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn.
+
+    threshold : see :func:`hidden`
+    """
+    part, material = mesh.parts[number], mesh.materials[number]
+    name = part.name or "it"
+    if material.double_sided is False:
+        a, b, c = np.moveaxis(mesh.normalised(part.positions)[part.faces], 1, 0)
+        if not (np.einsum("ij,ij->i", np.cross(b - a, c - a), view.position - a) > 0.0).any():
+            return f"{name} shows only back faces; give --double-sided, or turn the camera"
+    if threshold is not None and material.thin:
+        return f"{name} transmits light, and data images omit such parts; draw the image itself"
+    opacity = largest_opacity(part, material)
+    limits = {"blend": threshold or 1e-9, "mask": material.alpha_cutoff, "opaque": 0.0}
+    if opacity >= limits[material.alpha]:
+        return ""
+    option = "a lower --alpha-threshold" if threshold and material.alpha == "blend" else ""
+    option = option or f"--part '{part.name or '*'},alpha=opaque'"
+    return f"the opacity of {name} is at most {opacity:.2g}; give {option}"
 
 
 def levels_to_spare(

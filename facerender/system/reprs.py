@@ -12,6 +12,6 @@ def short_repr(value: Any) -> str:
     for field in fields(value):
         field_value = getattr(value, field.name)
         factory = field.default_factory
-        if field_value != (field.default if factory is MISSING else factory()):
+        if field.repr and field_value != (field.default if factory is MISSING else factory()):
             words.append(f"{field.name}={field_value!r}")
     return f"{type(value).__name__}({', '.join(words)})"
