@@ -425,7 +425,7 @@ def test_terms_of_a_distorted_scene(drawing, whole):
     """Coverage and terms agree with the G-buffer; the sum of the terms is the image."""
     scene = dark(whole, camera=camera_of(whole, STRONG), background=None)
     scene = replace(scene, before=scene)
-    seen = drawing.gbuffer(scene, blended=False)
+    seen = drawing.gbuffer(scene, blended=False, cut=True)
     assert (drawing.render(scene, only="motion").linear[..., :2] == 0.0).all()
     for only in DATA:
         image = drawing.render(scene, only=only).linear
@@ -474,12 +474,12 @@ def test_another_lens_does_not_free_the_layers_of_an_image(egl, mini, monkeypatc
     threads = []
     layer = fr.Renderer._gbuffer
 
-    def drawn(self, resolved, view, blended_part=None):
+    def drawn(self, resolved, view, blended_part=None, **options):
         if blended_part and blended_part.layer == 1:
             threads.append(Thread(target=renderer._of_size, args=[(50, 50)]))
             threads[-1].start()
             threads[-1].join(0.5)
-        return layer(self, resolved, view, blended_part)
+        return layer(self, resolved, view, blended_part, **options)
 
     with fr.Renderer(SIZE, samples=1, backend=egl) as renderer:
         expected = renderer.gbuffer(scene).transparent_layers

@@ -556,8 +556,6 @@ REFUSED = [
         TRIANGLE + b"".join(b"usemtl m%d\nf 1 2 3\n" % i for i in range(1025)),
         "a.obj has more than 1024 parts",
     ),
-    ("a.obj", MINI_HEAD.read_bytes(), "a.obj is not OBJ but glTF; name it .glb"),
-    ("a.stl", PLY, "is not STL but PLY; name it .ply"),
     (
         "a.ply",
         '{"message": "no access"}',

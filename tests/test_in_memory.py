@@ -108,7 +108,7 @@ def test_bytes_are_cached(cache_folder, monkeypatch):
         (b"", {}, "bytes: unknown mesh format; specify it, such as kind='obj'"),
         (b"hello", {}, "bytes: unknown mesh format"),
         (b"hello", {"kind": "obj"}, "bytes has no geometry"),
-        (b"PK\x03\x04 usdz", {}, "but a ZIP archive"),
+        (b"PK\x03\x04 usdz", {}, "bytes is a ZIP archive"),
         (b"glTF", {}, "bytes is truncated"),
         (b"", {"kind": "glb"}, "bytes is an empty file"),
         (
@@ -142,8 +142,8 @@ def test_closed_files_are_refused(tmp_path):
 def test_kind_overrides_the_suffix(tmp_path):
     path = tmp_path / "head.bin"
     path.write_bytes(MINI_HEAD.read_bytes())
-    with pytest.raises(fr.InputError, match=r"unknown mesh format '\.bin'"):
-        fr.load_mesh(path)
+    with pytest.raises(fr.InputError, match=r"is not OBJ but glTF; name it \.glb"):
+        fr.load_mesh(path, kind="obj")
     assert_same(fr.load_mesh(path, kind="glb"), fr.load_mesh(MINI_HEAD))
     with path.open("rb") as file:
         assert_same(fr.load_mesh(file), fr.load_mesh(MINI_HEAD))

@@ -262,7 +262,7 @@ MESSAGES = [
         "batch jobs.csv --check",
         (
             "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, scene, "
-            "mesh, camera, lights, environment, material, parts, shading, planned, ambient, "
+            "meta, mesh, camera, lights, environment, material, parts, shading, planned, ambient, "
             "background, pose, before, image, landmarks"
         ),
     ),

@@ -101,7 +101,8 @@ def test_changed_parameter_changes_its_own_row(renderer, mesh, key, change):
 
 def test_frame_of_data_has_the_scene(renderer, mesh):
     whole, depth = (renderer.render(fr.Scene(mesh), only=only).metadata for only in (None, "depth"))
-    assert depth.items() <= whole.items()
+    own = {"only": "depth", "alpha_threshold": "0.5"}
+    assert depth.items() <= {**whole, **own}.items()
     assert {"mesh", "camera", "m", "light 0", "GL_RENDERER", "textures"} <= depth.keys()
 
 

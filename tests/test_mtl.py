@@ -80,7 +80,6 @@ def test_factors(tmp_path):
 
 def test_unsupported_statements_warn(tmp_path):
     for mtl, message in (
-        ("Ks 0 0 0", "has Ks 0 in its MTL"),
         ("Tr 1", "Tr 1 in its MTL"),
         ("Tf 0.5 0.5 0.5", "Tf"),
         ("refl sphere.png", "has refl in its MTL: ignored"),

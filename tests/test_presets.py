@@ -17,7 +17,7 @@ from facerender.images.read import read_image
 from facerender.loading.conventions import _eye_map, _lash_map, preset_for
 from facerender.scenes.file import parse_part, part_text, scene_toml
 from facerender.scenes.material import SKIN_ALBEDO, Material
-from facerender.scenes.presets import PRESETS, preset_of
+from facerender.scenes.presets import PRESETS, changed
 from tests.awkward_files import mini_head, write_glb
 from tests.conftest import missing
 from tests.test_parts import FACES, VERTICES, names, row, run
@@ -41,6 +41,12 @@ UNKNOWN = (
     "toothbrush Irish corneal scleroderma teardrop lipstick slash Splash tearoff Eyeglasses part3 "
     "M_Eye Std_Nails Std_Eyewear Wolf3D_Headwear Wolf3D_Glasses default Material.001 high-poly"
 )
+
+
+def preset_of(material: fr.Material) -> str | None:
+    """Return the name of the preset whose fields a material has."""
+    names = (name for name in PRESETS if changed(material, {"preset": name}) == material)
+    return next(names, None)
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ def layered(mesh: fr.Mesh) -> fr.Scene:
     materials = (
         replace(material, alpha="mask", opacity_map=ramp()),
         material,
-        replace(material, alpha="blend", opacity=0.4, emissive=0.2),
+        replace(material, alpha="blend", opacity=0.6, emissive=0.2),
     )
     return fr.Scene(replace(mesh, parts=parts, materials=materials), SIDE)
 

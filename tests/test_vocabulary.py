@@ -174,7 +174,7 @@ PLACED = {
     "size": [256, 256],
     "distortion": [-0.02, 0.001, 0.0, 0.0],
 }
-AIMED = {"position": [0.0, 0.0, 1.0], "target": [0.0, 0.1, 0.0], "fov": 30.0}
+AIMED = {"position": [0.0, 0.0, 1.0], "target": [0.0, 0.1, 0.0], "fov": 30.0, "name": "left"}
 ORBIT = {"azimuth": 20.0, "elevation": 10.0, "zoom": 1.5, "frame": "face"}
 MATERIAL = {
     **{"albedo": [0.4, 0.3, 0.2], "m": 0.25, "roughness_factor": 0.5, "f0": 0.04, "ks": 0.9},
@@ -203,7 +203,7 @@ SAMPLES: dict[tuple[type, str], list[dict[str, Any]]] = {
     (fr.Term, "shading"): [TERM, {"model": "ward"}],
     (fr.ImageSettings, "image"): [
         {"size": [640, 480], "samples": 8, "anisotropy": 2.0, "float_albedo": True}
-        | {"full_maps": True}
+        | {"full_maps": True, "alpha_threshold": 0.3}
     ],
     (fr.Pose, "pose"): [
         {"weights": {"jawOpen": 0.5}, "clip": "nod", "time": 0.5, "track": True},

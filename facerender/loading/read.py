@@ -284,8 +284,8 @@ def _ply_values(
 
 
 def _eight_bit(colors: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return colours as 8 bits. Their type does not tell their range: there are floats up to 255
-    and 32-bit integers up to 255."""
+    """Return colours as 8 bits. Programs write floats up to 1 or 255, and integers of any type up
+    to 255."""
     largest = float(colors.max(initial=0))
     unit = 1.0 if colors.dtype.kind == "f" and largest <= MOST_UNIT else 255.0
     scale = 255.0 / (unit if largest <= 255.0 else 65535.0)

@@ -212,8 +212,8 @@ def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
     paths: dict[Path, None] = {}
     for name in names:
         paths[folder / name] = None
-        if (found := _place(folder, name, False)) is not None:
-            paths[found] = None
+        if (used := _place(folder, name, False)) is not None:
+            paths[used] = None
     return [*paths]
 
 

@@ -91,6 +91,8 @@ class Part:
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
+        check_type("preset of a part", self.preset, str, "text")
+        check_switch("ks_ignored of a part", self.ks_ignored)
         check_type("rest of a part", self.rest, Part | None, "a Part or None")
         if self.rig is not None:
             from facerender.scenes.rig import Rig  # most meshes have none: this saves 5 ms
