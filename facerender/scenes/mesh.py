@@ -27,6 +27,7 @@ from facerender.scenes.arrays import piece_of
 from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
 from facerender.scenes.presets import changed, without_effect
+from facerender.scenes.presets import preset as check_preset
 from facerender.scenes.repair import Piece, are_closed, clean, unique, used
 from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
@@ -91,7 +92,8 @@ class Part:
     def __post_init__(self) -> None:
         check_type("name of a part", self.name, str, "text")
         check_switch("skin of a part", self.skin)
-        check_type("preset of a part", self.preset, str, "text")
+        if not isinstance(self.preset, str) or self.preset:
+            check_preset(self.preset)
         check_switch("ks_ignored of a part", self.ks_ignored)
         check_type("rest of a part", self.rest, Part | None, "a Part or None")
         if self.rig is not None:
