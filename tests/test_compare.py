@@ -743,7 +743,7 @@ UNREADABLE = {  # name of the file, content, error
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
     "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
     "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a Git LFS pointer"),
-    "image.tiff": (b"II*\0", r"image\.tiff: unknown image format '\.tiff'; give \.exr"),
+    "image.svg": (b"<svg/>", r"image\.svg: unknown image format '\.svg'; give \.exr"),
     "image": (b"x", r"image has no suffix, which sets the image format; give"),
 }
 
@@ -831,7 +831,7 @@ UNLIKE = {  # two images that cannot be compared, and the error
     ),
     "grey": (
         *(GREY_8, GREY_8[..., 0]),
-        r"a\.png has 3 channels, .*b\.png has 1 channels: save both as RGB",
+        r"a\.png has 3 channels, .*b\.png has 1 channel: save both as RGB",
     ),
     "colour space": (
         *(GREY_8, with_gamma),
