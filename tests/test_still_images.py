@@ -15,7 +15,7 @@ from PIL import Image, PngImagePlugin
 import facerender as fr
 from facerender.comparison.compare import compare
 from facerender.images.read import read_image
-from tests.test_cli import Capture, Cli
+from tests.test_cli import Capture, Cli, process
 
 BEFORE = np.full((24, 32, 3), 60, dtype=np.uint8)
 BEFORE[4:20, 6:26] = 180, 120, 90
@@ -124,6 +124,18 @@ def test_tiff_files_with_more_than_8_bits_are_refused(samples, tmp_path, cli: Cl
     floats.save(tmp_path / "c.tif")
     with pytest.raises(fr.InputError, match=r"c\.tif is a 32-bit TIFF: save it as EXR"):
         read_image(tmp_path / "c.tif")
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_adobe_deflate"])
+def test_a_damaged_tiff_is_one_line(compression, tmp_path):
+    noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    path = save(tmp_path / "a.tif", noise, compression=compression)
+    content = bytearray(path.read_bytes())
+    content[700:900] = bytes(200)
+    path.write_bytes(content)
+    done = process("compare", path, path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(r"facerender: error: \S*a\.tif is damaged .*; save it again\n", done.stderr)
 
 
 def test_a_transparent_palette_is_saved_as_rgba(tmp_path):

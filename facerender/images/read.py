@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from contextlib import nullcontext
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -18,6 +19,7 @@ from facerender.images.decode import MAX_BYTES, check_pixels, open_image, texels
 from facerender.images.exr import read_exr
 from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file, suffix_of
+from facerender.system.standard_error import redirected_stderr
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -119,10 +121,12 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
     # Pillow would silently drop the lower byte of 16-bit values.
     if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":
         raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
-    image = open_image(content, str(path), _DECODERS, "PNG or JPEG")
-    if (bits := max(getattr(image, "tag_v2", {}).get(258, (8,)))) > 8:  # tag BitsPerSample
-        raise InputError(f"{path} is a {bits}-bit TIFF: save it as EXR")
-    return image_from_pillow(image, str(path), in_file=True)
+    libtiff = content[:2] in (b"II", b"MM")  # it prints to standard error
+    with open(os.devnull, "w") as nothing, redirected_stderr(nothing) if libtiff else nullcontext():
+        image = open_image(content, str(path), _DECODERS, "PNG or JPEG")
+        if (bits := max(getattr(image, "tag_v2", {}).get(258, (8,)))) > 8:  # tag BitsPerSample
+            raise InputError(f"{path} is a {bits}-bit TIFF: save it as EXR")
+        return image_from_pillow(image, str(path), in_file=True)
 
 
 def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageData:
