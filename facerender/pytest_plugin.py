@@ -382,7 +382,8 @@ class _Session:
 
     def _of_checks(self, key: str) -> set[str]:
         """Return all texts that the records of the checks have for a key."""
-        return {check[key] for all in self._checks.values() for check in all if check.get(key)}
+        records = (record for checks in self._checks.values() for record in checks)
+        return {record[key] for record in records if record.get(key)}
 
     def _relative(self, path: str | Path) -> str:
         return os.path.relpath(path, self.config.invocation_params.dir)

@@ -87,7 +87,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Difference(Frame):
-    """A difference with its images, so that a sheet can change its gain; infinite without any."""
+    """A difference with its images, and with its gain; equal images have an infinite gain."""
 
     pair: tuple[ImageData, ImageData]
     gain: float

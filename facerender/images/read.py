@@ -35,7 +35,7 @@ REFUSED = (
 # Without AVIF, JPEG 2000 and PPM: Pillow silently reduces their larger values to 8 bits.
 _DECODERS = ("PNG", "JPEG", "WEBP", "TIFF", "GIF", "BMP", "TGA")
 _MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's modes that are read as they are
-_KINDS = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
+_MODE_NAMES = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
 SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
 _CONVERTED = 0.5  # RMS error of a colour conversion from 8 bits to 8 bits, in 8-bit levels
 _NPY = b"\x93NUMPY"
@@ -140,8 +140,8 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
     if image.format == "GIF" or mode not in _MODES or "transparency" in image.info:
         mode = "LA" if mode == "La" else "RGBA" if image.has_transparency_data else "RGB"
     if image.mode != mode and image.format != "GIF":
-        kind = _KINDS.get(image.mode, image.mode)
-        problem = f"is {kind}" if in_file else f"has Pillow's mode {image.mode}"
+        description = _MODE_NAMES.get(image.mode, image.mode)
+        problem = f"is {description}" if in_file else f"has Pillow's mode {image.mode}"
         remedy = f"save it as {mode}" if in_file else f"give image.convert({mode!r})"
         if image.mode in _MODES:
             problem = "marks one colour as transparent"
