@@ -70,6 +70,11 @@ def clipped(text: str, most: int = 160) -> str:
     return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
 
 
+def number_of(count: int, noun: str) -> str:
+    """Return a count with its noun, such as "1 image" or "2 images"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def shown(value: Any) -> str:
     """Return the repr of a value for a message: one line of limited length."""
     try:

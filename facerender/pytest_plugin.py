@@ -33,7 +33,7 @@ DRIVERS = ("auto", "same", "other")
 LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
 
 _WRITTEN = pytest.StashKey[set[Path]]()  # goldens written in this session
-_CHECKS = pytest.StashKey[list[dict[str, str]]]()
+_CHECKS = pytest.StashKey[list[dict[str, str]]]()  # of a test, since its last report
 _OWNERS = pytest.StashKey[dict[str, str]]()  # ids of the tests that own goldens, keyed by path
 
 
@@ -78,8 +78,8 @@ def pytest_configure(config: pytest.Config) -> None:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             if not hasattr(config, "workerinput"):
-                for path in folder.glob("actual/**/*.exr"):
-                    path.unlink()
+                for path in (folder / "index.html", *folder.glob("actual/**/*.exr")):
+                    path.unlink(missing_ok=True)
         except OSError as error:
             raise pytest.UsageError(f"cannot write {folder}: {error.strerror}") from None
         config.option.facerender_report = str(folder)  # workers may have another current folder
@@ -189,25 +189,23 @@ class Snapshot:
         )
         if result.written:
             written.add(result.written)
-        self._record(result, golden)
+        record = self._record(result, golden)
         if result.failure:
-            actual = self._save_actual(result)
+            record["actual"] = actual = self._save_actual(result)
             remedy = "" if _updates(config).differing else _remedy(node.nodeid, result)
             raise AssertionError(
                 f"{result.failure}\n  golden {result.golden}\n  actual {actual}{remedy}"
             )
 
-    def _record(self, result: GoldenResult, golden: Path) -> None:
-        """Record a check for the session, and write the check's report entry to a file."""
-        node, report = self._request.node, _setting(self._request.config, "report")
+    def _record(self, result: GoldenResult, golden: Path) -> dict[str, str]:
+        """Record a check for the session, with its report entry as JSON, and return the record."""
         record = {"golden": str(golden), "written": str(result.written or ""), "entry": ""}
-        node.stash.setdefault(_CHECKS, []).append(record)
-        if report:
+        self._request.node.stash.setdefault(_CHECKS, []).append(record)
+        if _setting(self._request.config, "report"):
             from facerender.comparison.report import entry
 
-            handle, record["entry"] = tempfile.mkstemp(".json", dir=report)
-            with open(handle, "w", encoding="utf-8") as file_object:
-                json.dump(asdict(entry(result.pair)), file_object)
+            record["entry"] = json.dumps(asdict(entry(result.pair)))
+        return record
 
     def _save_actual(self, result: GoldenResult) -> str:
         """Write an image that failed; return its path, or the reason why it was not written.
@@ -283,9 +281,9 @@ def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
-    if report.when == "teardown" and _CHECKS in item.stash:
+    if _CHECKS in item.stash:
         report.facerender_checks = item.stash[_CHECKS]  # type: ignore[attr-defined]
-        del item.stash[_CHECKS]  # a rerun of the test starts with an empty list
+        del item.stash[_CHECKS]
     return report
 
 
@@ -293,13 +291,14 @@ class _Session:
     """State of a session: checks and goldens.
 
     With pytest-xdist, each worker sends its checks, as part of its test reports, to the reporting
-    process. At its end, the worker also sends the ids of tests that did not pass.
+    process. At its end, the worker also sends the ids of tests that did not pass. Plugins such as
+    pytest-rerunfailures repeat failed tests. Only the checks of a test's last attempt count.
     """
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.unused: list[Path] = []
-        self._checks: list[dict[str, str]] = []
+        self._checks: dict[str, list[dict[str, str]]] = {}  # of each test's last attempt
         self._passed: set[str] = set()
         self._collected: dict[str, set[str]] = {}  # test ids, keyed by module
 
@@ -319,7 +318,9 @@ class _Session:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" and report.passed:
             self._passed.add(report.nodeid)
-        self._checks += getattr(report, "facerender_checks", ())
+        if not hasattr(self.config, "workeroutput"):
+            earlier = [] if report.when == "setup" else self._checks.get(report.nodeid, [])
+            self._checks[report.nodeid] = earlier + getattr(report, "facerender_checks", [])
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
@@ -341,13 +342,12 @@ class _Session:
         fails = self.unused and _setting(self.config, "unused") == "fail"
         if fails and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
-        paths = [Path(check["entry"]) for check in self._checks if check["entry"]]
-        if paths:
-            self._write_report(paths)
+        if report := _setting(self.config, "report"):
+            self._write_report(Path(report))
 
     def _find_unused(self, modules: list[str]) -> list[Path]:
         """Return unused goldens of these test files, and all goldens of deleted test files."""
-        used = {check["golden"] for check in self._checks}
+        used = self._of_checks("golden")
         folders = {_goldens(Path(module)) for module in modules}
         for root in {folder.parent for folder in folders}:
             orphans = (f for f in root.glob("*/") if not (root.parent / f"{f.name}.py").exists())
@@ -359,27 +359,31 @@ class _Session:
             if str(folder / f"{golden.stem.partition('@')[0]}.exr") not in used
         )
 
-    def _write_report(self, paths: list[Path]) -> None:
-        from facerender.comparison.report import Entry, write_report
+    def _write_report(self, folder: Path) -> None:
+        """Write the report, and remove images of attempts that were not a test's last one."""
+        for path in {*folder.glob("actual/**/*.exr")} - {*map(Path, self._of_checks("actual"))}:
+            path.unlink(missing_ok=True)
+        if texts := self._of_checks("entry"):
+            from facerender.comparison.report import Entry, write_report
 
-        entries = {}  # keyed by name, so that the last run of a rerun test counts
-        for path in paths:
-            entry = Entry(**json.loads(path.read_text(encoding="utf-8")))
-            entries[entry.name] = entry
-            path.unlink()
-        folder = Path(_setting(self.config, "report"))
-        write_report(folder / "index.html", sorted(entries.values(), key=lambda entry: entry.name))
+            entries = [Entry(**json.loads(text)) for text in texts]
+            write_report(folder / "index.html", sorted(entries, key=lambda entry: entry.name))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        written = sorted({check["written"] for check in self._checks if check["written"]})
+        written = sorted(self._of_checks("written"))
         lines = [f"written: {self._relative(golden)}" for golden in written]
         lines += [f"unused: {self._relative(golden)}" for golden in self.unused]
-        if any(check["entry"] for check in self._checks):
+        if self._of_checks("entry"):
             lines.append(f"report: {_setting(self.config, 'report')}/index.html")
         if lines:
             terminalreporter.write_sep("=", "facerender")
         for line in lines:
             terminalreporter.write_line(line)
+
+    def _of_checks(self, key: str) -> set[str]:
+        """Return all texts that the records of the checks have for a key."""
+        records = (record for checks in self._checks.values() for record in checks)
+        return {record[key] for record in records if record.get(key)}
 
     def _relative(self, path: str | Path) -> str:
         return os.path.relpath(path, self.config.invocation_params.dir)

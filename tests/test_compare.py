@@ -595,6 +595,61 @@ def test_exit_status_and_output(cli, exr, tmp_path):
     assert cli.run("compare", exr, tmp_path / "other.exr", "--block", "0.06")[0] == 1
 
 
+def covered(count: int) -> np.ndarray:
+    """Return an 8-bit image of 64 x 64 pixels, of which ``count`` are opaque and the rest empty."""
+    image = np.full((64 * 64, 4), 255, np.uint8)
+    image[count:] = 0
+    return image.reshape(64, 64, 4)
+
+
+NUMBERS = {  # two images, limits, and a part of the result
+    "all pixels": (covered(4096), covered(0), {}, "changed on 100 % of the pixels, limit 0.5 %"),
+    "99.7 %": (covered(4096), covered(12), {}, "changed on 99.7 % of the pixels"),
+    "tiny limit": (covered(2000), covered(3000), {"coverage": 1e-7}, "limit 0.00001 %"),
+    "large change": (plain(0.2)[RGB], plain(3.0)[RGB], {"point": 9.0}, "mean +1400 %, limit 0.5 %"),
+    "large limit": (plain(0.001)[RGB], plain(3e5)[RGB], {"block": 12345.0}, "limit 1234500 %"),
+    "radiance": (plain(0.2)[RGB], plain(155.0)[RGB], {}, "by up to 155, worst"),
+    "one block": (
+        np.full((16, 16, 3), 0.2),
+        np.full((16, 16, 3), 0.3),
+        {},
+        "exceeded by 1 of 1 block:",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NUMBERS)
+def test_numbers_have_no_exponent(case, cli, tmp_path):
+    *images, limits, text = NUMBERS[case]
+    for name, image in zip("ab", images, strict=True):
+        np.save(tmp_path / f"{name}.npy", image)
+    options = [word for name, limit in limits.items() for word in (f"--{name}", str(limit))]
+    files = [tmp_path / "a.npy", tmp_path / "b.npy"]
+    status, out, _ = cli.run("compare", *files, *options, "--report", tmp_path / "a.html")
+    assert status == 1
+    assert text in out
+    assert not re.search(r"\de[+-]\d", out)
+    page = re.sub(r'"[^"]*"', "", (tmp_path / "a.html").read_text())
+    assert not re.search(r"\de[+-]\d+ (%|pixels|levels|radiance|blocks)", page)
+
+
+@pytest.mark.parametrize(
+    ("image", "text"),
+    [
+        (np.full((8, 8), 100, np.uint8), "B has 1 channel: save both as RGB"),
+        (np.full((8, 8, 2), 100, np.uint8), "B has 2 channels: save both as RGB"),
+        (
+            np.where(np.arange(192).reshape(8, 8, 3) == 5, np.inf, 1.0),
+            "0 NaN and 1 infinite value,",
+        ),
+    ],
+)
+def test_counts_agree_with_their_nouns(image, text):
+    reference = np.full((8, 8, 3), 100, image.dtype)
+    with pytest.raises(fr.InputError, match=text):
+        compare(reference, image)
+
+
 def test_same_driver(cli, tmp_path):
     for name, by in (("a", 0.0), ("b", 0.002)):
         save_exr(tmp_path / f"{name}.exr", rough(by), {})
@@ -743,7 +798,7 @@ UNREADABLE = {  # name of the file, content, error
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
     "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
     "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a Git LFS pointer"),
-    "image.tiff": (b"II*\0", r"image\.tiff: unknown image format '\.tiff'; give \.exr"),
+    "image.svg": (b"<svg/>", r"image\.svg: unknown image format '\.svg'; give \.exr"),
     "image": (b"x", r"image has no suffix, which sets the image format; give"),
 }
 
@@ -831,7 +886,7 @@ UNLIKE = {  # two images that cannot be compared, and the error
     ),
     "grey": (
         *(GREY_8, GREY_8[..., 0]),
-        r"a\.png has 3 channels, .*b\.png has 1 channels: save both as RGB",
+        r"a\.png has 3 channels, .*b\.png has 1 channel: save both as RGB",
     ),
     "colour space": (
         *(GREY_8, with_gamma),

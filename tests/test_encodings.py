@@ -77,7 +77,7 @@ def test_half_and_full_floats_can_be_compared(frame, tmp_path):
     broken = frame.linear.astype(np.float16)
     broken[100, 50, 1] = np.inf
     write_exr(half, broken)
-    with pytest.raises(fr.InputError, match=r"1 infinite values, the first at pixel \(50, 100\)"):
+    with pytest.raises(fr.InputError, match=r"1 infinite value, the first at pixel \(50, 100\)"):
         compare(half, full)
 
 

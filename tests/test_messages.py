@@ -315,7 +315,8 @@ MESSAGES = [
     ),
     (
         "compare a.png note.txt",
-        "note.txt: unknown image format '.txt'; give .exr, .npz, .npy, .png, .jpg or .jpeg",
+        "note.txt: unknown image format '.txt'; give .exr, .npz, .npy, .png, .jpg, .jpeg, .webp, "
+        ".tif, .tiff, .gif, .bmp or .tga",
     ),
     (
         "compare a.png a.png --point -1",

@@ -69,6 +69,74 @@ def test_neither_outliers_nor_rounding_errors_set_the_scale():
     assert not pixels[10:].any()
 
 
+def panels(frame: fr.Frame, count: int, height: int) -> list[np.ndarray]:
+    """Return the images of a sheet of one row, whose images are 40 pixels wide."""
+    return [frame.srgb8()[-2 - height : -2, 2 + 42 * n : 42 + 42 * n] for n in range(count)]
+
+
+@pytest.mark.parametrize("encoding", ["linear", "srgb8"])
+def test_differences_of_one_sheet_have_one_scale(pair, encoding):
+    """The largest difference sets the scale; equal images do not count."""
+    a, b = pair
+    changed = [a + factor * (b - a) for factor in (0.5, 1.0, 0.0)]
+    if encoding == "srgb8":
+        a, *changed = (np.round(100.0 * image).astype(np.uint8) for image in (a, *changed))
+    small, large, same = (fr.difference(a, image) for image in changed)
+    assert tuple(small.srgb8()[0, 0]) == tuple(large.srgb8()[0, 0]) == WHITE
+    sheet = fr.sheet([small, large, same, a])
+    halved, full, black, _ = panels(sheet, 4, 24)
+    np.testing.assert_array_equal(full, large.srgb8())
+    np.testing.assert_allclose(halved[0, 0], BRIGHTER, atol=2)
+    assert not black.any()
+    white = large.metadata["difference"]
+    explicit = fr.sheet([small, large, same, a], [white, white, white, ""])
+    np.testing.assert_array_equal(sheet.srgb8(), explicit.srgb8())
+
+
+def test_titles_state_the_scale_of_the_sheet(pair):
+    a, b = pair
+    small, large = fr.difference(a, a + (b - a) / 100.0), fr.difference(a, b)
+    scale = "white = 0.5"
+    for titles, printed in (
+        (["one", "two"], [f"one, {scale}", f"two, {scale}"]),
+        (
+            [f"one: {d.metadata['difference']}" for d in (small, large)],
+            [f"one: B - A: orange +, blue -, {scale}"] * 2,
+        ),
+        ([f"{scale} here", ""], [f"{scale} here", ""]),
+    ):
+        sheet = fr.sheet([small, large], titles)
+        expected = fr.sheet([large, large], printed)
+        assert sheet.linear.shape == expected.linear.shape
+        bands = [frame.srgb8()[:-26] for frame in (sheet, expected)]
+        np.testing.assert_array_equal(*bands)
+
+
+@pytest.mark.parametrize("gains", [(1.0, 4.0), (4.0, None)])
+def test_given_gains_of_one_sheet_become_one(pair, gains):
+    a, b = pair
+    frames = [fr.difference(a, b, gain=gain) for gain in gains]
+    one, other = panels(fr.sheet(frames), 2, 24)
+    np.testing.assert_array_equal(one, other)
+    least = fr.difference(a, b, gain=min(gain or 2.0 for gain in gains))
+    np.testing.assert_array_equal(one, least.srgb8())
+
+
+@pytest.mark.parametrize("width", [48, 90, 128])
+def test_titles_of_narrow_images_are_complete(width):
+    """A title that is wider than its image has several lines, and no ink of it is missing."""
+    bands = []
+    for size in (width, 239):
+        frame = fr.sheet(
+            [np.zeros((10, size, 3), np.uint8)], ["B - A: orange +, blue -, white = 0.0123"]
+        )
+        gap = max(size // 64, 2)
+        bands.append(255.0 - frame.srgb8()[gap : -10 - gap])
+    narrow, wide = bands
+    assert len(narrow) >= 2 * len(wide)
+    assert narrow.sum() == pytest.approx(wide.sum(), rel=0.05)
+
+
 def test_gain_is_a_linear_scale(pair):
     a, b = pair
     half, quarter, clipped = (fr.difference(a, b, gain=g).srgb8() for g in (1.0, 0.5, 1000.0))
@@ -142,7 +210,7 @@ BLACK = np.zeros((4, 5, 3), np.float32)
         (lambda: fr.sheet(5), "images = 5: give a list of images"),
         (lambda: fr.sheet(["nofile.png"]), "cannot read nofile.png"),
         (lambda: fr.sheet([None]), r"image 1 has shape \(\)"),
-        (lambda: fr.sheet([BLACK], titles=["a", "b"]), "2 titles for 1 images: give one for each"),
+        (lambda: fr.sheet([BLACK], titles=["a", "b"]), "titles: 2, images: 1; give one for each"),
         (lambda: fr.sheet([BLACK], titles=[1]), r"titles = \[1\]: give a list of texts"),
         (lambda: fr.sheet([BLACK], columns=2), r"columns = 2 is outside \[1, 1\]"),
         (lambda: fr.sheet([BLACK], columns=1.0), "columns = 1.0: give a whole number"),

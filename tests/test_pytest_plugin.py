@@ -774,6 +774,97 @@ def test_report_removes_images_of_earlier_sessions(recorded):
     assert list((recorded.path / "page").rglob("*.exr")) == []
 
 
+# Repeats a failed test as pytest-rerunfailures does: it logs no report after the failed one.
+RERUNS = """
+from _pytest.runner import runtestprotocol
+
+def pytest_runtest_protocol(item, nextitem):
+    for last in (False, True):
+        for report in runtestprotocol(item, nextitem=nextitem, log=False):
+            failed = report.failed and not last
+            report.outcome = "rerun" if failed else report.outcome
+            item.ihook.pytest_runtest_logreport(report=report)
+            if failed:
+                break
+        else:
+            return True
+
+def pytest_report_teststatus(report):
+    return ("rerun", "R", "RERUN") if report.outcome == "rerun" else None
+"""
+FLAKY = """
+from collections import Counter
+attempts = Counter()
+
+@pytest.fixture
+def first(request):
+    attempts[request.node.name] += 1
+    return attempts[request.node.name] == 1
+
+@pytest.fixture
+def late(first): assert first
+
+def wrong(is_wrong): return image(0.9 if is_wrong else 0.5)
+
+def test_passes(snapshot, first): snapshot(wrong(first))
+@pytest.mark.parametrize("p", ["a", "b"])
+def test_many(snapshot, first, p): snapshot(wrong(first and p == "a"))
+def test_other_image(snapshot, first):
+    snapshot(wrong(first), "one")
+    snapshot(wrong(not first), "two")
+def test_fewer_images(snapshot, first):
+    if first: snapshot(wrong(True), "one")
+def test_setup(late, snapshot): snapshot(wrong(True))
+def test_twice(snapshot): snapshot(wrong(True))
+"""
+
+
+@pytest.mark.parametrize("extra", [(), pytest.param(("-n", "2"), marks=pytest.mark.slow)])
+def test_only_the_last_attempt_at_a_test_leaves_images(recorded, extra):
+    names = ["test_passes", "test_many-a", "test_many-b", "test_setup", "test_twice"]
+    names += ["test_other_image-one", "test_other_image-two", "test_fewer_images-one"]
+    for name in names:
+        shutil.copy(recorded.golden(), recorded.golden(name))
+    recorded.write(FLAKY)
+    recorded.pytester.makeconftest(RERUNS)
+    result = recorded.run_apart(*extra, "--facerender-report=page")
+    result.assert_outcomes(passed=4, failed=2, errors=1)
+    actual = {path.name for path in (recorded.path / "page").rglob("*.exr")}
+    assert actual == {"test_other_image-two.exr", "test_twice.exr"}
+    page = (recorded.path / "page/index.html").read_text()
+    assert "<h1>Comparison: 2 differ, 4 the same</h1>" in page
+    assert "test_fewer_images" not in page
+
+
+@pytest.mark.parametrize("tests", ["def test_other(): pass\n", ""])
+def test_session_without_images_removes_the_report_of_an_earlier_one(recorded, tests):
+    recorded.write(ONE.format(value=0.6))
+    recorded.run("--facerender-report=page", failed=1)
+    recorded.write(tests)
+    recorded.run("--facerender-report=page")
+    assert [path for path in (recorded.path / "page").rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["os.kill(os.getpid(), 9)", "os._exit(3)"])
+def test_dead_worker_leaves_no_file(recorded, end):
+    recorded.write(
+        ONE.format(value=0.5)
+        + f"def test_dies(snapshot):\n    snapshot(image(), 'one')\n    {end}\n"
+        + "@pytest.fixture\n"
+        + f"def ending():\n    yield\n    {end}\n"
+        + "def test_dies_later(ending, snapshot): snapshot(image(0.9))\n"
+    )
+    for name in ("test_dies-one", "test_dies_later"):
+        shutil.copy(recorded.golden(), recorded.golden(name))
+    recorded.run_apart("-n", "2", "--facerender-report=page")
+    folder = recorded.path / "page"
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert files == {"index.html", "actual/goldens/test_suite/test_dies_later.exr"}
+    page = (folder / "index.html").read_text()
+    assert "<h1>Comparison: 1 differs, 1 the same</h1>" in page
+
+
 def test_failure_to_store_an_image_hides_no_reason(recorded):
     recorded.write(ONE.format(value=0.6))
     (recorded.path / "page").mkdir()

@@ -26,7 +26,7 @@ from facerender.comparison.checks import CHECKS
 from facerender.comparison.result import LIMITS, Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError, clipped, warn
-from facerender.images.read import read_image
+from facerender.images.read import SUFFIXES, read_image
 from facerender.images.write import WRITTEN
 from facerender.system.atomic import write_text
 from facerender.terms.ranges import Range
@@ -47,7 +47,7 @@ def add(compare: argparse.ArgumentParser) -> None:
         "between OpenGL drivers (rounding, noise, moved edges) are below the limits.\n"
         "Exit status: 0 the images are the same, 1 they differ, 2 no comparison is possible."
     )
-    kinds = ".exr, .npz, .npy, .png or .jpg, or a folder of them"
+    kinds = f"{', '.join(SUFFIXES)}, or a folder of them"
     needed = "required, except with --calibrate"
     reference = Help(f"reference: {kinds}", needed)
     compare.add_argument("a", metavar="A", nargs="?", help=reference)

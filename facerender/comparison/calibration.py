@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.comparison.checks import CHECKS, decimal
 from facerender.comparison.compare import compare, pairs_of
 from facerender.comparison.neighbourhoods import FULL, filtered, shrunk
 from facerender.comparison.result import LIMITS, Limits
@@ -123,13 +124,15 @@ class Calibration:
         default = getattr(LIMITS[self.encoding], name)
         if getattr(self.limits, name) <= default:
             return ""
-        limit = getattr(self.least, name)
-        return f"; wider than the default {default:g}, since {self.needed[name]} needs {limit:.2g}"
+        limit = decimal(getattr(self.least, name))
+        return f"; wider than the default {default:g}, since {self.needed[name]} needs {limit}"
 
     def _amount(self, name: str, amount: float) -> str:
         if name == "point":
-            return f"{amount:.2g}{'' if self.encoding == 'linear' else ' of 255'}"
-        return f"{amount:.2g} pixels" if name == "shift" else f"{100.0 * amount:.2g} %"
+            return f"{decimal(amount)}{'' if self.encoding == 'linear' else ' of 255'}"
+        if name == "shift":
+            return CHECKS["shift"].amount(amount, self.encoding)
+        return f"{decimal(100.0 * amount)} %"
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from facerender.images.image import Encoding
+
+
+def decimal(value: float, digits: int = 2, sign: bool = False) -> str:
+    """Return a number with ``digits`` or more significant digits and without an exponent."""
+    digits = max(digits, len(f"{abs(value):.0f}"))
+    return np.format_float_positional(
+        float(value), digits, unique=False, fractional=False, trim="-", sign=sign
+    )
 
 
 class Check(NamedTuple):
@@ -25,7 +35,7 @@ class Check(NamedTuple):
         """Return a value with its unit, such as "0.5 %"."""
         unit, _, note = ((encoding == "srgb8" and self.levels) or self.unit).partition(" ")
         value = 100.0 * value if unit == "%" else value
-        text = f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+        text = decimal(value, 3)
         unit = unit.removesuffix("s") if text == "1" else unit
         return f"{text} {unit} {note if remark else ''}".rstrip()
 

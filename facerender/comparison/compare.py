@@ -50,7 +50,7 @@ from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, warn
 from facerender.images.decode import MAX_BYTES
 from facerender.images.image import Encoding, ImageData, PixelRange
-from facerender.images.read import SUFFIXES
+from facerender.images.read import REFUSED, SUFFIXES
 from facerender.system.files import check_file
 
 Driver = Literal["auto", "same", "other"]
@@ -80,8 +80,8 @@ def compare(
     Parameters
     ----------
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4) of linear float or 8-bit sRGB with
-        coverage as fourth channel; a Pillow image; or the path of a .exr, .npz, .npy, .png or .jpg
-        file
+        coverage as fourth channel; a Pillow image; or the path of a .exr, .npz, .npy, .png, .jpg,
+        .webp, .tif, .gif, .bmp or .tga file
     point, block, trend, grain, texture, coverage, shift : limits of the checks, see
         :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Two images that one
         driver drew with float textures pass a block limit of 1e-3
@@ -206,7 +206,7 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
         path.relative_to(folder).as_posix()
         for folder in (a, b)
         for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES
+        if path.suffix.lower() in (*SUFFIXES, *REFUSED)
     }
     if not names:
         raise InputError(f"no image in {a} and {b}: give folders of {', '.join(SUFFIXES)} files")

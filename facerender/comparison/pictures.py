@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import visualization
+from facerender.comparison.checks import decimal
 from facerender.comparison.sources import Comparable, alike, as_image, check_finite
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range, shown
@@ -62,7 +65,9 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
         check_finite(data)
     signed = visualization.signed_difference(a, b)
     full = 1.0 if a.encoding == "linear" else 255.0
-    white = full / gain if gain is not None else _fitted(np.abs(signed)) or full
+    if gain is None:
+        gain = min(max(full / (_fitted(np.abs(signed)) or full), GAINS[0]), GAINS[1])
+    white = full / gain
     steps = np.arange(-_STEPS, _STEPS + 1) / _STEPS
     channels = srgb_to_linear(np.array(_COLORS) / 255.0).T
     ramp = [np.interp(steps, (-1.0, -0.5, 0.0, 0.5, 1.0), channel) for channel in channels]
@@ -74,7 +79,18 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
         uncovered = visualization.other_coverage(a, b, rows)
         pixels[rows][uncovered & (level == 0)] = visualization.UNCOVERED
     unit = "" if a.encoding == "linear" else "/255"
-    return _frame(pixels, {"difference": f"B - A: orange +, blue -, white = {white:.3g}{unit}"})
+    frame = _frame(
+        pixels, {"difference": f"B - A: orange +, blue -, white = {decimal(white, 3)}{unit}"}
+    )
+    return _Difference(**vars(frame), pair=(a, b), gain=gain if signed.any() else math.inf)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Difference(Frame):
+    """A difference with its images, and with its gain; equal images have an infinite gain."""
+
+    pair: tuple[ImageData, ImageData]
+    gain: float
 
 
 def _fitted(differences: NDArray[np.float32]) -> float:
@@ -88,7 +104,8 @@ def sheet(
     titles: Sequence[str] | None = None,
     columns: int | None = None,
 ) -> Frame:
-    """Return one picture with several images side by side. Transparent images lie on black.
+    """Return one picture with several images side by side. Transparent images lie on black. All
+    differences have the scale of the largest one, which their titles state.
 
     Parameters
     ----------
@@ -104,6 +121,13 @@ def sheet(
     if not isinstance(images, Iterable) or isinstance(images, np.ndarray | str):
         raise InputError(f"images = {shown(images)}: give a list of images")
     images = list(images)
+    differences = {n: image for n, image in enumerate(images) if isinstance(image, _Difference)}
+    gain = min((frame.gain for frame in differences.values()), default=math.inf)
+    scaled = {
+        n: frame if frame.gain == gain else difference(*frame.pair, gain=gain)
+        for n, frame in differences.items()
+    }
+    images = [scaled.get(n, image) for n, image in enumerate(images)]
     cells = [_displayed(source, f"image {number}") for number, source in enumerate(images, 1)]
     if not cells:
         raise InputError("a sheet of 0 images: give at least one")
@@ -115,11 +139,16 @@ def sheet(
             )
     if titles is None:
         titles = [e.metadata.get("difference", "") if isinstance(e, Frame) else "" for e in images]
-    texts = (titles,) if isinstance(titles, str) else tuple(titles)
+    texts = [titles] if isinstance(titles, str) else [*titles]
     if not all(isinstance(text, str) for text in texts):
         raise InputError(f"titles = {shown(titles)}: give a list of texts")
     if len(texts) != len(cells):
-        raise InputError(f"{len(texts)} titles for {len(cells)} images: give one for each image")
+        raise InputError(f"titles: {len(texts)}, images: {len(cells)}; give one for each image")
+    for n, frame in scaled.items():
+        title = frame.metadata["difference"]
+        text = texts[n].replace(differences[n].metadata["difference"], title)
+        scale = title.rpartition(", ")[2]
+        texts[n] = text if scale in text or not text else f"{text}, {scale}"
     if columns is not None:
         if isinstance(columns, bool) or not isinstance(columns, int):
             raise InputError(f"columns = {shown(columns)}: give a whole number")

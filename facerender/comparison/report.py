@@ -17,7 +17,7 @@ from facerender.comparison.blocks import BLOCK
 from facerender.comparison.checks import CHECKS
 from facerender.comparison.compare import Pair
 from facerender.comparison.result import BLUR, HOLES, SURE, Comparison
-from facerender.errors import InputError
+from facerender.errors import InputError, number_of
 from facerender.images.image import Encoding, ImageData
 from facerender.page.document import document, image_source, row, table
 from facerender.system.atomic import write_bytes
@@ -196,7 +196,7 @@ def _check_table(result: Comparison) -> str:
     limits, factor = result.limits, result.limit_factor
     x, y = result.shift
     points = CHECKS["slivers"].amount(result.points, result.encoding)
-    blocks = f"{result.blocks} of {result.blocks_judged} blocks"
+    blocks = f"{result.blocks} of {number_of(result.blocks_judged, 'block')}"
     where = {
         "point": _where(result.point, result.point_at, points),
         "block": _where(result.block, result.block_at, blocks),
@@ -245,7 +245,8 @@ def _facts(pair: Pair) -> str:
     if not facts:
         return ""
     shown, folded = (table("facts", ("", *facts), rows[differs]) for differs in (True, False))
-    title = f"{len(rows[False])} {'equal ' * (len(facts) > 1)}properties"
+    count = len(rows[False])
+    title = f"{count} {'equal ' * (len(facts) > 1)}propert{'y' if count == 1 else 'ies'}"
     return f"<div>{shown}<details><summary>{title}</summary>{folded}</details></div>"
 
 
@@ -253,7 +254,7 @@ def _fact(image: ImageData) -> dict[str, str]:
     height, width, channels = image.pixels.shape
     kind = "linear" if image.encoding == "linear" else "8-bit sRGB"
     space = {"colour space": image.color_space} if image.color_space else {}
-    pixels = f"{width} × {height}, {channels} channel{'s' * (channels > 1)}, {kind}"
+    pixels = f"{width} × {height}, {number_of(channels, 'channel')}, {kind}"
     converted = {"converted from": image.profile} if image.profile else {}
     return {"image": image.name, "pixels": pixels, **space, **converted, **image.metadata}
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError
+from facerender.errors import InputError, number_of
 from facerender.images.image import ImageData, image_from_array
-from facerender.images.read import read_image
+from facerender.images.read import image_from_pillow, read_image
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -34,8 +34,8 @@ def as_image(source: Comparable, name: str) -> ImageData:
     if not isinstance(source, np.ndarray):
         from PIL import Image
 
-        if isinstance(source, Image.Image) and source.mode not in ("L", "LA", "RGB", "RGBA"):
-            raise InputError(f"{name} has Pillow's mode {source.mode}: give image.convert('RGB')")
+        if isinstance(source, Image.Image):
+            return image_from_pillow(source, name)
     return image_from_array(np.asarray(source), name)
 
 
@@ -61,7 +61,7 @@ def alike(a: ImageData, b: ImageData) -> tuple[ImageData, ImageData]:
     if a.pixels.shape[2] != b.pixels.shape[2]:
         a, b = map(_without_opaque_alpha, (a, b))
     if a.pixels.shape[2] != b.pixels.shape[2]:
-        counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
+        counts = (f"{x.name} has {number_of(x.pixels.shape[2], 'channel')}" for x in (a, b))
         grey = len({x.pixels.shape[2] > 2 for x in (a, b)}) > 1
         remedy = "save both as RGB" if grey else "save both with alpha, or both without"
         raise InputError(f"{', '.join(counts)}: {remedy}")
@@ -88,7 +88,7 @@ def check_finite(image: ImageData) -> None:
         return
     row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
     nans, infinite = (int(test(image.pixels).sum()) for test in (np.isnan, np.isinf))
-    values = f"{nans} NaN and {infinite} infinite values"
+    values = f"{nans} NaN and {number_of(infinite, 'infinite value')}"
     if not nans + infinite:
         values = f"values beyond {HIGHEST:g}"
     raise InputError(

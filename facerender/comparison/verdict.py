@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, FLOOR, BlockStatistics, block_sums, cell_sums
 from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
+from facerender.comparison.checks import decimal
 from facerender.comparison.neighbourhoods import (
     EDGE,
     FULL,
@@ -23,6 +24,7 @@ from facerender.comparison.neighbourhoods import (
     filtered,
 )
 from facerender.comparison.result import BLUR, HOLES, Comparison
+from facerender.errors import number_of
 from facerender.images.image import ImageData
 
 # Largest unexplained difference of a single pixel, keyed by the class of the pixel.
@@ -93,8 +95,8 @@ def reasons_of(
         )
     if uncovered:
         reasons.append(
-            f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
-            f"{100.0 * result.limits.coverage:g} %{because(cause)}"
+            f"coverage changed on {decimal(100.0 * result.coverage)} % of the pixels, limit "
+            f"{decimal(100.0 * result.limits.coverage, 6)} %{because(cause)}"
         )
     first = f"{reasons[0]}{result.facts}"
     named = fault if fault and f"perhaps {fault}" in first else cause
@@ -157,11 +159,11 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     if (np.abs(over) == SLIVER).any():
         return f"slivers: {pixels} like slivers at edges, limit {result.sliver_limit:.0f}"
     point = abs(result.point)
-    amount = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
+    amount = decimal(point) if result.encoding == "linear" else f"{point:.0f} of 255"
     at_edge = " at edges" if _at_edge(over) else ""
     return (
         f"point: {pixels} from the surroundings in the other image by up to {amount}{at_edge}, "
-        f"worst at {result.point_at}, limit {result.limits.point:g}"
+        f"worst at {result.point_at}, limit {decimal(result.limits.point, 6)}"
     )
 
 
@@ -171,18 +173,20 @@ def _of_blocks(result: Comparison, images: tuple[ImageData, ImageData]) -> Itera
     factor, unit = (100.0, " %") if relative else (1.0, " of 255")
     if result.blocks:
         plain = _mean_change(result, images)
-        mean = f"{_signed(factor * plain)}{unit}"
+        mean = f"{decimal(factor * plain, sign=True)}{unit}"
         if abs(plain) <= result.limits.block:
-            mean += f", or {_signed(factor * result.block)}{unit} without edges and displacement"
+            remaining = decimal(factor * result.block, sign=True)
+            mean += f", or {remaining}{unit} without edges and displacement"
         yield (
             f"block at {result.block_at}: mean {mean}, limit "
-            f"{factor * result.limits.block:g}{unit * relative}, "
-            f"exceeded by {result.blocks} of {result.blocks_judged} blocks"
+            f"{decimal(factor * result.limits.block, 6)}{unit * relative}, "
+            f"exceeded by {result.blocks} of {number_of(result.blocks_judged, 'block')}"
         )
     elif result.changed_alike:
         yield (
-            f"trend {result.trend:.2g}, limit {result.limit_factor * result.limits.trend:g}: "
-            "neighbouring blocks changed alike"
+            f"trend {decimal(result.trend)}, limit "
+            f"{decimal(result.limit_factor * result.limits.trend, 6)}: neighbouring blocks changed "
+            "alike"
         )
 
 
@@ -214,9 +218,11 @@ def _subtle(result: Comparison) -> Iterator[str]:
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
         scale, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
-        yield f"grain {scale * result.grain:+.2g}{unit or ' of 255'}, limit {scale * grain:g}{unit}"
+        change = f"{decimal(scale * result.grain, sign=True)}{unit or ' of 255'}"
+        yield f"grain {change}, limit {decimal(scale * grain, 6)}{unit}"
     if not BLUR * -texture <= result.texture <= texture:
-        yield f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %"
+        change = decimal(100.0 * result.texture, sign=True)
+        yield f"texture {change} %, limit {decimal(100.0 * texture, 6)} %"
     x, y = result.shift
     if max(abs(x), abs(y)) > limits.shift:
         yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}"
@@ -255,10 +261,6 @@ def _estimate(result: Comparison, cause: str) -> str:
     gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
     displaced = cause == GEOMETRY and max(abs(x), abs(y)) > _SHIFTED
-    moved = f"shift ({x:.2g}, {y:.2g})" if displaced else ""
+    moved = f"shift ({decimal(x)}, {decimal(y)})" if displaced else ""
     estimate = ", ".join(filter(None, (gain, moved)))
     return f" ({estimate})" if estimate else ""
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.2g}" if abs(value) < 10.0 else f"{value:+.0f}"

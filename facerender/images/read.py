@@ -1,13 +1,14 @@
-"""Reading of image files: EXR, NumPy arrays, PNG and JPEG."""
+"""Reading of image files: EXR, NumPy arrays, and 8-bit images with Pillow."""
 
 from __future__ import annotations
 
 import math
 import os
+from contextlib import nullcontext
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -19,8 +20,23 @@ from facerender.images.exr import read_exr
 from facerender.images.image import ImageData, image_from_array
 from facerender.images.write import PREFIX
 from facerender.system.files import check_downloaded, open_file, suffix_of
+from facerender.system.standard_error import redirected_stderr
 
-SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+_8_BIT = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".bmp", ".tga")
+SUFFIXES = (".exr", ".npz", ".npy", *_8_BIT)
+# Other images and videos. In folders, these files are errors: a silent skip would hide a change.
+REFUSED = (
+    *(".apng", ".avif", ".dds", ".dng", ".hdr", ".heic", ".heif", ".ico", ".jfif", ".jp2", ".jpe"),
+    *(".jxl", ".ktx2", ".mov", ".mp4", ".pbm", ".pcx", ".pfm", ".pgm", ".pnm", ".ppm", ".psd"),
+    *(".qoi", ".svg", ".webm"),
+)
+# Without AVIF, JPEG 2000 and PPM: Pillow silently reduces their larger values to 8 bits.
+_DECODERS = ("PNG", "JPEG", "WEBP", "TIFF", "GIF", "BMP", "TGA")
+_MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's modes that are read as they are
+_MODE_NAMES = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
 SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
 _CONVERTED = 0.5  # RMS error of a colour conversion from 8 bits to 8 bits, in 8-bit levels
 _NPY = b"\x93NUMPY"
@@ -31,7 +47,8 @@ _LONGEST_EXR = 1 << 24  # largest header of an EXR file, in bytes
 def read_image(path: str | os.PathLike[str]) -> ImageData:
     """Read an image file.
 
-    path : .exr (needs the extra ``exr``), .npz or .npy (linear floats, or 8-bit sRGB), .png or .jpg
+    path : .exr (needs the extra ``exr``), .npz or .npy (linear floats, or 8-bit sRGB), .png, .jpg,
+        .webp, .tif, .gif, .bmp or .tga (8-bit, one frame)
 
     Raises
     ------
@@ -105,28 +122,57 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
     # Pillow would silently drop the lower byte of 16-bit values.
     if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":
         raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
-    image = open_image(content, str(path), ("PNG", "JPEG"), "PNG or JPEG")
-    if image.mode not in ("L", "LA", "RGB", "RGBA"):
-        kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
-        raise InputError(f"{path} is {kind.get(image.mode, image.mode)}: save it as RGB")
-    if "transparency" in image.info:
-        raise InputError(f"{path} marks one colour as transparent: save it as RGBA")
+    libtiff = content[:2] in (b"II", b"MM")  # it prints to standard error
+    with open(os.devnull, "w") as nothing, redirected_stderr(nothing) if libtiff else nullcontext():
+        image = open_image(content, str(path), _DECODERS, "PNG or JPEG")
+        if (bits := max(getattr(image, "tag_v2", {}).get(258, (8,)))) > 8:  # tag BitsPerSample
+            raise InputError(f"{path} is a {bits}-bit TIFF: save it as EXR")
+        return image_from_pillow(image, str(path), in_file=True)
+
+
+def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageData:
+    """Return an image from a Pillow image, turned as its EXIF data state and converted to sRGB.
+
+    in_file : whether the remedies of errors are for a file, not for a Pillow image
+    """
+    from PIL import ExifTags, ImageOps
+
+    mode = image.mode
+    if image.format == "GIF" or mode not in _MODES or "transparency" in image.info:
+        mode = "LA" if mode == "La" else "RGBA" if image.has_transparency_data else "RGB"
+    if image.mode != mode and image.format != "GIF":
+        description = _MODE_NAMES.get(image.mode, image.mode)
+        problem = f"is {description}" if in_file else f"has Pillow's mode {image.mode}"
+        remedy = f"save it as {mode}" if in_file else f"give image.convert({mode!r})"
+        if image.mode in _MODES:
+            problem = "marks one colour as transparent"
+        elif image.mode[0] in "FI":
+            remedy = "give numpy.asarray(image) / WHITE, where WHITE is the value of white"
+        raise InputError(f"{name} {problem}: {remedy}")
     try:
-        pixels = texels(image, image.mode)
+        frames = getattr(image, "n_frames", 1)
+        turned = image.getexif().get(ExifTags.Base.Orientation) in range(2, 9)
+        pixels = texels(ImageOps.exif_transpose(image) if turned else image, mode)
     except Exception as error:  # Pillow's decoders raise many types
-        raise InputError(f"{path} is damaged ({reason(error)}); save it again") from None
-    metadata = {
+        raise InputError(f"{name} is damaged ({reason(error)}); save it again") from None
+    if frames > 1:
+        remedy = "save each as a file" if in_file else f"give one as image.convert({mode!r})"
+        raise InputError(f"{name} has {frames} frames: {remedy}")
+    texts = {
         str(key).removeprefix(PREFIX): value
         for key, value in image.info.items()
         if isinstance(value, str)
     }
-    image_data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
+    texts.pop("compression", None)  # of TIFF and TGA; it changes no pixel
+    image_data = replace(
+        image_from_array(pixels, name), metadata=texts, jpeg=image.format == "JPEG"
+    )
     if "icc_profile" in image.info:
         try:
             pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
         except Exception as error:  # LittleCMS raises several types
             raise InputError(
-                f"{path} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
+                f"{name} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
             ) from None
         return replace(
             image_data, pixels=pixels, profile=profile, noise=_CONVERTED if profile else 0.0
