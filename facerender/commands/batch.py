@@ -108,15 +108,9 @@ def add(batch: argparse.ArgumentParser) -> None:
         "count the drawn, failed and remaining jobs of the batch in this folder or URL", "none"
     )
     ask.add_argument("--status", metavar="OUT", help=counts)
-    add_flag(ask, "schema", "print the JSON Schema of a row of the table")
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.schema:
-        from facerender.batch.schema import schema
-
-        print_result(json.dumps(schema(), indent=2))
-        return 0
     if options.status:
         return _print_status(options.status, options.json)
     if options.jobs is None:

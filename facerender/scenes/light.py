@@ -239,7 +239,7 @@ LIGHTS: Mapping[str, Light] = {
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5, radius=4.0),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5, radius=4.0),
 }
-# Texts that parse_light accepts, for messages and the schema of batches.
+# Texts that parse_light accepts, for messages.
 LIGHT_TEXTS = (
     f"{', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then "
     "optionally ,radius=DEGREES for an area light and ,no-shadow"

@@ -1,7 +1,7 @@
 """Ranges of values.
 
 Each range is defined once, on the dataclass field that it limits. Constructors, the command line,
-the explorer, and the schema and the checks of batches read the range from this field."""
+the explorer and the checks of batches read the range from this field."""
 
 from __future__ import annotations
 
