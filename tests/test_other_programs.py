@@ -321,6 +321,37 @@ def test_ply_texture_without_coordinates_warns(tmp_path):
     assert load(path)[1] == ["a.ply has no texture coordinates: its texture is ignored"]
 
 
+def test_ply_colours_of_vertices_beside_coordinates(tmp_path):
+    """Without a texture, the colours are drawn. Vertex numbers count the file's vertices."""
+    uv = HEAD.uv[HEAD.faces].reshape(len(HEAD.faces), 6)
+    for binary in (False, True):
+        face = {"texcoord": ("float", uv)}
+        path = write_ply(tmp_path / "a.ply", rgb("uchar", COLORS), face, binary=binary)
+        mesh, messages = load(path)
+        (part,) = mesh.parts
+        assert messages == []
+        assert part.source_count == len(HEAD.positions)
+        np.testing.assert_allclose(part.positions, HEAD.positions[part.sources], atol=1e-6)
+        np.testing.assert_allclose(part.colors, linear(COLORS)[part.sources], atol=1e-9)
+        assert mesh.materials[0].albedo == (1.0, 1.0, 1.0)
+
+
+def test_ply_faces_that_do_not_exist(tmp_path):
+    path = write_ply(tmp_path / "a.ply", face=rgb("uchar", OF_FACES), binary=True)
+    content = bytearray(path.read_bytes())
+    faces = content.index(b"end_header\n") + 11 + 12 * len(HEAD.positions)
+    size = (len(content) - faces) // len(HEAD.faces)
+    struct.pack_into("<i", content, faces + 3 * size + 1, 10**6)
+    path.write_bytes(content)
+    mesh, messages = load(path)
+    assert "invalid vertex indices: dropped" in messages[0]
+    part = mesh.parts[0]
+    expected = np.delete(linear(OF_FACES), 3, axis=0)
+    np.testing.assert_allclose(
+        sorted(map(tuple, part.colors[part.faces][:, 0])), sorted(map(tuple, expected))
+    )
+
+
 def test_strips_are_refused(tmp_path):
     for body in ("3 0 1 2", "5 0 1 2 -1 3"):
         path = tmp_path / "a.ply"
@@ -461,7 +492,8 @@ def test_no_library_causes_no_warning(tmp_path):
         ("HEAD.MTL", "skin.jpg", "head.mtl"),
         ("head.mtl", "Skin.JPG", "skin.jpg"),
         ("head.mtl", r"C:\Scans\SKIN.jpg", "skin.jpg"),
-        ("head.mtl", "Textures/Skin.jpg", "skin.jpg"),
+        ("head.mtl", "Textures/Skin.jpg", "textures/skin.jpg"),
+        ("head.mtl", "TEXTURES/skin.jpg", "textures/skin.jpg"),
     ],
 )
 def test_names_in_another_case(library, texture, used, tmp_path):
@@ -472,7 +504,7 @@ def test_names_in_another_case(library, texture, used, tmp_path):
     (tmp_path / "other.obj").write_text(text.replace("head.mtl", library))
     if "/" in texture:
         (tmp_path / "textures").mkdir()
-        (tmp_path / "skin.jpg").rename(tmp_path / "textures" / "skin.jpg")
+        (tmp_path / "skin.jpg").rename(tmp_path / used)
     other, messages = load(tmp_path / "other.obj")
     (message,) = messages
     assert message.endswith(f"{used} is used, whose name differs in upper and lower case")

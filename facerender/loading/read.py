@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, warn
+from facerender.images.srgb import srgb_to_linear
 from facerender.loading.from_trimesh import has_normals, piece_of
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
@@ -232,8 +233,16 @@ def _ply_pieces(
     numbers = _ply_values(geometry, "face", ("texnumber",)) if len(names) > 1 else None
     if numbers:
         geometry.face_attributes["texnumber"] = numbers[0]
+    sources, colors = _ply_sources(geometry), _ply_values(geometry, "vertex", _COLORS)
     piece = piece_of(geometry, references.name, {}, bool(references.missing()))
+    if sources is not None:
+        piece.sources = sources
+        piece.source_count = geometry.metadata["_ply_raw"]["vertex"]["length"]
     if not any(textures):
+        if sources is not None and colors and piece.colors is None and not names:
+            levels = _eight_bit(np.stack(colors, axis=1)[sources])
+            piece.colors, white = srgb_to_linear(levels / 255.0), (1.0, 1.0, 1.0)
+            piece.material = Material(albedo=white)
         return [piece]
     if piece.uv is None:
         warn(f"{references.name} has no texture coordinates: its texture is ignored")
@@ -274,22 +283,45 @@ def _ply_values(
     columns = [np.asarray(data[name]).reshape(-1) for name in names]
     if element == "vertex":
         return columns
-    corners = next(data[name] for name in _INDICES if name in known)
-    corners = corners["f1"] if corners.dtype.names else corners
-    counts = np.array([len(face) for face in corners])
+    counts = np.array([len(face) for face in _ply_corners(geometry)])
     triangles, quads, others = (np.flatnonzero(m) for m in (counts == 3, counts == 4, counts > 4))
     # The order of trimesh.geometry.triangulate_quads, which also makes fans of polygons.
     owners = [triangles, quads, quads, np.repeat(others, counts[others] - 2)]
     return [column[np.concatenate(owners)] for column in columns]
 
 
+def _ply_corners(geometry: trimesh.Trimesh) -> NDArray[Any]:
+    """Return the vertices of each face of a PLY file, (F, K), or objects for different K."""
+    data = geometry.metadata["_ply_raw"]["face"]["data"]
+    known = data.dtype.names if isinstance(data, np.ndarray) else data
+    corners = next(np.asarray(data[name]) for name in _INDICES if name in known)
+    return np.asarray(corners["f1"]) if corners.dtype.names else corners
+
+
+def _ply_sources(geometry: trimesh.Trimesh) -> NDArray[np.int64] | None:
+    """Return the index of each vertex in the PLY file, if trimesh has split the vertices at seams
+    of the texture."""
+    from trimesh.geometry import triangulate_quads
+
+    if getattr(geometry.visual, "uv", None) is None:
+        return None
+    corners = triangulate_quads(_ply_corners(geometry))
+    count = geometry.metadata["_ply_raw"]["vertex"]["length"]
+    if corners.shape != geometry.faces.shape or not 0 <= corners.min() <= corners.max() < count:
+        return None
+    sources = np.zeros(len(geometry.vertices), dtype=np.int64)
+    sources[geometry.faces] = corners
+    return sources
+
+
 def _eight_bit(colors: NDArray[Any]) -> NDArray[np.uint8]:
     """Return colours as 8 bits. Programs write floats up to 1 or 255, and integers of any type up
     to 255."""
+    colors = np.nan_to_num(colors)
     largest = float(colors.max(initial=0))
     unit = 1.0 if colors.dtype.kind == "f" and largest <= MOST_UNIT else 255.0
     scale = 255.0 / (unit if largest <= 255.0 else 65535.0)
-    return np.asarray(np.clip(np.nan_to_num(colors * scale), 0.0, 255.0).round(), dtype=np.uint8)
+    return np.asarray(np.clip(colors * scale, 0.0, 255.0).round(), dtype=np.uint8)
 
 
 def _ply_texture(name: str, references: References, fatal: bool) -> Texture | None:

@@ -66,12 +66,13 @@ class References:
             return cached
         self.files[name] = None
         path = self.folder and _place(self.folder, name, self.allow_outside)
-        if path is None:
+        if path is None or self.folder is None:
             raise FileNotFoundError(self.why_not(name))
-        if path.name not in map(os.path.basename, _all_spellings(name)):
+        if path not in (self.folder / spelling for spelling in _all_spellings(name)):
+            used = os.path.relpath(path, self.folder)
             warn(
-                f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(path.name, 80)} "
-                "is used, whose name differs in upper and lower case"
+                f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
+                "used, whose name differs in upper and lower case"
             )
         remaining = MOST - sum(
             len(content) for content in self.files.values() if content is not None
