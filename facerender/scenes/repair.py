@@ -119,9 +119,14 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
     return replace(piece, positions=positions, faces=faces, normals=normals)
 
 
-def with_faces(piece: Piece, chosen: NDArray[Any], vertices: NDArray[Any]) -> Piece:
-    """Return a piece with new faces of the vertices (N,) of its own, of which each may occur more
-    than once. The new faces, (F, 3), are indices into `vertices`."""
+def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Piece:
+    """Return a piece with other faces and copies of its vertices.
+
+    Parameters
+    ----------
+    faces : (F, 3), indices into ``vertices``
+    vertices : (N,), indices of vertices of the piece; an index may occur more than once
+    """
     attributes = ("positions", "normals", "uv", "uv2", "colors")
     arrays = {
         name: values[vertices]
@@ -130,7 +135,7 @@ def with_faces(piece: Piece, chosen: NDArray[Any], vertices: NDArray[Any]) -> Pi
     }
     sources = vertices if piece.sources is None else piece.sources[vertices]
     count = piece.source_count or len(piece.positions)
-    return replace(piece, **arrays, faces=chosen, sources=sources, source_count=count)
+    return replace(piece, **arrays, faces=faces, sources=sources, source_count=count)
 
 
 def subset(piece: Piece, mask: NDArray[np.bool_]) -> Piece:

@@ -56,19 +56,18 @@ class Texture:
     coarser : implementation of :meth:`coarser` for a texture that is made of other textures. In
         this case, ``decode`` must return an image in mode RGB with row 0 at the bottom, and the
         image is not cached.
+    profile : ICC profile of the image, which :meth:`in_srgb` applies; None without
 
     Attributes
     ----------
     wrap : wrap modes in u and v: "repeat", "clamp" or "mirror"
     nearest : whether to sample the nearest texel of the nearest mip level, without interpolation
     coarse : whether the finest mip levels of the image are omitted
-    profile : ICC profile of an image file, which :meth:`in_srgb` applies; None without
     """
 
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     nearest: bool = False
     coarse: bool = False
-    profile: bytes | None = None
     _in_srgb: Texture | None = None
     _source: Texture | None = None  # texture whose image this one shares, with another sampling
     _fine: tuple[Texture, int] | None = None  # full texture, and number of omitted finest levels
@@ -79,10 +78,12 @@ class Texture:
         name: str,
         size: tuple[int, int] | None = None,
         coarser: Callable[[int], Texture] | None = None,
+        profile: bytes | None = None,
     ) -> None:
         check_type("name of a texture", name, str, "text")
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
-        self.name = name
+        check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
+        self.name, self.profile = name, profile
         self._size, self._derived = size, coarser is not None
         self._decode: Callable[[], Image] | None = decode  # None once the image is decoded
         self._lock = threading.Lock()
@@ -122,9 +123,7 @@ class Texture:
                 file.seek(0)
                 return cls.of(file.read(), name)
             opened = _opened(file, name)
-            texture = cls(decode, name, opened.size)
-            texture.profile = opened.info.get("icc_profile")
-            return texture
+            return cls(decode, name, opened.size, profile=opened.info.get("icc_profile"))
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
@@ -135,9 +134,8 @@ class Texture:
         InputError : the content is not an image, or too large
         """
         opened = _opened(content, name)
-        texture = cls(lambda: _opened(content, name), name, opened.size)
-        texture.profile = opened.info.get("icc_profile")
-        return texture
+        profile = opened.info.get("icc_profile")
+        return cls(lambda: _opened(content, name), name, opened.size, profile=profile)
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
@@ -195,9 +193,7 @@ class Texture:
             copy = image.copy()
         except Exception as error:  # Pillow's decoders raise many types
             raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
-        texture = cls(lambda: copy, name)
-        texture.profile = copy.info.get("icc_profile")
-        return texture
+        return cls(lambda: copy, name, profile=copy.info.get("icc_profile"))
 
     def __repr__(self) -> str:
         size = "" if self._size is None else f", {self._size[0]} x {self._size[1]}"
@@ -238,9 +234,9 @@ class Texture:
             check_known("wrap", mode, modes)
         check_switch("nearest", nearest)
         source = self._source or self
-        texture = Texture(source.rgb, self.name)
+        texture = Texture(source.rgb, self.name, profile=source.profile)
         texture._source, texture.wrap, texture.nearest = source, (wrap[0], wrap[1]), nearest
-        texture.coarse, texture.profile = source.coarse, source.profile
+        texture.coarse = source.coarse
         return texture
 
     @property
