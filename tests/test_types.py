@@ -34,6 +34,7 @@ ALLOWED = {
     r"^tuple\[str": [["x"], {"x": 1}, {}, NAME, "nonsense"],
     r"^Callable\[\[\], Image": [len, fr.Term],  # called later
     r"^Map \|": [MATRIX],
+    r"^bytes": [b"x"],
 }
 # Further valid values of single parameters.
 RIGHT: dict[str, list[Any]] = {
