@@ -53,7 +53,9 @@ def add(shaders: argparse.ArgumentParser) -> None:
     slope = "RMS slope of the microfacets, as a constant"
     add_number(flatten, "m", slope, SLOPES, "a parameter", metavar="M")
     folder = Help("folder of files that your file includes; repeatable", "none")
-    flatten.add_argument("-I", dest="paths", action="append", metavar="DIR", help=folder)
+    flatten.add_argument(
+        "-I", dest="paths", action="append", default=[], metavar="DIR", help=folder
+    )
     flatten.set_defaults(command=run_flatten)
     summary = "prepare a normal map for specular antialiasing"
     prepare = actions.add_parser("prepare-normal-map", help=summary)
@@ -90,16 +92,8 @@ def run_path(options: argparse.Namespace) -> int:
 
 
 def run_flatten(options: argparse.Namespace) -> int:
-    print_result(
-        shader_source(
-            options.name,
-            options.target,
-            lobe=options.lobe,
-            m=options.m,
-            paths=options.paths or (),
-        ),
-        end="",
-    )
+    choices = {"lobe": options.lobe, "m": options.m, "paths": options.paths}
+    print_result(shader_source(options.name, options.target, **choices), end="")
     return 0
 
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import ClassVar, cast
 
+from facerender.errors import InputError
 from facerender.glsl.syntax import (
     MATRICES,
     SCALARS,
@@ -38,6 +39,10 @@ _RESERVED = frozenset(
 )
 
 
+# Built-in functions of WGSL that accept integers or bool.
+_OF_ALL_SCALARS = ("abs", "sign", "min", "max", "clamp", "any", "all")
+
+
 def translate(lines: Sequence[str], language: str) -> str:
     """Translate GLSL to another language.
 
@@ -48,7 +53,8 @@ def translate(lines: Sequence[str], language: str) -> str:
 
     Raises
     ------
-    InputError : samplers, arrays, structures, uniforms or other GLSL that is not supported
+    InputError : samplers, arrays, structures, uniforms or other GLSL that is not supported; a
+        construct that the other language lacks
     """
     parser = Parser(expanded(lines))
     program = parser.program()
@@ -82,8 +88,36 @@ class Writer:
     def text(self, part: Token | Node) -> str:
         if isinstance(part, Token):
             return part.before + self.word(part.text)
+        self.check(part)
         write = getattr(self, f"write_{part.kind.replace('-', '_')}", None)
         return str(write(part)) if write else "".join(map(self.text, part.parts))
+
+    def check(self, node: Node) -> None:
+        if self.lacks(node):
+            place = f"function {self._function}: " if self._function else ""
+            raise InputError(f"not translated: {place}{self._described(node)}")
+
+    def lacks(self, node: Node) -> bool:
+        """Return whether the target language lacks the construct of a node."""
+        types = [argument.type for argument in self.arguments(node)]
+        if node.kind == "construct":
+            return not _constructs(node.type, types)
+        if node.kind == "built-in":
+            return node.name == "mix" and _scalar(types[2]) == "bool"
+        return node.kind == "binary" and _sign(node) in ("==", "!=") and types[0] in MATRICES
+
+    def _described(self, node: Node) -> str:
+        """Return a construct with the types of its operands, such as "mat3(float)"."""
+        types = [argument.type for argument in self.arguments(node)]
+        if node.kind in ("construct", "built-in", "call"):
+            text = f"{node.name}({', '.join(types)})"
+        elif node.kind == "variable":
+            text = f"{node.type} {node.name} = {types[0]}"
+        elif node.kind == "for":
+            text = "several variables in the head of for"
+        else:  # such as "float * int", "return int"
+            text = f" {_sign(node)} ".join(types if types[1:] else ["", *types]).strip()
+        return re.sub(r"(\d)x\1", r"\1", text)
 
     def bare(self, part: Token | Node) -> str:
         """Return the text of a part without the comments and spaces before it."""
@@ -121,6 +155,32 @@ class Writer:
         if every and isinstance(left, Node) and left.type in VECTORS:
             return f"{_before(node)}{every}({self.bare(left)}{self.text(sign)}{self.text(right)})"
         return "".join(map(self.text, node.parts))
+
+
+def _sign(node: Node) -> str:
+    """Return the operator of a node."""
+    return next((part.text for part in node.parts if isinstance(part, Token)), "")
+
+
+def _scalar(type_: str) -> str:
+    """Return the type of the components of a type."""
+    return "float" if type_ in MATRICES else VECTORS.get(type_, (type_,))[0]
+
+
+def _constructs(type_: str, types: Sequence[str]) -> bool:
+    """Return whether all languages construct a value of a type from values of these types."""
+    counts = [0 if each in MATRICES else VECTORS.get(each, ("", 1))[1] for each in types]
+    if type_ in MATRICES:
+        columns, rows = MATRICES[type_]
+        return counts in ([rows] * columns, [1] * (columns * rows)) or types == [type_]
+    return counts == [1] or sum(counts) == VECTORS.get(type_, ("", 1))[1]
+
+
+def _is_literal(node: Node) -> bool:
+    """Return whether a node is a constant expression of integers, which WGSL converts."""
+    parts = [part for part in node.parts if isinstance(part, Node)]
+    inner = node.kind in ("group", "unary", "binary") and all(map(_is_literal, parts))
+    return node.type == "int" and (node.kind == "number" or inner)
 
 
 def _joined(texts: Sequence[str]) -> str:
@@ -187,6 +247,12 @@ class Hlsl(_CLike):
         "dFdy": "ddy",
     }
 
+    def lacks(self, node: Node) -> bool:
+        """HLSL multiplies the components in ``*=`` of matrices."""
+        product = node.kind == "assign" and _sign(node) == "*="
+        matrix = product and self.arguments(node)[1].type in MATRICES
+        return matrix or super().lacks(node)
+
     def splat(self, type_: str, text: str) -> str:
         return f"(({self.types[type_]})({text}))"
 
@@ -234,6 +300,39 @@ class Wgsl(Writer):
         self._pointers: set[str] = set()
         self._assigned: set[str] = set()
 
+    def lacks(self, node: Node) -> bool:
+        operands, kind, sign = self.arguments(node), node.kind, _sign(node).removesuffix("=")
+        if kind == "for":
+            return len(self.arguments(cast(Node, node.parts[2]))) > 1
+        if kind == "call":
+            wanted = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
+            return any(
+                not _is_literal(operand) and _scalar(operand.type) != scalar
+                for operand, scalar in zip(operands, wanted, strict=False)
+            )
+        operands = operands[kind == "ternary" :]
+        types = {operand.type for operand in operands}
+        if types & {*MATRICES} and (
+            kind in ("unary", "prefix", "postfix", "ternary")
+            or (
+                kind in ("binary", "assign")
+                and (sign == "/" or (sign in "+-" and types & {*SCALARS}))
+            )
+        ):
+            return True
+        # WGSL has no implicit conversions, except of literals.
+        scalars = {_scalar(operand.type) for operand in operands if not _is_literal(operand)}
+        explicit = node.type in SCALARS or (len(operands) == 1 and types & {*VECTORS})
+        if kind == "variable" or (kind == "construct" and not explicit):
+            scalars.add(_scalar(node.type))
+        elif kind == "return" and operands:
+            scalars.add(_scalar(self._known[self._function].type))
+        elif kind == "built-in" and node.name not in _OF_ALL_SCALARS:
+            scalars.add("float")
+        elif kind not in ("binary", "assign", "ternary", "built-in") or sign in ("<<", ">>"):
+            scalars.clear()
+        return len(scalars) > 1 or super().lacks(node)
+
     def write_name(self, node: Node) -> str:
         name = self.word(node.name)
         return _before(node) + (f"(*{name})" if node.name in self._pointers else name)
@@ -273,6 +372,7 @@ class Wgsl(Writer):
         with `fixed`."""
         texts = []
         for part in self.arguments(node):
+            self.check(part)
             value = "".join(map(self.text, part.parts[1:]))
             word = "var" if part.name in self._assigned or not value else fixed
             # One item: the value.
@@ -285,6 +385,11 @@ class Wgsl(Writer):
         condition, _, if_true, _, if_false = (self.bare(part) for part in node.parts)
         return f"{_before(node)}select({if_false}, {if_true}, {condition})"
 
+    def write_unary(self, node: Node) -> str:
+        sign, operand = node.parts  # WGSL has no unary plus.
+        plus = self.bare(sign) == "+"
+        return _before(node) + ("" if plus else self.bare(sign)) + self.text(operand)
+
     def write_prefix(self, node: Node) -> str:
         sign, operand = node.parts
         return self._step(_before(node), operand, self.bare(sign))
@@ -296,7 +401,9 @@ class Wgsl(Writer):
     def _step(self, gap: str, operand: Token | Node, sign: str) -> str:
         """Write ++ or --. WGSL has them only for integers, so other types add or subtract 1.0."""
         if isinstance(operand, Node) and operand.type not in ("int", "uint"):
-            step = Node("number", [Token("number", "1.0", " ")], "float")
+            scalar = _scalar(operand.type)
+            one = Token("number", "1.0" if scalar == "float" else "1", " ")
+            step = Node("number", [one], scalar)
             added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), step], operand.type)
             return gap + self.bare(added)
         return gap + self.bare(operand) + sign
