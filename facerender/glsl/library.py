@@ -124,7 +124,9 @@ def _flat(
         check_known("target", target, (*TARGETS, *LANGUAGES))
     check_type("name", name, str, "the name of a library file or function, or a path, as a string")
     path = _path(name)
-    given = decoded(sys.stdin.buffer.read(), str(path)) if path == _STANDARD_INPUT else None
+    standard_input = (
+        decoded(sys.stdin.buffer.read(), str(path)) if path == _STANDARD_INPUT else None
+    )
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
     if m is not None:
         coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
@@ -133,10 +135,10 @@ def _flat(
 
     def flattened(guards: bool) -> Preprocessor:
         flat = Preprocessor(shader_dir(), paths, chosen, guards, closed)
-        if given is None:
+        if standard_input is None:
             flat.append_file(path)
         else:
-            flat.append(given)
+            flat.append(standard_input)
         return flat
 
     flat = flattened(guards=target is None)

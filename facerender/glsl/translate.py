@@ -169,7 +169,7 @@ def _scalar(type_: str) -> str:
 
 def _constructs(type_: str, types: Sequence[str]) -> bool:
     """Return whether all languages construct a value of a type from values of these types."""
-    counts = [0 if each in MATRICES else VECTORS.get(each, ("", 1))[1] for each in types]
+    counts = [0 if name in MATRICES else VECTORS.get(name, ("", 1))[1] for name in types]
     if type_ in MATRICES:
         columns, rows = MATRICES[type_]
         return counts in ([rows] * columns, [1] * (columns * rows)) or types == [type_]
@@ -305,10 +305,10 @@ class Wgsl(Writer):
         if kind == "for":
             return len(self.arguments(cast(Node, node.parts[2]))) > 1
         if kind == "call":
-            wanted = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
+            parameters = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
             return any(
                 not _is_literal(operand) and _scalar(operand.type) != scalar
-                for operand, scalar in zip(operands, wanted, strict=False)
+                for operand, scalar in zip(operands, parameters, strict=False)
             )
         operands = operands[kind == "ternary" :]
         types = {operand.type for operand in operands}
