@@ -78,7 +78,7 @@ RARE = """
 #define top(a, b) max(a, b)
 #define same(a) a
 float one(void) { return 1.0; }
-float numbers(float c) { return c * 2.0f + 1.F - 1e0f + float(010U + 0XFu) + +one(); }
+float numbers(float c) { return c * 2.0f + 1.F - 1e0f + float(010U + 0XFu) + one(); }
 float nested(float c) { return twice(twice(c)) + top(top(c, 0.1), top(0.2, twice(c))); }
 float final(float c) {
 #define c (c + 1.0)
@@ -87,7 +87,6 @@ float final(float c) {
 }
 float wider(float c) {
     ivec2 i = ivec2(1, 2);
-    i++;
     return 2 * c + (c > 0.5 ? 1 : 0.25) + float(i.y);
 }
 """
@@ -272,6 +271,8 @@ CONSTRUCTS = [  # not in any language, not in HLSL, not in WGSL
     ("wgsl", "g(int)", "float g(float a) { return a; }\nfloat f(int a) { return g(a); }"),
     ("wgsl", "mat2 / float", "mat2 f(mat2 a) { return a / 2.0; }"),
     ("wgsl", "- mat2", "mat2 f(mat2 a) { return -a; }"),
+    ("wgsl", "+ float", "float f(float a) { return +a; }"),
+    ("wgsl", "ivec2 += float", "ivec2 f(ivec2 a) { a++; return a; }"),
     ("wgsl", "bool ? mat2 ? mat2", "mat2 f(bool a, mat2 b) { return a ? b : b; }"),
 ]
 

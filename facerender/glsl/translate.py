@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, cast
+from typing import ClassVar
 
 from facerender.errors import InputError
 from facerender.glsl.syntax import (
@@ -93,9 +93,18 @@ class Writer:
         return str(write(part)) if write else "".join(map(self.text, part.parts))
 
     def check(self, node: Node) -> None:
+        """Raise InputError with a construct and its types, such as "mat3(float)", that the target
+        language lacks."""
         if self.lacks(node):
+            types = [argument.type for argument in self.arguments(node)]
+            text = f" {_sign(node)} ".join(types if types[1:] else ["", *types])
+            if node.kind in ("construct", "built-in", "call"):
+                text = f"{node.name}({', '.join(types)})"
+            elif node.kind == "variable":
+                text = f"{node.type} {node.name} = {types[0]}"
             place = f"function {self._function}: " if self._function else ""
-            raise InputError(f"not translated: {place}{self._described(node)}")
+            text = re.sub(r"(\d)x\1", r"\1", text.strip())
+            raise InputError(f"not translated: {place}{text}")
 
     def lacks(self, node: Node) -> bool:
         """Return whether the target language lacks the construct of a node."""
@@ -105,19 +114,6 @@ class Writer:
         if node.kind == "built-in":
             return node.name == "mix" and _scalar(types[2]) == "bool"
         return node.kind == "binary" and _sign(node) in ("==", "!=") and types[0] in MATRICES
-
-    def _described(self, node: Node) -> str:
-        """Return a construct with the types of its operands, such as "mat3(float)"."""
-        types = [argument.type for argument in self.arguments(node)]
-        if node.kind in ("construct", "built-in", "call"):
-            text = f"{node.name}({', '.join(types)})"
-        elif node.kind == "variable":
-            text = f"{node.type} {node.name} = {types[0]}"
-        elif node.kind == "for":
-            text = "several variables in the head of for"
-        else:  # such as "float * int", "return int"
-            text = f" {_sign(node)} ".join(types if types[1:] else ["", *types]).strip()
-        return re.sub(r"(\d)x\1", r"\1", text)
 
     def bare(self, part: Token | Node) -> str:
         """Return the text of a part without the comments and spaces before it."""
@@ -302,8 +298,6 @@ class Wgsl(Writer):
 
     def lacks(self, node: Node) -> bool:
         operands, kind, sign = self.arguments(node), node.kind, _sign(node).removesuffix("=")
-        if kind == "for":
-            return len(self.arguments(cast(Node, node.parts[2]))) > 1
         if kind == "call":
             parameters = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
             return any(
@@ -312,13 +306,11 @@ class Wgsl(Writer):
             )
         operands = operands[kind == "ternary" :]
         types = {operand.type for operand in operands}
-        if types & {*MATRICES} and (
-            kind in ("unary", "prefix", "postfix", "ternary")
-            or (
-                kind in ("binary", "assign")
-                and (sign == "/" or (sign in "+-" and types & {*SCALARS}))
-            )
-        ):
+        if kind in ("unary", "prefix", "postfix", "ternary") and types & {*MATRICES}:
+            return True
+        if kind == "unary" and sign == "+":
+            return True
+        if types & {*MATRICES} and (sign == "/" or (sign in ("+", "-") and types & {*SCALARS})):
             return True
         # WGSL has no implicit conversions, except of literals.
         scalars = {_scalar(operand.type) for operand in operands if not _is_literal(operand)}
@@ -385,11 +377,6 @@ class Wgsl(Writer):
         condition, _, if_true, _, if_false = (self.bare(part) for part in node.parts)
         return f"{_before(node)}select({if_false}, {if_true}, {condition})"
 
-    def write_unary(self, node: Node) -> str:
-        sign, operand = node.parts  # WGSL has no unary plus.
-        plus = self.bare(sign) == "+"
-        return _before(node) + ("" if plus else self.bare(sign)) + self.text(operand)
-
     def write_prefix(self, node: Node) -> str:
         sign, operand = node.parts
         return self._step(_before(node), operand, self.bare(sign))
@@ -401,9 +388,7 @@ class Wgsl(Writer):
     def _step(self, gap: str, operand: Token | Node, sign: str) -> str:
         """Write ++ or --. WGSL has them only for integers, so other types add or subtract 1.0."""
         if isinstance(operand, Node) and operand.type not in ("int", "uint"):
-            scalar = _scalar(operand.type)
-            one = Token("number", "1.0" if scalar == "float" else "1", " ")
-            step = Node("number", [one], scalar)
+            step = Node("number", [Token("number", "1.0", " ")], "float")
             added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), step], operand.type)
             return gap + self.bare(added)
         return gap + self.bare(operand) + sign
@@ -450,6 +435,9 @@ class Wgsl(Writer):
         return text
 
     def write_for(self, node: Node) -> str:
+        head = node.parts[2]
+        if isinstance(head, Node) and head.kind == "variables" and len(self.arguments(head)) > 1:
+            raise InputError("not translated: several variables in the head of for")
         return "".join(map(self.text, node.parts[:-1])) + self._braced(node.parts[-1])
 
     write_while = write_for
