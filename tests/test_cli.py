@@ -3,6 +3,7 @@ one line on standard error with exit status 2, and no file is written."""
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import platform
@@ -611,6 +612,23 @@ def test_shaders_flatten(cli):
     assert out == fr.shader_source("ward", "es300", lobe="d8", m=0.3)
     assert out.startswith("#version 300 es\n")
     assert "#define FR_SLOPE(m) 0.3\n" in out
+
+
+def test_shaders_flatten_reads_standard_input(cli, write, monkeypatch):
+    folder = os.path.dirname(write("shared.glsl", "// shared\n"))
+    text = b'\xef\xbb\xbf#include <shared.glsl>\r\n#include "facerender/ward.glsl"\r\n'
+    for arguments in ((), ("--target", "330")):
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+        status, out, err = cli.run(
+            "shaders", "flatten", "-", "-I", "absent", "-I", folder, *arguments
+        )
+        assert (status, err) == (0, "")
+        assert "// standard input with what it includes" in out
+        assert out.count("// shared\n") == out.count("float fr_ward(") == 1
+    for wrong, message in ((b"\xe9", "cannot read standard input: it is not UTF-8 text"),
+                           (text, "line 1: no file shared.glsl in /")):  # fmt: skip
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(wrong)))
+        cli.fail(message, "shaders", "flatten", "-")
 
 
 def test_shaders_errors(cli, write):

@@ -832,6 +832,10 @@ def test_new_lobe_of_the_registry_appears_in_the_page(browser, tmp_path, monkeyp
     text = file.read_text(encoding="utf-8")
     for line, own in (  # the steps of CONTRIBUTING.md, in one branch with the exact lobe
         ("#define FR_LOBE_EXACT 1\n", "#define FR_LOBE_TOY 40\n"),
+        (
+            "#elif FR_LOBE == FR_LOBE_COSINE\n",
+            "#elif FR_LOBE == FR_LOBE_TOY\n#define FR_COMPILED_LOBE 40\n",
+        ),
         ("FR_LOBE == FR_LOBE_EXACT || ", "FR_LOBE == FR_LOBE_TOY || "),
         ('#include "lobe/exact.glsl"\n', '#include "lobe/toy.glsl"\n'),
         (

@@ -409,7 +409,7 @@ def test_compiler_messages_have_the_line_of_the_file(evaluate):
         gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
     lines = fr.resolve_includes(text).split("\n")
     (directive,) = (
-        line for line in lines if "facerender/half_vector.glsl" in line and "#line" in line
+        line for line in lines if "facerender/half_vector.glsl" in line and "#line 1 " in line
     )
     assert re.fullmatch(r"#line 1 \d+  // facerender/half_vector.glsl", directive)
     body = lines[lines.index(directive) + 1 :]
@@ -432,6 +432,85 @@ def test_no_line_directive_at_the_end(end):
     start = "#if 1\n" if "endif" in end else ""
     text = fr.resolve_includes(f'{start}#include "facerender/ward.glsl"{end}')
     assert not text.rstrip().split("\n")[-1].startswith("#line"), "NVIDIA rejects it"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#if 0\n{}#endif\n",
+        "#if (0)\n#ifdef X\n{}#else\n{}#endif\n#endif\n",
+        "#if 1\n#else\n{}#endif\n",
+        "#if 0\n#elif 0\n{}#else\n#if 1\n#elif X\n{}#endif\n#endif\n",
+        "#if X\n#elif 2\n#else\n{}#endif\n",
+    ],
+)
+@pytest.mark.parametrize("file", ["absent.glsl", "facerender/fresnel.glsl"])
+def test_includes_that_literal_conditions_skip_are_ignored(evaluate, text, file):
+    text = text.replace("{}", f'#include "{file}"\n')
+    for flat in (Includes(fr.shader_dir()), Preprocessor(fr.shader_dir())):
+        flat.append(text)
+        assert flat.files == []
+        assert "include" not in flat.text
+    assert evaluate(fr.resolve_includes(text), "x", {"x": np.float32([0.5])}) == 0.5
+
+
+def test_missing_file_within_a_condition_is_left_to_the_compiler(evaluate, tmp_path):
+    inputs = {"x": np.float32([0.5])}
+    own = tmp_path / "own.glsl"
+    for line in ('#include "absent.glsl"\n', "#include <other/absent.glsl>\n", "#include FILE\n"):
+        for condition in ("#ifdef HOST", "#if HOST == 1", "#if 1\n#elif HOST", "#if 0\n#elif HOST"):
+            text = f"{condition}\n{line}#endif\n"
+            own.write_text(text)
+            for flat in (fr.resolve_includes(text), fr.shader_source(str(own))):
+                assert evaluate(flat, "x", inputs) == 0.5
+            if "#if 1" not in condition:
+                with pytest.raises(
+                    moderngl.Error, match=r"#error (no file (\S*/)?absent|#include FILE)"
+                ):
+                    evaluate(f"#define HOST 1\n{fr.resolve_includes(text)}", "x", inputs)
+    (tmp_path / "inner.glsl").write_text('#include "absent.glsl"\n')
+    text = '#ifdef HOST\n#include "inner.glsl"\n#endif\n'
+    assert "#error no file absent.glsl in " in fr.resolve_includes(text, [tmp_path])
+    with pytest.raises(InputError, match=r"inner\.glsl:1: no file absent\.glsl in "):
+        fr.resolve_includes('#include "inner.glsl"\n', [tmp_path])
+
+
+def test_include_directories(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / f"{folder}/shared.glsl").write_text(f"// {folder}\n")
+    (tmp_path / "b/own.glsl").write_text(
+        '#include <shared.glsl>\n#include "facerender/ward.glsl"\n'
+    )
+    paths = [str(tmp_path / "a"), tmp_path / "b"]
+    assert "// a\n" in fr.resolve_includes('#include "shared.glsl"\n', paths)
+    assert "// b\n" in fr.resolve_includes("#include <shared.glsl>\n", paths[::-1])
+    text = fr.shader_source(str(tmp_path / "b/own.glsl"), paths=paths)
+    assert "// a\n" in text
+    assert "float fr_ward(" in text
+    with pytest.raises(InputError, match=r"no file c.glsl in .*/a or .*/b or .*/shaders$"):
+        fr.resolve_includes('#include "c.glsl"', paths)
+    for wrong in ("folder", [1], [""]):
+        with pytest.raises(InputError, match="paths"):
+            fr.resolve_includes("", wrong)
+
+
+@pytest.mark.parametrize("version", ["130", "140", "150 core", "330", "300 es"])
+def test_line_numbers_of_every_version(evaluate, version, tmp_path):
+    """Up to GLSL 150, #line numbers the line after the next."""
+    (tmp_path / "wrong.glsl").write_text("// 1\n#ifdef X\n#endif\nwrong;\n")
+    text = f'#version {version}\n\n#include "facerender/constants.glsl"\n\n'
+    vertex = f"#version {version}\nvoid main() {{}}"
+    for end, match in (
+        ("wrong;\n", AT_LINE.format(5)),
+        (
+            '#ifdef GL_core_profile\n#include "facerender/ward.glsl"\n#endif\nwrong;\n',
+            AT_LINE.format(8),
+        ),
+        ('#include "wrong.glsl"\n', AT_LINE.format(4).replace("0", "2", 1)),
+    ):
+        with evaluate.gl as gl, pytest.raises(moderngl.Error, match=match):
+            gl.program(vertex, fr.resolve_includes(text + end, [tmp_path]))
 
 
 def test_default_macro_is_not_an_include_guard():

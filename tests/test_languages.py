@@ -72,6 +72,26 @@ float walked(float c, vec3 n, int count) {
 }
 """
 
+# Numbers, nested calls of macros, and conversions.
+RARE = """
+#define twice(a) (2.0 * (a))
+#define top(a, b) max(a, b)
+#define same(a) a
+float one(void) { return 1.0; }
+float numbers(float c) { return c * 2.0f + 1.F - 1e0f + float(010U + 0XFu) + one(); }
+float nested(float c) { return twice(twice(c)) + top(top(c, 0.1), top(0.2, twice(c))); }
+float final(float c) {
+#define c (c + 1.0)
+    return same(c) + twice(same(c));
+#undef c
+}
+float wider(float c) {
+    ivec2 i = ivec2(1, 2);
+    return 2 * c + (c > 0.5 ? 1 : 0.25) + float(i.y);
+}
+"""
+RARE_CALLS = [f"{name}(c)" for name in ("numbers", "nested", "final", "wider")]
+
 
 @pytest.fixture(scope="module", params=LAVAPIPE)
 def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
@@ -111,10 +131,11 @@ def test_translated_glsl_gives_the_same_values(target, egl: Backend):
     inputs = {"c": random.random(500, np.float32), "n": random.random((500, 3), np.float32) - 0.5}
     calls = [f"walked(c, n, {count})" for count in (0, 1, 4, 9)]
     evaluator = Evaluator(create_context(egl).gl)
-    expected = evaluator.each(f"#define HALF_OF_IT 0\n{PLAIN}", calls, inputs)
+    for text, some in ((PLAIN, calls), (RARE, RARE_CALLS)):
+        expected = evaluator.each(f"#define HALF_OF_IT 0\n{text}", some, inputs)
+        result = target.each(text, some, inputs)
+        np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6)
     evaluator.release()
-    result = target.each(PLAIN, calls, inputs)
-    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.compiler
@@ -189,7 +210,7 @@ def test_translation_keeps_the_choices_of_a_users_file(language, tmp_path):
         ("float f(sampler2D map) { return 0.0; }\n", "'sampler2D'; only functions and constants"),
         ("float f(float[3] x) { return x[0]; }\n", "an array"),
         ("float f(float x) { return y; }\n", "'y' is not declared"),
-        ("float f(float x) { return noise1(x); }\n", "the unknown function noise1"),
+        ("float f(float x) { return noise1(x); }\n", "noise1(), which is neither declared"),
         ("float f(float x) { return x }\n", "; is missing before '}'"),
         ("float f(float x[3]) { return x[0]; }\n", "an array"),
         ("float f() { return float[2](1.0, 2.0)[0]; }\n", "an array"),
@@ -211,6 +232,12 @@ def test_translation_keeps_the_choices_of_a_users_file(language, tmp_path):
         ("#extension GL_X : require\n", "not translated: #extension GL_X"),
         ("#if (X)\n#endif\n", "cannot evaluate #if (X)"),
         ("float f() { return 1.0; @ }\n", "not translated: '@"),
+        ("float f(float x) { return (x, 2.0); }\n", "function f: the comma operator"),
+        ("float f(float) { return 2.0; }\n", "function f: a parameter without a name"),
+        ("float f(float x) { for (;;) x += 1.0; return x; }\n", "for without a declaration"),
+        ("float f(float x) { ; return x; }\n", "function f: an empty statement"),
+        ("float f(float x) { for (int i = 0, j = 1; i < 2; i++) x += 1.0; return x; }\n",
+         "several variables in the head of for"),
     ],
 )  # fmt: skip
 def test_untranslatable_glsl_is_refused(text, message, tmp_path):
@@ -220,6 +247,44 @@ def test_untranslatable_glsl_is_refused(text, message, tmp_path):
         fr.shader_source(str(own), "wgsl")
     assert str(caught.value).startswith(f"{own} in WGSL: ") or "#if" in text
     assert "\n" not in str(caught.value)
+
+
+CONSTRUCTS = [  # not in any language, not in HLSL, not in WGSL
+    ("", "mat2(float)", "mat2 f(float s) { return mat2(s); }"),
+    ("", "mat3x2(float)", "vec2 f(vec3 x) { return mat3x2(1.0) * x; }"),
+    ("", "mat4(mat3)", "mat4 f(mat3 a) { return mat4(a); }"),
+    ("", "mat2(vec4)", "mat2 f(vec4 a) { return mat2(a); }"),
+    ("", "mat2 != mat2", "bool f(mat2 a, mat2 b) { return a != b; }"),
+    ("", "mix(vec2, vec2, bvec2)", "vec2 f(vec2 a, bvec2 b) { return mix(a, a.yx, b); }"),
+    ("", "vec2(vec3)", "vec2 f(vec3 a) { return vec2(a); }"),
+    ("hlsl", "mat2 *= mat2", "mat2 f(mat2 a, mat2 b) { a *= b; return a; }"),
+    ("wgsl", "vec2(int)", "vec2 f(int a) { return vec2(a); }"),
+    ("wgsl", "vec4(ivec2, float, int)", "vec4 f(ivec2 a) { return vec4(a, 1.0, a.x); }"),
+    ("wgsl", "uvec2(int, int)", "uvec2 f(int a) { return uvec2(a, 2); }"),
+    ("wgsl", "mat2(int, int, int, int)", "mat2 f(int a) { return mat2(a, 0, 0, a); }"),
+    ("wgsl", "vec2 * int", "vec2 f(vec2 a, int b) { return a * b; }"),
+    ("wgsl", "float += uint", "float f(float a, uint b) { a += b; return a; }"),
+    ("wgsl", "float b = int", "float f(int a) { float b = a; return b; }"),
+    ("wgsl", "return int", "float f(int a) { return a; }"),
+    ("wgsl", "bool ? int ? float", "float f(bool a, int b) { return a ? b : 1.0; }"),
+    ("wgsl", "pow(float, int)", "float f(float a, int b) { return pow(a, b); }"),
+    ("wgsl", "g(int)", "float g(float a) { return a; }\nfloat f(int a) { return g(a); }"),
+    ("wgsl", "mat2 / float", "mat2 f(mat2 a) { return a / 2.0; }"),
+    ("wgsl", "- mat2", "mat2 f(mat2 a) { return -a; }"),
+    ("wgsl", "+ float", "float f(float a) { return +a; }"),
+    ("wgsl", "ivec2 += float", "ivec2 f(ivec2 a) { a++; return a; }"),
+    ("wgsl", "bool ? mat2 ? mat2", "mat2 f(bool a, mat2 b) { return a ? b : b; }"),
+]
+
+
+@pytest.mark.parametrize(("lacking", "construct", "text"), CONSTRUCTS)
+def test_constructs_that_a_language_lacks_are_refused(lacking, construct, text):
+    for language in glsl.LANGUAGES:
+        if lacking in ("", language):
+            with pytest.raises(InputError, match=f"function f: {re.escape(construct)}$"):
+                glsl.translated(text, language)
+        else:
+            assert " f(" in glsl.translated(text, language)
 
 
 @pytest.mark.slow

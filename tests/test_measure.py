@@ -114,6 +114,18 @@ def test_image_errors_are_in_the_order_of_the_lobes(egl, head):
     assert exact.steps <= 1 < d16.steps
 
 
+@pytest.mark.parametrize(("model", "m"), [("cook-torrance", 0.15), ("ward", 0.12)])
+def test_image_of_the_published_d16_has_no_clamp(egl, coarse_head, model, m):
+    scene = fr.Scene(coarse_head.with_material(m=m))
+    clamped, published = (Variant(model, "d16", printed).shading for printed in (False, True))
+    result = error.image_errors(scene, [clamped], (64, 64), egl, [published])
+    assert len(result.images) == 1
+    d16, unclamped = result.errors
+    assert 0.0 < 100.0 * d16.largest < unclamped.largest
+    assert error.brdf_error(published, m) > 1.0 > error.brdf_error(clamped, m)
+    assert error.brdf_error(published, 0.4) == pytest.approx(error.brdf_error(clamped, 0.4))
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_every_lobe_is_measured(model):
     variants = of_model(model)
@@ -241,8 +253,9 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     assert d16.lobe["0.4"] == pytest.approx(9.50, abs=0.01)
     assert d16.image.largest > 0.1
     printed = rows[Variant("cook-torrance", "d16", printed=True)].error
-    assert printed.image is None
-    assert printed.lobe["0.2"] == pytest.approx(2.33e6, rel=0.01)  # it has no clamp
+    assert printed.image.largest == pytest.approx(d16.image.largest, rel=1e-3)  # m is large
+    assert printed.brdf["0.2"] > 1e3
+    assert printed.lobe["0.2"] == pytest.approx(2.33e6, rel=0.01)
     plain = rows[Variant("ward", "exact", plain=True)].error
     assert plain.lobe["0.1"] is None
     assert {**plain.lobe, "0.1": 0.0} == dict.fromkeys(printed.lobe, 0.0)

@@ -14,6 +14,7 @@ import pytest
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
 from facerender.glsl.code import defines, lobe_macros
+from facerender.glsl.includes import scan
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
 from tests.verification.cases import brdf_case, directions, flat, include
@@ -129,10 +130,8 @@ def test_published_forms_agree_where_they_are_valid(evaluate, model, file, call,
 def test_conventions_of_a_shader_file(path):
     text = path.read_text()
     code = re.sub(r"//[^\n]*", "", text)
-    guard = re.search(r"#ifndef (FR_\w+)\n#define \1\n", code)
     assert text.startswith("// "), "a header comment comes first"
-    assert guard, "an include guard"
-    assert code.rstrip().endswith("#endif")
+    assert scan(text).guard, "an include guard"
     assert not functions(code) or re.search(r"^//\s+(unit|returns)\b", text, re.MULTILINE)
 
 
@@ -197,8 +196,8 @@ def dispatch_faults(kind: str, text: str) -> list[str]:
     for macro, number in macros.items():
         lines[f"#define {macro} {number}"] = rf"^#define {macro} {number}$", 1
         if kind == "lobe":
-            listed = rf"FR_LOBE == {macro}\b[^\n]*\n#else\n#error"
-            lines[f"FR_LOBE == {macro} in the #if before #error"] = listed, 1
+            branch = f"if FR_LOBE == {macro}\n#define FR_COMPILED_LOBE {number}\n"
+            lines[branch] = branch, 1
             lines[f"{number} {macro} in #error"] = rf"^#error .* {number} {macro}\b", 1
     for entry in DISPATCH[kind]:
         include, branch = f'#include "{entry.file}.glsl"', f"if ({kind} == {entry.macro}) return"
@@ -206,8 +205,11 @@ def dispatch_faults(kind: str, text: str) -> list[str]:
             guard = f"#if FR_LOBE == {entry.macro} || FR_LOBE == FR_LOBE_EVERY"
             own = re.escape(f"FR_LOBE == {entry.macro} || ")
             lines[f"{guard} and {include}"] = rf"^#if [^\n]*{own}[^\n]*\n{include}$", 1
-            both = re.escape(f"{guard}\n    {branch}")
-            lines[f"{guard} and {branch} {entry.call};"] = f"^{both}", 1
+            before, after = (
+                re.escape(f"{guard}\n    {branch}"),
+                f"#else\n#undef {entry.macro}\n#endif",
+            )
+            lines[f"{guard} and {branch} {entry.call};"] = f"^{before}[^\n]*\n{after}$", 1
             continue
         default = entry.name in ("schlick", "v-cavity")  # used for any other number
         lines[f"{branch} {entry.call};"] = re.escape(branch), 0 if default else functions
@@ -228,7 +230,7 @@ def test_registry_and_glsl_dispatch_have_the_same_terms(kind):
         pytest.fail("\n".join(faults), pytrace=False)
 
 
-D8, ALSO = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY", "|| FR_LOBE == FR_LOBE_D8 "
+D8 = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY"
 
 
 @pytest.mark.parametrize(
@@ -239,7 +241,8 @@ D8, ALSO = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY", "|| FR_LOBE 
         ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 8\n" * 2, "2 times, and not 1: #d"),
         ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 8\n#define FR_LOBE_STRANGE 99\n",
          "FR_LOBE_STRANGE: no entry"),
-        ("lobe", ALSO, " ", "FR_LOBE == FR_LOBE_D8 in the #if before #error"),
+        ("lobe", "_COMPILED_LOBE 8\n", "_COMPILED_LOBE 4\n", "#define FR_COMPILED_LOBE 8"),
+        ("lobe", "#undef FR_LOBE_D8\n", "", f"{D8} and if (lobe =="),
         ("lobe", ", 8 FR_LOBE_D8", "", "8 FR_LOBE_D8 in #error"),
         ("lobe", f"{D8}\n    if (lobe == FR_LOBE_D8) return", "", f"{D8} and if (lobe =="),
         ("lobe", "(lobe == FR_LOBE_D8)", "(lobe == FR_LOBE_D4)", "0 times, and not 1: #if FR"),
@@ -263,10 +266,49 @@ def test_macros_of_terms_have_unique_numbers():
         assert len({entry.number for entry in entries}) == len(entries)
 
 
-def test_lobe_that_is_not_compiled_returns_minus_one(evaluate):
+def test_lobe_that_is_not_available_does_not_compile(evaluate):
     inputs = {"c": np.float32([0.9])}
-    prelude = include("lobe", FR_LOBE="FR_LOBE_D8")
-    assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, FR_LOBE_EXACT)", inputs) == -1.0
+    for lobe, name in (("FR_LOBE_D8", "FR_LOBE_EXACT"), ("FR_LOBE_EXACT", "FR_LOBE_FITTED")):
+        prelude = include("lobe", FR_LOBE=lobe)
+        assert evaluate(prelude, f"fr_lobe_of(c, 0.3, 4, {lobe})", inputs) > 0.0
+        with pytest.raises(moderngl.Error, match=f"{name}. undeclared"):
+            evaluate(prelude, f"fr_lobe_of(c, 0.3, 4, {name})", inputs)
+    assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, 16)", inputs) == 0.0
+
+
+PAIRS = [
+    ("cook_torrance", "ward", "FR_LOBE", "FR_LOBE_EXACT", "FR_LOBE_D16"),
+    ("ward", "cook_torrance", "FR_LOBE", "FR_LOBE_FITTED", "2"),
+    ("ward", "ward_printed", "FR_LOBE", "FR_LOBE_EVERY", "FR_LOBE_EXACT"),
+    ("lobe", "lobe", "FR_LOBE", "FR_LOBE_D8", "FR_LOBE_D16"),
+    ("cook_torrance", "cook_torrance", "FR_LOBE", "1", "8"),
+    ("cook_torrance", "cook_torrance_two", "FR_FRESNEL", "FR_FRESNEL_SCHLICK", "1"),
+    ("environment", "cook_torrance", "FR_MASKING", "1", "FR_MASKING_NONE"),
+    ("cook_torrance", "cook_torrance", "FR_MASKING", "FR_MASKING_KELEMEN", "0"),
+    ("cook_torrance_sample", "ward", "FR_SMALL_SLOPE", "1", "0"),
+]
+
+
+@pytest.mark.parametrize(("first", "second", "macro", "value", "other"), PAIRS)
+def test_macro_that_changes_between_includes_does_not_compile(
+    evaluate, first, second, macro, value, other, tmp_path
+):
+    """The includes of a program share code, which can have one value of each macro."""
+    define = f"#undef {macro}\n#define {macro} {{}}\n".format
+    files = [f'#include "facerender/{file}.glsl"\n' for file in (first, second)]
+    text = define(value) + files[0] + define(other) + files[1]
+    inputs = {"x": np.float32([0.5])}
+    message = f"{macro} differs from its value at the first include"
+    with pytest.raises(moderngl.Error, match=message):
+        evaluate(resolve_includes(text), "x", inputs)
+    flat = "".join([define(value), shader_source(first), define(other), shader_source(second)])
+    with pytest.raises(moderngl.Error, match=message):
+        evaluate(flat, "x", inputs)
+    (tmp_path / "both.glsl").write_text(text)
+    with pytest.raises((InputError, moderngl.Error), match=message):
+        evaluate(shader_source(str(tmp_path / "both.glsl")), "x", inputs)
+    same = define(value) + files[0] + define(value) + files[1]
+    assert evaluate(resolve_includes(same), "x", inputs) == 0.5
 
 
 def test_lobe_of_a_host_needs_its_function(evaluate):

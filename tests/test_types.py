@@ -42,6 +42,7 @@ RIGHT: dict[str, list[Any]] = {
     "simplified triangles": [HUGE],
     "Part source_count": [HUGE],
     "Pose weights": [{"x": 1}],
+    **{f"{name} paths": [["x"]] for name in ("resolve_includes", "shader_source")},
     **{f"Mesh.with_positions {name}": [None, {}] for name in ("positions", "normals")},
     **{
         name: [MATRIX]

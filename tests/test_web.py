@@ -130,25 +130,52 @@ def test_javascript_engines_draw_the_same_as_opengl(host, egl, engines, browser)
     check(draw(host, SCENES, engines)[1], desktop(SCENES)[1])
 
 
-def test_three_js_snippet_of_the_documentation(package, engines, browser, tmp_path):
-    """The unchanged snippet draws a surface that faces the camera, with one light."""
+@pytest.mark.parametrize(
+    ("values", "f0", "f90", "ignored"),
+    [
+        ("", 0.04, 1.0, ""),
+        ("specularIntensity: 0", 0.0, 0.0, ""),
+        ("specularIntensity: 0.25, specularColor: [1, 0.5, 0]", [0.01, 0.005, 0.0], 0.25, ""),
+        ("specularIntensityMap: texel(0, 0, 0, 51)", 0.008, 0.2, ""),
+        ("specularIntensity: 0, metalness: 1, color: [0.5, 0.2, 1]", [0.5, 0.2, 1.0], 1.0, ""),
+        ("ior: 2, clearcoatRoughness: 1", 1 / 9, 1.0, ""),
+        ("anisotropy: 0.8", 0.04, 1.0, "anisotropy"),
+        ("iridescence: 1, anisotropy: 1", 0.04, 1.0, "anisotropy,iridescence"),
+    ],
+)
+def test_three_js_snippet_of_the_documentation(
+    package, engines, browser, tmp_path, values, f0, f90, ignored
+):
+    """The unchanged snippet draws an oblique surface with one light behind it."""
     document = (ROOT / "docs/shaders.md").read_text(encoding="utf-8")
     snippet = re.search(r"```js\n(.*?)```", document, re.DOTALL)[1]
     (tmp_path / "three").symlink_to(engines / "node_modules/three")
     (tmp_path / "shaders").symlink_to(package)
     names = {"three": "./three/build/three.module.js", "facerender-shaders": "./shaders/index.js"}
-    light = np.array([1.0, 2.0, 4.0])
+    light = np.array([1.0, 0.3, -0.6])
     (tmp_path / "index.html").write_text(
         f"""<!doctype html><link rel="icon" href="data:,">
         <script type="importmap">{json.dumps({"imports": names})}</script>
         <script type="module">
         import * as THREE from "three";
         {snippet}
-        material.setValues({{ color: 0, roughness: 0.6, metalness: 0 }});
+        const texel = (...values) => {{
+          const texture = new THREE.DataTexture(new Uint8Array(values), 1, 1);
+          texture.needsUpdate = true;
+          return texture;
+        }};
+        const values = {{ color: [0, 0, 0], roughness: 0.6, metalness: 0, {values} }};
+        for (const [name, value] of Object.entries(values))
+          if (Array.isArray(value)) values[name] = new THREE.Color(...value);
+        material.setValues(values);
+        window.warnings = [];
+        console.warn = (text) => warnings.push(text);
         const scene = new THREE.Scene();
         const light = new THREE.DirectionalLight(0xffffff, 1);
         light.position.set({", ".join(map(str, light))});
-        scene.add(light, new THREE.Mesh(new THREE.PlaneGeometry(4, 4), material));
+        const mesh = new THREE.Mesh(new THREE.PlaneGeometry(4, 4), material);
+        mesh.rotation.y = 1.3;
+        scene.add(light, mesh);
         const camera = new THREE.OrthographicCamera(-1, 1, 1, -1);
         camera.position.z = 1;
         const renderer = new THREE.WebGLRenderer();
@@ -161,11 +188,18 @@ def test_three_js_snippet_of_the_documentation(package, engines, browser, tmp_pa
         </script>"""
     )
     with served(tmp_path) as address, opened(browser, address, "ReadPixels") as page:
-        drawn = page.evaluate("probe")
-    n, l = np.array([0.0, 0.0, 1.0]), light / np.linalg.norm(light)
-    expected = brdf.cook_torrance(n, l, n, 0.6**2, 0.04) * (n @ l)
-    assert expected > 1e-3
-    np.testing.assert_allclose(drawn[:3], expected, rtol=1e-5)
+        drawn, warnings = page.evaluate("[probe, warnings]")
+    names = filter(None, ignored.split(","))
+    n, v = np.array([np.sin(1.3), 0.0, np.cos(1.3)]), np.array([0.0, 0.0, 1.0])
+    l = light / np.linalg.norm(light)
+    v_dot_h = np.linalg.norm(l + v) / 2
+    grazing = (1.0 - v_dot_h) ** 5
+    fresnel = np.array(f0) + (f90 - np.array(f0)) * grazing
+    whole = brdf.cook_torrance(n, l, v, 0.6**2, 0.0) / grazing * (n @ l)
+    assert whole * grazing > 1e-3
+    assert v_dot_h < 0.51, "F90 matters"
+    np.testing.assert_allclose(drawn[:3], np.ones(3) * fresnel * whole, rtol=1e-5, atol=1e-9)
+    assert warnings == [f"The specular term of facerender ignores {name}." for name in names]
 
 
 # --- examples ------------------------------------------------------------------------------------

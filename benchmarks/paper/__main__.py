@@ -1,6 +1,6 @@
 """Reproduce figures 1 to 5 of the paper and measure its claims:
 
-    python -m benchmarks.paper [-o out/reproduction]
+    python -m benchmarks.paper [-o out/reproduction] [--m 0.25]
 
 Needs OpenGL and the extra facerender[measure]. Claims are marked "not measured" if their compiler
 is missing: a C compiler, or the compilers that ``benchmarks.prices.amd`` needs.
@@ -30,6 +30,7 @@ def reproduce(
     size: tuple[int, int] = (270, 315),
     backend: Backend = "auto",
     progress: Progress = no_progress,
+    m: float | None = None,
 ) -> Reproduction:
     """Reproduce the paper's figures and measure its claims.
 
@@ -38,6 +39,7 @@ def reproduce(
     repeats : number of repetitions of each time measurement
     size : width and height in pixels of one face in figure 5
     progress : called with the name of the current step and the finished fraction of it
+    m : roughness for all figures and errors; None: the paper's values
 
     Raises
     ------
@@ -46,9 +48,10 @@ def reproduce(
     """
     plots.check()
     progress("figures 1 to 4", 0.0)
-    images = figures.charts()
+    images = figures.charts(claims.SLOPES if m is None else [m])
     progress("figure 5", 0.0)
-    images["fig5.png"] = figures.faces(size, backend)
+    face_m = figures.FACE_SLOPE if m is None else m
+    images["fig5.png"] = figures.faces(size, backend, face_m)
     machine = environment(backend)
     progress("scalar code", 0.0)
     try:
@@ -62,7 +65,7 @@ def reproduce(
         renderer += f" on {machine.processor}"
     progress("AMD's compiler", 0.0)
     results = [
-        *claims.error_claims(),
+        *claims.error_claims(claims.ERROR_SLOPES if m is None else [m]),
         *claims.scalar_claims(scalar, conditions),
         *(claim for contest, cost in glsl.items() for claim in contest.claims(cost, renderer)),
         *claims.amd_claims(),
@@ -78,17 +81,19 @@ def reproduce(
         "matplotlib": version("matplotlib"),
         "repeats": repeats,
     }
-    return Reproduction(facts, results, costs, images)
+    return Reproduction(facts, results, costs, images, face_m)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write figures, JSON and an HTML page; return 0, or 2 if a requirement is missing."""
     parser = argparse.ArgumentParser("python -m benchmarks.paper", description=__doc__)
     parser.add_argument("-o", "--output", default="out/reproduction", metavar="DIR")
+    roughness = "m of the figures and errors, in [1e-4, 0.7071)"
+    parser.add_argument("--m", type=float, metavar="M", help=roughness)
     options = parser.parse_args(arguments)
     try:
         with Bar() as progress:
-            result = reproduce(progress=progress)
+            result = reproduce(progress=progress, m=options.m)
         print(*result.write(options.output), sep="\n")
     except FacerenderError as error:
         print(f"error: {error}", file=sys.stderr)

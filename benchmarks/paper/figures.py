@@ -16,8 +16,9 @@ from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.images.srgb import encode_srgb8
 from facerender.loading import load_mesh
-from facerender.measure.error import lobe_error, printed_lobe
+from facerender.measure.error import lobe_error
 from facerender.measure.measurement import MODELS
+from facerender.pricing.variants import printed_lobe
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.scene import Scene
@@ -31,28 +32,28 @@ CAPTIONS = {
     "fig3.png": "Figure 3. D and its approximations D4, D8 and D16, clamped (dashed) and as the "
     "paper prints them (dotted), in units of the peak.",
     "fig4.png": "Figure 4. Relative error of D16, clamped; dots where D is a tenth of its peak.",
-    "fig5.png": f"Figure 5. The built-in head at m = {FACE_SLOPE:g} under a high oblique light, "
-    "with both models: exact, D16, and eight times their difference.",
+    "fig5.png": "Figure 5. The built-in head at m = {m:g} under a high oblique light, with both "
+    "models: exact, D16, and eight times their difference.",
 }
 
 _DPI = 110
 _FACES: tuple[str, str] = ("exact", "d16")
 
 
-def charts() -> dict[str, bytes]:
-    """Draw figures 1 to 4; return PNG content by file name."""
+def charts(slopes: Sequence[float] = SLOPES) -> dict[str, bytes]:
+    """Draw figures 1 to 4 for these values of m; return PNG content by file name."""
     return {
-        "fig1.png": _lobes(()),
-        "fig2.png": _errors("cosine"),
-        "fig3.png": _lobes((4, 8, 16)),
-        "fig4.png": _errors("d16"),
+        "fig1.png": _lobes((), slopes),
+        "fig2.png": _errors("cosine", slopes),
+        "fig3.png": _lobes((4, 8, 16), slopes),
+        "fig4.png": _errors("d16", slopes),
     }
 
 
-def faces(size: tuple[int, int], backend: Backend) -> bytes:
+def faces(size: tuple[int, int], backend: Backend, m: float = FACE_SLOPE) -> bytes:
     """Draw figure 5, the head with both models; return PNG content."""
     lights = tuple(Light(*each, shadow=False) for each in ((120.0, 48.0, 6.5), (-60.0, 5.0, 0.9)))
-    head = load_mesh().with_material(m=FACE_SLOPE)
+    head = load_mesh().with_material(m=m)
     scene = Scene(head, Camera(-15.0, zoom=1.2), lights)
     rows = []
     with Renderer(size, backend=backend) as renderer:
@@ -76,14 +77,14 @@ def faces(size: tuple[int, int], backend: Backend) -> bytes:
     return _png(figure)
 
 
-def _lobes(powers: Sequence[int]) -> bytes:
+def _lobes(powers: Sequence[int], slopes: Sequence[float]) -> bytes:
     """Draw D with its g-power approximations, or with its cosine form if ``powers`` is empty.
 
     Each value of m has its own panel.
     """
-    figure = _sheet(10.0, 2.9)
-    panels = figure.subplots(1, len(SLOPES), sharey=True)
-    for panel, m in zip(panels, SLOPES, strict=True):
+    figure = _sheet(2.0 * max(len(slopes), 2), 2.9)
+    (panels,) = figure.subplots(1, len(slopes), sharey=True, squeeze=False)
+    for panel, m in zip(panels, slopes, strict=True):
         panel.plot(DEGREES, exact_lobe(m), color="black", label="D")
         if not powers:
             cosine = lobes.cosine(COSINES, m, K_COOK_TORRANCE)
@@ -98,18 +99,18 @@ def _lobes(powers: Sequence[int]) -> bytes:
         panel.set(xlim=(0.0, 90.0), xticks=(0, 30, 60, 90), ylim=(-0.05, 1.1))
         panel.grid(alpha=0.3)
     panels[0].set_ylabel("D / peak")
-    panels[2].set_xlabel("γ in degrees")
+    panels[len(slopes) // 2].set_xlabel("γ in degrees")
     panels[-1].legend(loc="upper right")
     return _png(figure, colors=64)
 
 
-def _errors(name: str) -> bytes:
+def _errors(name: str, slopes: Sequence[float]) -> bytes:
     """Draw the relative error of a lobe over the angle, with a curve for each m."""
     figure = _sheet(8.0, 4.4)
     axes = figure.subplots()
     axes.set(yscale="log", xlim=(0.0, 90.0), ylim=(1e-2, 1e4))
     axes.set(xlabel="γ in degrees", ylabel="relative error in %")
-    for index, m in enumerate(SLOPES):
+    for index, m in enumerate(slopes):
         exact = exact_lobe(m)
         positive = exact > 1e-300
         error = (

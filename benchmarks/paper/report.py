@@ -34,12 +34,14 @@ class Reproduction:
     claims : the rows of the table
     cost : nanoseconds per evaluation, by name of the timed function
     figures : PNG content by file name
+    m : roughness of the head in figure 5
     """
 
     environment: Mapping[str, Any]
     claims: Sequence[Claim]
     cost: Mapping[str, Interval]
     figures: Mapping[str, bytes]
+    m: float
 
     def json(self) -> str:
         """Return the reproduction without its images as JSON.
@@ -59,7 +61,7 @@ class Reproduction:
             "environment": self.environment,
             "claims": [asdict(claim) for claim in self.claims],
             "cost": {name: asdict(cost) for name, cost in self.cost.items()},
-            "figures": CAPTIONS,
+            "figures": {name: self._caption(name) for name in CAPTIONS},
         }
         return json.dumps(content, indent=2) + "\n"
 
@@ -71,11 +73,14 @@ class Reproduction:
             "<h2>Claims</h2>",
             table("claims", _HEAD, map(_row, self.claims)),
             "<h2>Figures</h2>",
-            *(figure(png, CAPTIONS[name]) for name, png in self.figures.items()),
+            *(figure(png, self._caption(name)) for name, png in self.figures.items()),
             "<h2>Environment of the measurement</h2>",
             table("facts", (), facts),
         ]
         return document("The paper's figures and claims, measured", "\n".join(body))
+
+    def _caption(self, name: str) -> str:
+        return CAPTIONS[name].replace("{m:g}", f"{self.m:g}")
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the figures, reproduction.json and index.html, each atomically.

@@ -42,6 +42,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
         "library files or to set macros such as FR_MASKING, flatten a file of your own."
     )
     text = "library file, such as cook_torrance or lobe/exact; library function; or your GLSL file"
+    text += "; - reads standard input"
     flatten.add_argument("name", metavar="NAME", help=Help(text, "required"))
     versions = "330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal"
     default = "GLSL to include, without #version"
@@ -51,6 +52,10 @@ def add(shaders: argparse.ArgumentParser) -> None:
     flatten.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
     slope = "RMS slope of the microfacets, as a constant"
     add_number(flatten, "m", slope, SLOPES, "a parameter", metavar="M")
+    folder = Help("folder of files that your file includes; repeatable", "none")
+    flatten.add_argument(
+        "-I", dest="paths", action="append", default=[], metavar="DIR", help=folder
+    )
     flatten.set_defaults(command=run_flatten)
     summary = "prepare a normal map for specular antialiasing"
     prepare = actions.add_parser("prepare-normal-map", help=summary)
@@ -87,9 +92,8 @@ def run_path(options: argparse.Namespace) -> int:
 
 
 def run_flatten(options: argparse.Namespace) -> int:
-    print_result(
-        shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end=""
-    )
+    choices = {"lobe": options.lobe, "m": options.m, "paths": options.paths}
+    print_result(shader_source(options.name, options.target, **choices), end="")
     return 0
 
 

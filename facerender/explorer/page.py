@@ -257,7 +257,7 @@ def _sources() -> dict[str, Any]:
 def _terms() -> dict[str, tuple[Term, float]]:
     """Return every term and the smallest m that its GLSL supports, keyed by the term's names,
     such as "ward exact"."""
-    lobes: dict[str, AnyLobe] = {name: name for name in LOBES} | {"g-power": _G_POWER}
+    lobes: dict[str, AnyLobe] = {**{name: name for name in LOBES}, "g-power": _G_POWER}
     terms = {}
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):
         slopes = {"": MIN_SLOPE}

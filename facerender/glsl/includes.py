@@ -1,17 +1,19 @@
-"""Resolution of GLSL ``#include`` lines. This module leaves conditions to the compiler;
-``preprocessor.py`` evaluates conditions. This module is independent of the shader library."""
+"""Resolution of GLSL ``#include`` lines. This module leaves conditions to the compiler, except
+literal numbers; ``preprocessor.py`` evaluates conditions. This module is independent of the shader
+library."""
 
 from __future__ import annotations
 
 import os
 import re
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, check_path, check_type, reason
 from facerender.system.files import read_file
 
 DEEPEST = 64  # Largest number of nested includes.
@@ -20,8 +22,9 @@ IF = ("if", "ifdef", "ifndef")
 _COMMENT_OR_STRING = re.compile(r'"[^"\n]*"|//(?:\\\n|[^\n])*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _DIRECTIVE = re.compile(r"^[ \t]*#[ \t]*(\w+)[ \t]*([^\n]*)", re.MULTILINE)
 _INCLUDE = re.compile(r'"([^"]+)"|<([^>]+)>')
-_LAST_LINE = re.compile(r"\n#line \d+ \d+\s*\Z")
+_LAST_LINES = re.compile(r"(?:\n#line \d+ \d+\s*)+\Z")
 _NOTHING = re.compile(r"(?:\s|//[^\n]*)*")
+_LATE = ("110", "120", "130", "140", "150")  # Versions in which #line numbers the line after next.
 _Identity = tuple[int, int]  # Device and inode number of a file.
 
 
@@ -45,14 +48,16 @@ class Scan(NamedTuple):
 
     Attributes
     ----------
-    text : the text, without comments that begin on the line of a directive and end on a later line
+    text : the text, without comments that begin on the line of a directive and end on a later line,
+        and without the includes that literal conditions skip
     directives : directives in the order of the text
-    guarded : whether the first and the last directive form an include guard around the whole text
+    guard : index of the #endif of the include guard, which begins at the first directive; 0 without
+        a guard. Only directives and comments may follow the #endif
     """
 
     text: str
     directives: tuple[Directive, ...]
-    guarded: bool
+    guard: int
 
 
 @lru_cache(maxsize=256)
@@ -67,23 +72,43 @@ def scan(text: str) -> Scan:
     for match in _DIRECTIVE.finditer(code):
         words = _blanked(match[2]) if "//" in match[2] else match[2]
         directives.append(Directive(match.start(), match.end(), match[1], words.strip()))
-    return Scan(text, tuple(directives), _guarded(code, directives))
+    skipped = {*_skipped(directives)}
+    for start, end, *_ in skipped:  # moderngl would include these files.
+        text = text[:start] + " " * (end - start) + text[end:]
+    directives = [directive for directive in directives if directive not in skipped]
+    return Scan(text, tuple(directives), _guard(code, directives))
 
 
-def _guarded(code: str, directives: list[Directive]) -> bool:
-    if len(directives) < 3:
-        return False
-    first, second, *_, last = directives
-    names = first.name, second.name, second.rest.split()[:1]
-    around = code[: first.start] + code[last.end :]
-    if names != ("ifndef", "define", [first.rest]) or not _NOTHING.fullmatch(around):
-        return False
-    depth = 0
-    for directive in directives[:-1]:
-        depth += (directive.name in IF) - (directive.name == "endif")
-        if depth == 0:
-            return False
-    return last.name == "endif"
+def _skipped(directives: Sequence[Directive]) -> Iterator[Directive]:
+    """Yield the includes that literal conditions, such as ``#if 0``, skip."""
+    # For each open condition: whether a branch is certainly compiled; whether the current may be.
+    conditions: list[tuple[bool, bool]] = []
+    for directive in directives:
+        name, number = directive.name, directive.rest.strip("()")
+        truth = bool(int(number)) if name in ("if", "elif") and number.isdigit() else None
+        if name in IF:
+            conditions.append((truth is True, truth is not False))
+        elif conditions and name in ("elif", "else"):
+            over, _ = conditions.pop()
+            conditions.append((over or truth is True, not over and truth is not False))
+        elif conditions and name == "endif":
+            conditions.pop()
+        if name == "include" and not all(may_compile for _, may_compile in conditions):
+            yield directive
+
+
+def _guard(code: str, directives: list[Directive]) -> int:
+    depths = [*accumulate((name in IF) - (name == "endif") for _, _, name, _ in directives)]
+    end = depths.index(0) if 0 in depths else 0
+    if end < 2:
+        return 0
+    first, second = directives[:2]
+    # `#ifndef X`, `#define X 1`, `#endif` and more directives: X is a macro with a default value.
+    words = [second.rest] if directives[end + 1 :] else second.rest.split()[:1]
+    names = first.name, second.name, words
+    around = code[: first.start] + _DIRECTIVE.sub("", code[directives[end].end :])
+    is_guard = names == ("ifndef", "define", [first.rest]) and _NOTHING.fullmatch(around)
+    return end if is_guard else 0
 
 
 def _blanked(text: str) -> str:
@@ -102,27 +127,46 @@ def _blank_behind_directive(match: re.Match[str]) -> str:
     return _blank(match) if "\n" in match[0] and line.lstrip().startswith("#") else match[0]
 
 
+def decoded(data: bytes, path: str) -> str:
+    """Return the text of a GLSL file, with "\\n" as line ends."""
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError:
+        raise InputError(f"cannot read {path}: it is not UTF-8 text; give GLSL") from None
+
+
 class Includes:
     """Text from files that include each other.
 
-    Each file is inserted once, with one exception. If a file was inserted within a branch of a
+    Each file is inserted once, with two exceptions. If a file was inserted within a branch of a
     condition, an include outside the branch inserts it again, because the compiler may skip the
-    branch. ``#line`` directives preserve line numbers.
+    branch. Directives after the include guard of a file are inserted at each include. A missing
+    file is an error; within a condition, ``#error`` leaves this error to the compiler. ``#line``
+    directives preserve line numbers.
 
     Attributes
     ----------
     files : included files, as named in include lines
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, paths: Sequence[str | os.PathLike[str]] = ()) -> None:
         """Create an empty text.
 
-        root : include directory, where ``<file>`` is searched. ``"file"`` is searched in the folder
-            of the including file, then in the folder of its link target, then in root
+        Parameters
+        ----------
+        root : include directory of the library
+        paths : more include directories, where ``<file>`` is searched before root. ``"file"`` is
+            searched first in the folder of the including file, then in that of its link target
         """
+        check_type("paths", paths, list | tuple, "a list of folders")
+        for folder in paths:
+            check_path("a folder in paths", folder)
         self.files: list[str] = []
         self._parts: list[str] = []
         self._root = os.path.realpath(root)
+        self._folders = [*(os.fspath(folder) for folder in paths), self._root]
+        self._late = False  # Whether the text has one of the versions _LATE.
+        self._tailed: set[_Identity] = set()  # Included files with directives after their guard.
         self._chain: list[tuple[_Identity, str]] = []  # Files being read, outermost first.
         # The first set holds the files included outside all conditions. Each further set holds the
         # files included in one open branch.
@@ -132,10 +176,12 @@ class Includes:
     def text(self) -> str:
         """The resolved text."""
         # NVIDIA's compiler rejects #line at the end of the text.
-        return _LAST_LINE.sub("\n", "".join(self._parts))
+        return _LAST_LINES.sub("\n", "".join(self._parts))
 
-    def append_file(self, path: str | Path) -> None:
+    def append_file(self, path: str | Path, again: bool = False) -> None:
         """Append a file with its includes.
+
+        again : append only the directives after the include guard
 
         Raises
         ------
@@ -143,29 +189,34 @@ class Includes:
             message gives file and line
         """
         path = str(path)
-        try:
-            text = read_file(path, "a GLSL file").decode("utf-8-sig")
-            text = text.replace("\r\n", "\n").replace("\r", "\n")
-        except UnicodeDecodeError:
-            raise InputError(f"cannot read {path}: it is not UTF-8 text; give GLSL") from None
+        text = decoded(read_file(path, "a GLSL file"), path)
         identity = _identity(os.stat(path))
-        self.files.append(self._name(path))
+        if not again:
+            self.files.append(self._name(path))
+        if 0 < scan(text).guard < len(scan(text).directives) - 1:
+            self._tailed.add(identity)
         self._chain.append((identity, path))
-        self.append(text, path)
+        self.append(text, path, again)
         self._chain.pop()
 
-    def append(self, text: str, path: str = "") -> None:
+    def append(self, text: str, path: str = "", again: bool = False) -> None:
         """Append text with its includes. For errors see :meth:`append_file`.
 
         path : path of the text's file; "" for text without a file
         """
-        text, directives, guarded = scan(text)
-        source, position = len(self.files), 0
+        text, directives, guard = scan(text)
+        source = self.files.index(self._name(path)) + 1 if path else 0
+        start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
         counts: list[int] = []  # Number of inserted files before each open condition.
         if path:
-            self._parts.append(f"#line 1 {source}  // {self.files[-1]}\n")
-        for directive in directives[1:-1] if guarded else directives:
-            if directive.name in IF:
+            line = text.count("\n", 0, position) + 1
+            self._parts.append(f"{self._numbered(line, source)}  // {self.files[source - 1]}\n")
+        for index, directive in enumerate(directives[start:], start):
+            if guard and index in (0, guard):
+                continue
+            if directive.name == "version":
+                self._late = directive.rest[:3] in _LATE
+            elif directive.name in IF:
                 self._scopes.append(set())
                 counts.append(len(self.files))
             elif directive.name in ("elif", "else", "endif"):
@@ -178,37 +229,40 @@ class Includes:
                 if len(self.files) > count:  # Compilers ignore #line in a skipped branch.
                     self._parts += (
                         text[position : directive.end],
-                        f"\n#line {_line(text, directive) + 1} {source}",
+                        f"\n{self._numbered(_line(text, directive) + 1, source)}",
                     )
                     position = directive.end
             elif directive.name == "include":
                 self._parts.append(text[position : directive.start])
-                if file := self._found(directive, text, path):
-                    self.append_file(file)
-                    self._parts.append(f"\n#line {_line(text, directive) + 1} {source}")
                 position = directive.end
+                if self._include(directive, text, path):
+                    self._parts.append(f"\n{self._numbered(_line(text, directive) + 1, source)}")
         self._parts.append(text[position:])
         self._check_closed(not counts, path)
 
-    def _found(self, include: Directive, text: str, path: str) -> str:
-        """Return the path of an included file; "" if the text already contains the file."""
+    def _numbered(self, line: int, source: int) -> str:
+        """Return a directive that gives the next line a number."""
+        return f"#line {line - self._late} {source}"
+
+    def _include(self, include: Directive, text: str, path: str) -> bool:
+        """Insert an included file. Return False if the text already contains the file."""
         match = _INCLUDE.fullmatch(include.rest)
         if match is None:
             message = f'#include {include.rest}: write #include "FILE" or <FILE>'
-            raise self._error(include, text, path, message)
+            return self._fail(include, text, path, message)
         name = match[1] or match[2]
         beside = [os.path.dirname(path) or "."] if path and match[1] else []
-        folders = [*beside, self._root]
+        folders = [*beside, *self._folders]
         try:
             file = _first(name, folders)
             if file is None and beside:
                 folders.insert(1, os.path.dirname(os.path.realpath(path)))
                 file = _first(name, folders)
         except OSError as error:
-            raise self._error(include, text, path, f"cannot read {name}: {reason(error)}") from None
+            return self._fail(include, text, path, f"cannot read {name}: {reason(error)}")
         if file is None:
             message = f"no file {name} in {' or '.join(dict.fromkeys(folders))}"
-            raise self._error(include, text, path, message)
+            return self._fail(include, text, path, message)
         place, identity = file
         being_read = [file_identity for file_identity, _ in self._chain]
         if identity in being_read:
@@ -218,10 +272,19 @@ class Includes:
         if len(self._chain) == DEEPEST:
             message = f"more than {DEEPEST} nested includes"
             raise self._error(include, text, path, message)
-        if any(identity in scope for scope in self._scopes):
-            return ""
+        again = any(identity in scope for scope in self._scopes)
+        if again and identity not in self._tailed:
+            return False
         self._scopes[-1].add(identity)
-        return place
+        self.append_file(place, again)
+        return True
+
+    def _fail(self, include: Directive, text: str, path: str, message: str) -> bool:
+        """Raise InputError. Within a condition, which the compiler may skip, insert ``#error``."""
+        if len(self._scopes) == 1:
+            raise self._error(include, text, path, message)
+        self._parts.append("#error " + re.sub("[\"']", "", message))  # naga reads quotes.
+        return True
 
     def _name(self, path: str) -> str:
         """Return a file's path below the include directory, or `path` if the file is elsewhere."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from facerender import __version__
 from facerender.errors import InputError, check_known, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
-from facerender.glsl.includes import Includes
+from facerender.glsl.includes import Includes, decoded
 from facerender.glsl.preprocessor import Preprocessor
 from facerender.shading import SMALL_SLOPE, Term
 from facerender.system.data import data_dir
@@ -29,6 +31,7 @@ Language = Literal["hlsl", "msl", "wgsl"]
 
 TARGETS: dict[Target, str] = {"330": "330 core", "es300": "300 es", "vulkan": "450"}
 LANGUAGES: tuple[Language, ...] = ("hlsl", "msl", "wgsl")
+_STANDARD_INPUT = Path("standard input")
 
 
 @cache
@@ -56,6 +59,7 @@ def shader_source(
     *,
     lobe: AnyLobe | None = None,
     m: float | None = None,
+    paths: Sequence[str | os.PathLike[str]] = (),
 ) -> str:
     """Return a library file, or a GLSL file that includes library files, as flat text.
 
@@ -65,7 +69,7 @@ def shader_source(
     Parameters
     ----------
     name : name of a library file ("cook_torrance", "lobe/exact") or library function
-        ("fr_cook_torrance"), or path of a GLSL file
+        ("fr_cook_torrance"), or path of a GLSL file; "-" reads standard input
     target : "330" (OpenGL 3.3), "es300" (OpenGL ES 3.0, WebGL 2) or "vulkan" (GLSL 450): the text
         begins with this ``#version``, and host code may follow. "hlsl", "msl" (Metal) or "wgsl":
         the text is translated to this language, with all macros resolved. None (default): GLSL to
@@ -74,19 +78,21 @@ def shader_source(
         the host may select a lobe with ``#define FR_LOBE``; otherwise the exact lobe is used
     m : RMS slope, in the domain of the lobe. All functions use this constant and ignore their
         parameter m; coefficients of the lobe become constants. None (default): use the parameter
+    paths : more include directories; see :func:`resolve_includes`
 
     Raises
     ------
     InputError : an unknown name, target or lobe; m outside its domain; a file that is missing,
-        includes itself, or defines a macro that lobe or m sets; for "hlsl", "msl" and "wgsl", a
-        file with samplers, arrays, or declarations other than functions and constants
+        includes itself, reaches an ``#error``, or defines a macro that lobe or m sets; for "hlsl",
+        "msl" and "wgsl", a file with samplers, arrays, or declarations other than functions and
+        constants
     """
     macros = {} if lobe is None else lobe_macros(lobe)
     if m is not None:
         SLOPES.check("m", m)
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
-    return _flat(name, target, macros, lobe, m)
+    return _flat(name, target, macros, lobe, m, paths)
 
 
 def term_source(
@@ -112,21 +118,32 @@ def _flat(
     macros: dict[str, str],
     lobe: AnyLobe | None,
     m: float | None,
+    paths: Sequence[str | os.PathLike[str]] = (),
 ) -> str:
     if target is not None:
         check_known("target", target, (*TARGETS, *LANGUAGES))
     check_type("name", name, str, "the name of a library file or function, or a path, as a string")
     path = _path(name)
+    standard_input = (
+        decoded(sys.stdin.buffer.read(), str(path)) if path == _STANDARD_INPUT else None
+    )
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
     if m is not None:
         coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
         chosen |= dict.fromkeys(["FR_SLOPE", *coefficients], "")
     closed = target in LANGUAGES
-    flat = Preprocessor(shader_dir(), chosen, guards=target is None, closed=closed)
-    flat.append_file(path)
+
+    def flattened(guards: bool) -> Preprocessor:
+        flat = Preprocessor(shader_dir(), paths, chosen, guards, closed)
+        if standard_input is None:
+            flat.append_file(path)
+        else:
+            flat.append(standard_input)
+        return flat
+
+    flat = flattened(guards=target is None)
     if len(set(flat.files)) < len(flat.files):  # A file occurs twice: keep the include guards.
-        flat = Preprocessor(shader_dir(), chosen, closed=closed)
-        flat.append_file(path)
+        flat = flattened(guards=True)
     if lobe is not None and "facerender/lobe.glsl" not in flat.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
     if m is not None:
@@ -164,20 +181,24 @@ def _flat(
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
-def resolve_includes(text: str) -> str:
+def resolve_includes(text: str, paths: Sequence[str | os.PathLike[str]] = ()) -> str:
     """Resolve the ``#include`` lines in GLSL text that includes files below :func:`shader_dir`.
 
     ``"file"`` and ``<file>`` are accepted. Each file is inserted once, except that a file included
     within a condition may be inserted again after this condition. The compiler evaluates
-    conditions. ``#line`` directives preserve line numbers in compiler messages: your text is source
-    string 0, and included files are numbered from 1.
+    conditions. Within ``#if 0`` and other branches that literal numbers skip, includes are ignored.
+    ``#line`` directives preserve line numbers in compiler messages: your text is source string 0,
+    and included files are numbered from 1.
+
+    paths : more include directories, which are searched before :func:`shader_dir`
 
     Raises
     ------
-    InputError : a file is missing or includes itself; the message gives the line
+    InputError : a file includes itself, or is missing; the message gives the line. Within another
+        condition a missing file becomes ``#error``, which the compiler reports or skips
     """
     check_type("text", text, str, "a string of GLSL")
-    resolved = Includes(shader_dir())
+    resolved = Includes(shader_dir(), paths)
     resolved.append(text.removeprefix("\ufeff"))
     return resolved.text
 
@@ -204,6 +225,8 @@ def moderngl_includes(context: moderngl.Context) -> None:
 
 
 def _path(name: str) -> Path:
+    if name == "-":
+        return _STANDARD_INPUT
     root = shader_dir() / "facerender"
     stem = name.removeprefix("facerender/").removesuffix(".glsl")
     host_file = Path(name)

@@ -4,8 +4,9 @@ decide, and leaves all other conditions in the text."""
 from __future__ import annotations
 
 import operator
+import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -56,6 +57,7 @@ class Preprocessor(Includes):
     def __init__(
         self,
         root: Path,
+        paths: Sequence[str | os.PathLike[str]] = (),
         chosen: Mapping[str, str] | None = None,
         guards: bool = True,
         closed: bool = False,
@@ -64,12 +66,12 @@ class Preprocessor(Includes):
 
         Parameters
         ----------
-        root : see :class:`Includes`
+        root, paths : see :class:`Includes`
         chosen : macros that are set outside the text, and their values
         guards : whether include guards remain in the text
         closed : whether all unknown macros count as undefined, so that all conditions are decided
         """
-        super().__init__(root)
+        super().__init__(root, paths)
         self.version = ""
         self._chosen = dict(chosen or {})
         self._macros = dict(self._chosen)
@@ -81,25 +83,27 @@ class Preprocessor(Includes):
         """Return whether the text or `chosen` defines a macro."""
         return macro in self._macros
 
-    def append(self, text: str, path: str = "") -> None:
+    def append(self, text: str, path: str = "", again: bool = False) -> None:
         """Append text with its includes.
 
         path : path of the text's file; "" for text without a file
+        again : see :meth:`append_file`
 
         Raises
         ------
         InputError : see :meth:`Includes.append_file`; or a line defines a macro of `chosen`
         """
-        text, directives, guarded = scan(text)
-        position, depth = 0, len(self._conditionals)
-        for number, directive in enumerate(directives):
+        text, directives, guard = scan(text)
+        start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
+        depth = len(self._conditionals)
+        for number, directive in enumerate(directives[start:], start):
             if self._active:
                 self._parts.append(text[position : directive.start])
             position = directive.end + 1
             line = text[directive.start : position]
             if directive.name in IF:
-                guard = guarded and number == 0
-                self._conditionals.append(_Conditional(not self._active, guard))
+                is_guard = guard > 0 and number == 0
+                self._conditionals.append(_Conditional(not self._active, is_guard))
                 self._branch(directive, line)
             elif directive.name in ("elif", "else", "endif"):
                 self._check_open(len(self._conditionals) > depth, directive, text, path)
@@ -119,10 +123,11 @@ class Preprocessor(Includes):
             self._scopes[1:] = [
                 conditional.included for conditional in self._conditionals if conditional.open
             ]
-            if file := self._found(directive, text, path):
-                self.append_file(file)
+            if self._include(directive, text, path):
                 self._parts.append("\n")
             return
+        if directive.name == "error" and not any(branch.open for branch in self._conditionals):
+            raise self._error(directive, text, path, directive.rest)
         if directive.name == "version":
             if self.version:
                 raise self._error(directive, text, path, "a second #version: remove one of them")

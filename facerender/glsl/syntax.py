@@ -14,7 +14,7 @@ from facerender.errors import InputError
 
 _TOKEN = re.compile(
     r"(?P<space>(?:\s|//[^\n]*|/\*.*?\*/)+)"
-    r"|(?P<number>(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+|0[xX][\da-fA-F]+u?|\d+u?)"
+    r"|(?P<number>(?:(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)[fF]?|0[xX][\da-fA-F]+[uU]?|\d+[uU]?)"
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<sign>\+\+|--|<<=|>>=|<<|>>|[-+*/%&|^<>=!]=|&&|\|\||\^\^|[-+*/%<>=!&|^~?:;,.(){}\[\]#])",
     re.DOTALL,
@@ -109,11 +109,22 @@ def tokens(text: str) -> list[Token]:
         if match.lastgroup == "space":
             space = match[0]
         else:
-            result.append(Token(match.lastgroup or "", match[0], space))
+            word = _number(match[0]) if match.lastgroup == "number" else match[0]
+            result.append(Token(match.lastgroup or "", word, space))
             space = ""
         position = match.end()
     result.append(Token("end", "", space))
     return result
+
+
+def _number(text: str) -> str:
+    """Return a number as all languages write it: not octal, without the suffixes f, F and U."""
+    digits = text.rstrip("uU")
+    if re.fullmatch("0[0-7]+", digits):
+        digits = str(int(digits, 8))
+    elif "x" not in digits.lower():
+        digits = digits.rstrip("fF")
+    return digits + "u" * (text[-1] in "uU")
 
 
 @dataclass(frozen=True)
@@ -168,7 +179,8 @@ def _exact(code: Sequence[Token]) -> Iterator[Token]:
             space = space or token.before
             statement &= token.text != ";"
         else:
-            yield replace(token, before=space or token.before)
+            kind = "name" if token.kind == "final name" else token.kind
+            yield replace(token, kind=kind, before=space or token.before)
             space = ""
 
 
@@ -181,12 +193,15 @@ def _replaced(
         token, index = code[index], index + 1
         macro = macros.get(token.text) if token.kind == "name" else None
         called = index < len(code) and code[index].text == "("
-        if macro is None or token.text in within or (macro.parameters is not None and not called):
+        if macro and token.text in within:
+            token, macro = replace(token, kind="final name"), None  # never expanded again
+        if macro is None or (macro.parameters is not None and not called):
             result.append(token)
             continue
         body = list(macro.body)
         if macro.parameters is not None:
             arguments, index = _arguments(code, index)
+            arguments = [_replaced(argument, macros, within) for argument in arguments]
             values = dict(zip(macro.parameters, arguments, strict=False))
             body = [part for word in body for part in _with(values.get(word.text, [word]), word)]
             body = [replace(word, before=word.before if i else "") for i, word in enumerate(body)]
@@ -260,6 +275,8 @@ class Parser:
         token = self._next
         if token.kind == "end":
             raise self._error("the text ends too early")
+        if expected and token.text == "," and "," not in expected:
+            raise self._error("the comma operator")
         if expected and token.text not in expected:
             raise self._error(f"{' or '.join(expected)} is missing before {token.text!r}")
         self._at += 1
@@ -295,12 +312,17 @@ class Parser:
         self._take("(")
         parameters: list[Token | Node] = []
         function = Function(type_, [])
+        if self._next.text == "void":
+            parameters.append(self._take())
         while self._next.text != ")":
             first, qualifier = self._at, "in"
             while self._next.text in QUALIFIERS | {"out", "inout"}:
                 word = self._take().text
                 qualifier = word if word in ("out", "inout") else qualifier
-            kind, parameter = self._type(), self._take().text
+            kind = self._type()
+            if self._next.kind != "name":
+                raise self._error("a parameter without a name")
+            parameter = self._take().text
             if self._next.text == "[":
                 raise self._array()
             function.parameters.append((qualifier, kind, parameter))
@@ -350,7 +372,10 @@ class Parser:
             return Node("if", parts)
         if word == "for":
             self._scopes.append({})
-            parts = [self._take(), self._take("("), self._variables()]
+            parts = [self._take(), self._take("(")]
+            if self._next.text not in QUALIFIERS | TYPES:
+                raise self._error("for without a declaration in its head")
+            parts.append(self._variables())
             parts += [self._expression(), self._take(";"), self._changed(), self._take(")")]
             step = parts[5]
             if isinstance(step, Node) and any(map(_several, step.parts[:2])):
@@ -371,6 +396,8 @@ class Parser:
             return self._variables()
         if word in _OTHER_STATEMENTS:
             raise self._error(f"{word!r}; only if, for and while are supported")
+        if word == ";":
+            raise self._error("an empty statement")
         return Node("expression", [self._changed(), self._take(";")])
 
     def _variables(self) -> Node:
@@ -438,7 +465,8 @@ class Parser:
         question, if_true = self._take(), self._expression()
         colon, if_false = self._take(":"), self._ternary()
         self._conditions -= 1
-        return Node("ternary", [condition, question, if_true, colon, if_false], if_true.type)
+        type_ = _product(question.text, if_true.type, if_false.type)
+        return Node("ternary", [condition, question, if_true, colon, if_false], type_)
 
     def _binary(self, level: int) -> Node:
         if level == len(_LEVELS):
@@ -527,7 +555,7 @@ class Parser:
                 self._assign(argument)
             return Node("call", parts, function.type, name.text)
         if name.text not in RESULTS:
-            raise self._error(f"the unknown function {name.text}")
+            raise self._error(f"{name.text}(), which is neither declared nor supported")
         result = RESULTS[name.text]
         if result == "widest":
             result = max((node.type for node in arguments), key=lambda kind: kind in VECTORS)
@@ -558,4 +586,5 @@ def _product(sign: str, left: str, right: str) -> str:
         return _vector("float", MATRICES[right][0])
     if sign == "*" and left in MATRICES and right in MATRICES:
         return f"mat{MATRICES[right][0]}x{MATRICES[left][1]}"
-    return right if right in VECTORS or right in MATRICES else left
+    is_wider = right in VECTORS or right in MATRICES or (left == "int" and right in SCALARS)
+    return right if is_wider else left

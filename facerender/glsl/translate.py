@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from facerender.errors import InputError
 from facerender.glsl.syntax import (
     MATRICES,
     SCALARS,
@@ -38,6 +39,10 @@ _RESERVED = frozenset(
 )
 
 
+# Built-in functions of WGSL that accept integers or bool.
+_OF_ALL_SCALARS = ("abs", "sign", "min", "max", "clamp", "any", "all")
+
+
 def translate(lines: Sequence[str], language: str) -> str:
     """Translate GLSL to another language.
 
@@ -48,7 +53,8 @@ def translate(lines: Sequence[str], language: str) -> str:
 
     Raises
     ------
-    InputError : samplers, arrays, structures, uniforms or other GLSL that is not supported
+    InputError : samplers, arrays, structures, uniforms or other GLSL that is not supported; a
+        construct that the other language lacks
     """
     parser = Parser(expanded(lines))
     program = parser.program()
@@ -82,8 +88,32 @@ class Writer:
     def text(self, part: Token | Node) -> str:
         if isinstance(part, Token):
             return part.before + self.word(part.text)
+        self.check(part)
         write = getattr(self, f"write_{part.kind.replace('-', '_')}", None)
         return str(write(part)) if write else "".join(map(self.text, part.parts))
+
+    def check(self, node: Node) -> None:
+        """Raise InputError with a construct and its types, such as "mat3(float)", that the target
+        language lacks."""
+        if self.lacks(node):
+            types = [argument.type for argument in self.arguments(node)]
+            text = f" {_sign(node)} ".join(types if types[1:] else ["", *types])
+            if node.kind in ("construct", "built-in", "call"):
+                text = f"{node.name}({', '.join(types)})"
+            elif node.kind == "variable":
+                text = f"{node.type} {node.name} = {types[0]}"
+            place = f"function {self._function}: " if self._function else ""
+            text = re.sub(r"(\d)x\1", r"\1", text.strip())
+            raise InputError(f"not translated: {place}{text}")
+
+    def lacks(self, node: Node) -> bool:
+        """Return whether the target language lacks the construct of a node."""
+        types = [argument.type for argument in self.arguments(node)]
+        if node.kind == "construct":
+            return not _constructs(node.type, types)
+        if node.kind == "built-in":
+            return node.name == "mix" and _scalar(types[2]) == "bool"
+        return node.kind == "binary" and _sign(node) in ("==", "!=") and types[0] in MATRICES
 
     def bare(self, part: Token | Node) -> str:
         """Return the text of a part without the comments and spaces before it."""
@@ -121,6 +151,32 @@ class Writer:
         if every and isinstance(left, Node) and left.type in VECTORS:
             return f"{_before(node)}{every}({self.bare(left)}{self.text(sign)}{self.text(right)})"
         return "".join(map(self.text, node.parts))
+
+
+def _sign(node: Node) -> str:
+    """Return the operator of a node."""
+    return next((part.text for part in node.parts if isinstance(part, Token)), "")
+
+
+def _scalar(type_: str) -> str:
+    """Return the type of the components of a type."""
+    return "float" if type_ in MATRICES else VECTORS.get(type_, (type_,))[0]
+
+
+def _constructs(type_: str, types: Sequence[str]) -> bool:
+    """Return whether all languages construct a value of a type from values of these types."""
+    counts = [0 if name in MATRICES else VECTORS.get(name, ("", 1))[1] for name in types]
+    if type_ in MATRICES:
+        columns, rows = MATRICES[type_]
+        return counts in ([rows] * columns, [1] * (columns * rows)) or types == [type_]
+    return counts == [1] or sum(counts) == VECTORS.get(type_, ("", 1))[1]
+
+
+def _is_literal(node: Node) -> bool:
+    """Return whether a node is a constant expression of integers, which WGSL converts."""
+    parts = [part for part in node.parts if isinstance(part, Node)]
+    inner = node.kind in ("group", "unary", "binary") and all(map(_is_literal, parts))
+    return node.type == "int" and (node.kind == "number" or inner)
 
 
 def _joined(texts: Sequence[str]) -> str:
@@ -187,6 +243,12 @@ class Hlsl(_CLike):
         "dFdy": "ddy",
     }
 
+    def lacks(self, node: Node) -> bool:
+        """HLSL multiplies the components in ``*=`` of matrices."""
+        product = node.kind == "assign" and _sign(node) == "*="
+        matrix = product and self.arguments(node)[1].type in MATRICES
+        return matrix or super().lacks(node)
+
     def splat(self, type_: str, text: str) -> str:
         return f"(({self.types[type_]})({text}))"
 
@@ -234,6 +296,35 @@ class Wgsl(Writer):
         self._pointers: set[str] = set()
         self._assigned: set[str] = set()
 
+    def lacks(self, node: Node) -> bool:
+        operands, kind, sign = self.arguments(node), node.kind, _sign(node).removesuffix("=")
+        if kind == "call":
+            parameters = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
+            return any(
+                not _is_literal(operand) and _scalar(operand.type) != scalar
+                for operand, scalar in zip(operands, parameters, strict=False)
+            )
+        operands = operands[kind == "ternary" :]
+        types = {operand.type for operand in operands}
+        if kind in ("unary", "prefix", "postfix", "ternary") and types & {*MATRICES}:
+            return True
+        if kind == "unary" and sign == "+":
+            return True
+        if types & {*MATRICES} and (sign == "/" or (sign in ("+", "-") and types & {*SCALARS})):
+            return True
+        # WGSL has no implicit conversions, except of literals.
+        scalars = {_scalar(operand.type) for operand in operands if not _is_literal(operand)}
+        explicit = node.type in SCALARS or (len(operands) == 1 and types & {*VECTORS})
+        if kind == "variable" or (kind == "construct" and not explicit):
+            scalars.add(_scalar(node.type))
+        elif kind == "return" and operands:
+            scalars.add(_scalar(self._known[self._function].type))
+        elif kind == "built-in" and node.name not in _OF_ALL_SCALARS:
+            scalars.add("float")
+        elif kind not in ("binary", "assign", "ternary", "built-in") or sign in ("<<", ">>"):
+            scalars.clear()
+        return len(scalars) > 1 or super().lacks(node)
+
     def write_name(self, node: Node) -> str:
         name = self.word(node.name)
         return _before(node) + (f"(*{name})" if node.name in self._pointers else name)
@@ -273,6 +364,7 @@ class Wgsl(Writer):
         with `fixed`."""
         texts = []
         for part in self.arguments(node):
+            self.check(part)
             value = "".join(map(self.text, part.parts[1:]))
             word = "var" if part.name in self._assigned or not value else fixed
             # One item: the value.
@@ -343,6 +435,9 @@ class Wgsl(Writer):
         return text
 
     def write_for(self, node: Node) -> str:
+        head = node.parts[2]
+        if isinstance(head, Node) and head.kind == "variables" and len(self.arguments(head)) > 1:
+            raise InputError("not translated: several variables in the head of for")
         return "".join(map(self.text, node.parts[:-1])) + self._braced(node.parts[-1])
 
     write_while = write_for

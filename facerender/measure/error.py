@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from facerender import lobes
 from facerender.comparison import flip
@@ -41,21 +41,6 @@ def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) ->
     angles = np.linspace(0.0, 90.0, 9001) if degrees is None else degrees
     c = np.cos(np.radians(angles)).clip(0.0, 1.0)
     return lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)
-
-
-def printed_lobe(c: ArrayLike, m: float, k: int, g: int) -> Array:
-    """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020).
-
-    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1.
-    """
-    n = 2.0 / m**2 - k
-    return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
-
-
-def printed_error(m: float, k: int, g: int) -> Array:
-    """Return :func:`printed_lobe` minus the exact lobe, at 0 to 90 degrees in steps of 0.01."""
-    c = np.cos(np.radians(np.linspace(0.0, 90.0, 9001))).clip(0.0, 1.0)
-    return printed_lobe(c, m, k, g) - lobes.exact(c, m, k)
 
 
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
@@ -94,11 +79,16 @@ class Renderings:
 
 
 def image_errors(
-    scene: Scene, shadings: Sequence[Shading], size: tuple[int, int], backend: Backend = "auto"
+    scene: Scene,
+    shadings: Sequence[Shading],
+    size: tuple[int, int],
+    backend: Backend = "auto",
+    undrawn: Sequence[Shading] = (),
 ) -> Renderings:
     """Draw a scene with each shading, one sample per pixel, and compare the images with float64.
 
-    The float64 reference uses `shadings[0]`, but with the exact lobe.
+    The float64 reference uses `shadings[0]`, but with the exact lobe. The errors of `undrawn`,
+    which OpenGL cannot draw, come last; their images are float64, too.
 
     Raises
     ------
@@ -112,13 +102,14 @@ def image_errors(
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.coverage > 0.0
-    return Renderings(
-        reference, images, [image_error(image, reference, covered) for image in images]
-    )
+    errors = [image_error(image, reference, covered) for image in images]
+    others = [shade(gbuffer, scene, shading) for shading in undrawn]
+    errors += [image_error(image, reference, covered) for image in others]
+    return Renderings(reference, images, errors)
 
 
 def image_error(
-    image: NDArray[np.float32], reference: Array, covered: NDArray[np.bool_]
+    image: NDArray[np.floating], reference: Array, covered: NDArray[np.bool_]
 ) -> ImageError:
     """Compare a linear image (H, W, 3) with its reference over the covered pixels (H, W)."""
     relative = np.abs(image - reference)[covered] / np.maximum(reference[covered], 0.01)

@@ -95,7 +95,9 @@ def pareto(measurement: Measurement, model: str, kind: CostKind) -> list[Row]:
     def error(measured: MeasuredVariant) -> float | None:
         if not by_image:
             return measured.error.lobe[measurement.settings.slope]
-        image = None if measured.variant.unclamped else images.get(measured.variant.lobe)
+        image = measured.error.image
+        if image is None and not measured.variant.unclamped:
+            image = images.get(measured.variant.lobe)
         return 100.0 * image.largest if image else None
 
     rows = [Row(measured, kind.of(measured), error(measured)) for measured in variants]
@@ -151,5 +153,5 @@ def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:
     return {
         measured.variant.lobe: measured.error.image
         for measured in variants
-        if measured.error.image is not None
+        if measured.error.image is not None and not measured.variant.unclamped
     }

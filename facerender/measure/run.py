@@ -118,16 +118,19 @@ def _model(
     lobe_ns: dict[str, Interval] = {}
     if not settings.quick:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
-    rendered = [variant for variant in _standard(model) if _inside(variant, m)]
+    inside = [variant for variant in of_model(model) if _inside(variant, m)]
+    rendered = [variant for variant in inside if variant.standard]
+    undrawn = [variant for variant in inside if variant.unclamped]
     # The slope filter is off, since it may raise m above the lobe's domain. The m of other parts
     # than the skin may be outside.
-    shadings = [
-        replace(variant.shading, slope_filter=False, outside="exact") for variant in rendered
-    ]
+    shadings, others = (
+        [replace(variant.shading, slope_filter=False, outside="exact") for variant in variants]
+        for variants in (rendered, undrawn)
+    )
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
-    renderings = error.image_errors(scene, shadings, size, backend)
-    images = dict(zip(rendered, renderings.errors, strict=True))
+    renderings = error.image_errors(scene, shadings, size, backend, others)
+    images = dict(zip([*rendered, *undrawn], renderings.errors, strict=True))
     measured = [
         MeasuredVariant(
             variant,
@@ -172,10 +175,6 @@ def _processor() -> str:
     return next(names, platform.machine())
 
 
-def _standard(model: str) -> list[Variant]:
-    return [variant for variant in of_model(model) if variant.standard]
-
-
 def _inside(variant: Variant, m: float) -> bool:
     """Return whether m is in the domain of the variant's lobe."""
     return bool(LOBES[variant.lobe].belongs(m, variant.k).all())
@@ -188,12 +187,7 @@ def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None)
 
 
 def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
-    """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain.
-
-    The BRDF error of lobes without a clamp is None, because some of their values are NaN.
-    """
-    if variant.unclamped:
-        return _percent(error.printed_error(m, variant.k, 16)), None
+    """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain."""
     if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m):
         return None, None
     return _errors_of(variant.shading, m)
@@ -218,8 +212,8 @@ def _curves(model: str, slopes: Sequence[float]) -> Curves:
             for m in slopes
             if _inside(variant, m)
         }
-        for variant in _standard(model)
-        if variant.lobe != "exact"
+        for variant in of_model(model)
+        if variant.standard and variant.lobe != "exact"
     }
 
 

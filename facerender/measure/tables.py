@@ -325,6 +325,6 @@ def _number(value: float | None, missing: str = NOT_MEASURED) -> str:
     """Format a value with three digits; counts, and values of 100 or more, as integers."""
     if value is None:
         return missing
-    if isinstance(value, int) or value == 0.0 or abs(value) >= 100.0:
+    if isinstance(value, int) or value == 0.0 or 100.0 <= abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:#.3g}"

@@ -3,7 +3,10 @@ et al. (2020), and the library's forms."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from facerender.glsl.code import defines, lobe_macros
 from facerender.shading import SMALL_SLOPE, Shading
@@ -22,6 +25,22 @@ _PRINTED_EXACT = {
     "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
 }
 _PRINTED_LOBES = ("exact", "d16")
+
+
+def printed_lobe(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
+    """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020), in float64.
+
+    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1.
+    """
+    n = 2.0 / np.asarray(m, np.float64) ** 2 - k
+    return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
+
+
+PRINTED_D16 = replace(
+    LOBES["d16"],
+    name="d16 as published",
+    evaluate=lambda c, m, k: printed_lobe(c, LOBES["d16"].check(m, k), k, 16),
+)
 
 
 @dataclass(frozen=True)
@@ -65,8 +84,8 @@ class Variant:
 
     @property
     def shading(self) -> Shading:
-        """A shading with this model and lobe."""
-        return Shading(self.model, self.lobe)
+        """A shading with this model and lobe. OpenGL cannot draw it if the lobe is unclamped."""
+        return Shading(self.model, PRINTED_D16 if self.unclamped else self.lobe)
 
     @property
     def term(self) -> tuple[str, str]:

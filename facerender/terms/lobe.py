@@ -537,16 +537,18 @@ LOBES: dict[str, Lobe] = registry(
     ),
 )
 
-AnyLobe = str | GPower
+AnyLobe = str | GPower | Lobe
 
 
 def lobe_entry(lobe: AnyLobe) -> Lobe:
-    """Return the entry of a lobe that is given by its name or as a GPower.
+    """Return the entry of a lobe that is given by its name, as a GPower, or as an entry.
 
     Raises
     ------
     InputError : an unknown name
     """
+    if isinstance(lobe, Lobe):
+        return lobe
     return _of_g_power(lobe) if isinstance(lobe, GPower) else named("lobe", LOBES, lobe)
 
 

@@ -41,7 +41,10 @@
 //   returns:  In (0, 1).
 //   error:    None.
 float fr_cook_torrance_scale(int lobe) {
-    return lobe == FR_LOBE_EXACT ? 0.25 * FR_LN_2 / FR_PI : 0.25 / FR_PI;
+#if FR_COMPILED_LOBE == 1 || FR_COMPILED_LOBE == 91
+    if (lobe == FR_LOBE_EXACT) return 0.25 * FR_LN_2 / FR_PI;
+#endif
+    return 0.25 / FR_PI;
 }
 
 // Pair (x, y): x is the Cook-Torrance BRDF without Fresnel term and constant factor, y is V.H.
@@ -57,7 +60,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
     vec3 h = l + v;  // Not normalised: V.H = |h|/2.
     float n_dot_h = n_dot_l + n_dot_v;
     float slope2 = FR_SLOPE(m) * FR_SLOPE(m);
-#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+#if FR_COMPILED_LOBE == 1 || FR_COMPILED_LOBE == 91
     if (lobe == FR_LOBE_EXACT) {
         vec2 squares = fr_half_vector(n, h, n_dot_h);
         vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
@@ -118,3 +121,9 @@ vec3 fr_cook_torrance_rgb(vec3 n, vec3 l, vec3 v, float m, vec3 f0, vec3 f90) {
 }
 
 #endif
+
+// These files end with comparisons of the macros, which an include guard must not skip.
+#include "half_vector.glsl"
+#include "lobe.glsl"
+#include "fresnel.glsl"
+#include "masking.glsl"

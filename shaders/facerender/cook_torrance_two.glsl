@@ -41,7 +41,7 @@ float fr_cook_torrance_two_terms(
     vec2 lobes;
     float v_dot_h;
     float masked_over;  // G/((N.L)(N.V)), times 1/c^4 for the exact lobes.
-#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+#if FR_COMPILED_LOBE == 1 || FR_COMPILED_LOBE == 91
     if (lobe == FR_LOBE_EXACT) {
         vec2 squares = fr_half_vector(n, h, n_dot_h);
         vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
@@ -80,3 +80,9 @@ float fr_cook_torrance_two(
 }
 
 #endif
+
+// These files end with comparisons of the macros, which an include guard must not skip.
+#include "half_vector.glsl"
+#include "lobe.glsl"
+#include "fresnel.glsl"
+#include "masking.glsl"

@@ -28,6 +28,16 @@
 #define FR_FRESNEL FR_FRESNEL_SCHLICK
 #endif
 
+// Number of FR_FRESNEL, for the comparison at the end of this file. Undefined if FR_FRESNEL is a name
+// and the host compares macros as text, as Babylon.js and PlayCanvas do.
+#if FR_FRESNEL == FR_FRESNEL_SCHLICK
+#define FR_COMPILED_FRESNEL 0
+#elif FR_FRESNEL == FR_FRESNEL_DIELECTRIC
+#define FR_COMPILED_FRESNEL 1
+#elif FR_FRESNEL == FR_FRESNEL_CONSTANT
+#define FR_COMPILED_FRESNEL 2
+#endif
+
 // Fresnel reflectance by the formula that the compile-time constant `fresnel` selects.
 float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {
     if (fresnel == FR_FRESNEL_CONSTANT) return f0;
@@ -50,4 +60,9 @@ float fr_fresnel(float f0, float v_dot_h) {
     return fr_fresnel_of(f0, v_dot_h, FR_FRESNEL);
 }
 
+#endif
+
+#if !defined(FR_COMPILED_FRESNEL) || FR_FRESNEL == FR_COMPILED_FRESNEL
+#else
+#error FR_FRESNEL differs from its value at the first include: call the functions that end in _terms
 #endif

@@ -23,6 +23,11 @@
 #ifndef FR_SMALL_SLOPE
 #define FR_SMALL_SLOPE 1
 #endif
+#if FR_SMALL_SLOPE == 1
+#define FR_COMPILED_SMALL_SLOPE 1
+#else
+#define FR_COMPILED_SMALL_SLOPE 0
+#endif
 
 // Squared length of the half vector, plus FR_FLOOR.
 //
@@ -47,4 +52,9 @@ vec2 fr_half_vector(vec3 n, vec3 h, float n_dot_h) {
 #endif
 }
 
+#endif
+
+#if FR_SMALL_SLOPE == FR_COMPILED_SMALL_SLOPE
+#else
+#error FR_SMALL_SLOPE differs from its value at the first include, or is neither 0 nor 1
 #endif

@@ -28,6 +28,16 @@
 #define FR_MASKING FR_MASKING_V_CAVITY
 #endif
 
+// Number of FR_MASKING, for the comparison at the end of this file. Undefined if FR_MASKING is a name
+// and the host compares macros as text, as Babylon.js and PlayCanvas do.
+#if FR_MASKING == FR_MASKING_V_CAVITY
+#define FR_COMPILED_MASKING 0
+#elif FR_MASKING == FR_MASKING_KELEMEN
+#define FR_COMPILED_MASKING 1
+#elif FR_MASKING == FR_MASKING_NONE
+#define FR_COMPILED_MASKING 2
+#endif
+
 // Masking term G divided by (N.L)(N.V): pair (x, y) whose quotient lacks the factor 1/h.h. The
 // argument `masking` selects the term.
 vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, int masking) {
@@ -36,4 +46,9 @@ vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, i
     return fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v);
 }
 
+#endif
+
+#if !defined(FR_COMPILED_MASKING) || FR_MASKING == FR_COMPILED_MASKING
+#else
+#error FR_MASKING differs from its value at the first include: call the functions that end in _terms
 #endif

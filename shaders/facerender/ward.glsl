@@ -32,7 +32,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     float product = n_dot_l * n_dot_v;
     float m2 = FR_SLOPE(m) * FR_SLOPE(m) + FR_FLOOR;
     float value;
-#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+#if FR_COMPILED_LOBE == 1 || FR_COMPILED_LOBE == 91
     if (lobe == FR_LOBE_EXACT) {
         float along = n_dot_h * n_dot_h + FR_FLOOR;
         float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w.
@@ -57,3 +57,7 @@ float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
 }
 
 #endif
+
+// These files end with comparisons of the macros, which an include guard must not skip.
+#include "half_vector.glsl"
+#include "lobe.glsl"

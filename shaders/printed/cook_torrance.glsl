@@ -15,7 +15,7 @@
 #include "facerender/lobe.glsl"
 #include "printed/g_power.glsl"
 
-#if FR_LOBE != FR_LOBE_EXACT && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
+#if FR_LOBE != 1 && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
 #error FR_LOBE must be a lobe of the paper: FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8 or FR_LOBE_D16
 #endif
 
@@ -25,7 +25,7 @@ float fr_printed_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);
     float v_dot_h = dot(v, h);
-#if FR_LOBE == FR_LOBE_EXACT
+#if FR_LOBE == 1
     float c2 = n_dot_h * n_dot_h;
     float d = exp((c2 - 1.0) / (m * m * c2)) / (4.0 * m * m * c2 * c2);
 #else

@@ -13,13 +13,13 @@
 #include "facerender/lobe.glsl"
 #include "printed/g_power.glsl"
 
-#if FR_LOBE != FR_LOBE_EXACT && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
+#if FR_LOBE != 1 && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
 #error FR_LOBE must be a lobe of the paper: FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8 or FR_LOBE_D16
 #endif
 
 float fr_printed_ward(vec3 n, vec3 l, vec3 v, float m) {
     vec3 h = normalize(l + v);
-#if FR_LOBE == FR_LOBE_EXACT
+#if FR_LOBE == 1
     float tangent = tan(acos(dot(n, h)));
     float lobe = exp(-tangent * tangent / (m * m));
 #else

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from benchmarks.paper.claims import PEAK
 from tools.docs.tables import load, published, table
 
 CLAIMS = (
@@ -11,6 +12,7 @@ CLAIMS = (
     ("verdict", "{verdict}"),
     ("conditions", "{conditions}"),
 )
+ERRORS = (("m", "{m}"), ("Ward", "{ward:.2f}"), ("Cook-Torrance", "{cook_torrance:.2f}"))
 
 
 def blocks() -> dict[str, str]:
@@ -24,5 +26,18 @@ def blocks() -> dict[str, str]:
         }
         for claim in data["claims"]
     ]
+    ward, cook_torrance = (
+        next(c for c in data["claims"] if c["conditions"] == PEAK and c["claim"].startswith(model))
+        for model in ("Ward", "Cook-Torrance")
+    )
+    errors = [
+        {"m": m, "ward": error, "cook_torrance": cook_torrance["values"][m]}
+        for m, error in ward["values"].items()
+    ]
     facts = [f"- {name}: {value}" for name, value in data["environment"].items()]
-    return {"claims": table(CLAIMS, claims), "environment": "\n".join(facts)}
+    return {
+        "claims": table(CLAIMS, claims),
+        "errors": table(ERRORS, errors),
+        "range": ward["where"].split(" % ")[1],
+        "environment": "\n".join(facts),
+    }
