@@ -395,7 +395,13 @@ def test_transforms_with_shared_intrinsics(tmp_path):
     camera = next(iter(fr.load_cameras(tmp_path / "b.json").values()))
     assert camera.intrinsics == ((90.0, 0.0, 41.0), (0.0, 95.0, 30.0), (0.0, 0.0, 1.0))
     assert camera.distortion[0] == -0.02
+    blender = {"camera_angle_x": 0.6, "camera_angle_y": 0.4, "frames": nerf["frames"]}
+    (tmp_path / "d.json").write_text(json.dumps(blender))
+    camera = next(iter(fr.load_cameras(tmp_path / "d.json", (80, 60)).values()))
+    assert camera.intrinsics[0][0] == pytest.approx(40 / np.tan(0.3))
+    assert camera.intrinsics[1][1] == pytest.approx(30 / np.tan(0.2))
     for broken in (
+        blender,
         {"frames": [{}]},
         {**nerf, "frames": [5]},
         {**nerf, "camera_model": "OPENCV_FISHEYE"},
@@ -416,6 +422,9 @@ def test_names_of_cameras_in_toml(cli):
     for option in ("--camera", "--scene"):
         assert cli.run("render", MINI_HEAD, option, path, *options)[0] == 0
     assert {"v-left.png", "v-rig_001.png", "v-camera_001.png"} <= {*cli.written}
+    names = ("x_002", "x", "x", "x")
+    path.write_text("".join(f'[[cameras]]\nname = "{name}"\n' for name in names))
+    assert [*fr.load_cameras(path)] == ["x_002", "x", "x_002_002", "x_003"]
     path.write_text('[camera]\nname = "one"\n')
     assert [*fr.load_cameras(path)] == ["one"]
     path.write_text("[[cameras]]\nname = 5\n")

@@ -3,6 +3,7 @@ variants of one kind of file that an earlier version read wrong without a word."
 
 from __future__ import annotations
 
+import base64
 import json
 import shutil
 import struct
@@ -151,6 +152,44 @@ def test_draco_scales_as_the_accessor_says(attributes, tmp_path):
             )
             np.testing.assert_allclose(packed_rows, rows, rtol=0, atol=2e-5)
             assert expected.max() > 0.9
+
+
+# A tetrahedron as draco3d 1.5 (npm) encodes it: positions int16, uv int8, colours uint16.
+SIGNED = base64.b64decode(
+    "RFJBQ08CAgEAAAAEBAEAAgEAAQMAAwIBAgMBAwADAwAAAwECAAECBAMAAgEBAQABAQARAwEQNwEwAwBQgvD/BwAA"
+    "AOj/9/8HAAAA6P/v/wcBgP///38AAAABAQAJAwEQFwEwAwBQgvgD9Pv39wGB////fwAAAAABAQARAwEQKwEQBwEg"
+    "AwAwkBEA+P8HAAAA+P8PAIA+oE/uAgAAAAD//wAA"
+)
+
+
+def test_draco_of_signed_components(tmp_path):
+    pytest.importorskip("DracoPy")
+    common = {"normalized": True, "count": 4}
+    faces = {"componentType": 5125, "count": 12, "type": "SCALAR"}
+    names = {"POSITION": 0, "TEXCOORD_0": 1, "COLOR_0": 2}
+    extension = {"bufferView": 0, "attributes": names}
+    primitive = {"attributes": names, "indices": 3}
+    primitive["extensions"] = {"KHR_draco_mesh_compression": extension}
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": [
+            {"componentType": 5122, "type": "VEC3", **common},
+            {"componentType": 5120, "type": "VEC2", **common},
+            {"componentType": 5123, "type": "VEC3", **common},
+            faces,
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": len(SIGNED)}],
+        "buffers": [{"byteLength": len(SIGNED)}],
+    }
+    (tmp_path / "a.glb").write_bytes(files.join_glb(document, SIGNED + bytes(-len(SIGNED) % 4)))
+    (part,) = load(tmp_path / "a.glb")[0].parts
+    order = [int(np.argmin(np.abs(part.positions - p).sum(axis=1))) for p in np.eye(3) * (1, 1, -1)]
+    np.testing.assert_allclose(part.positions[order], np.eye(3) * (1, 1, -1))
+    np.testing.assert_allclose(part.uv[order], [[1, 1], [0, 0], [-1, 1 - 64 / 127]], atol=1e-6)
+    np.testing.assert_allclose(part.colors[order[1]], [0, 0, 1], atol=1e-6)
 
 
 # --- PLY -----------------------------------------------------------------------------------------
@@ -336,6 +375,52 @@ def test_ply_colours_of_vertices_beside_coordinates(tmp_path):
         assert mesh.materials[0].albedo == (1.0, 1.0, 1.0)
 
 
+def test_ply_colours_of_faces_beside_coordinates(tmp_path):
+    uv = HEAD.uv[HEAD.faces].reshape(len(HEAD.faces), 6)
+    face = {"texcoord": ("float", uv), **rgb("uchar", OF_FACES)}
+    (part,) = load(write_ply(tmp_path / "a.ply", face=face))[0].parts
+    np.testing.assert_allclose(
+        sorted(map(tuple, part.colors[part.faces][:, 0])), sorted(map(tuple, linear(OF_FACES)))
+    )
+
+
+def test_ply_says_which_colours_are_drawn(tmp_path):
+    path = write_ply(tmp_path / "a.ply", rgb("uchar", COLORS), rgb("uchar", OF_FACES))
+    mesh, messages = load(path)
+    assert messages == ["a.ply has colours of vertices and of faces: the vertex colours are drawn"]
+    np.testing.assert_allclose(mesh.parts[0].colors, linear(COLORS), atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 300.0])
+def test_ply_with_a_bad_colour(bad, tmp_path):
+    values = COLORS[:, :3] / 255.0
+    values[5, 1] = bad
+    path = write_ply(tmp_path / "a.ply", rgb("float", values), binary=True)
+    colors = load(path)[0].parts[0].colors
+    np.testing.assert_allclose(np.delete(colors, 5, 0), np.delete(linear(COLORS), 5, 0), atol=1e-9)
+
+
+def test_ply_texture_numbers_without_a_texture(tmp_path):
+    numbers = np.zeros(len(HEAD.faces), int)
+    numbers[:7], numbers[7:9] = -1, 5
+    mesh, messages = load(textured_ply(tmp_path, numbers, False, "a.png", "b.png"))
+    assert messages == [
+        "a.ply has 7 faces whose texnumber -1 names no texture",
+        "a.ply has 2 faces whose texnumber 5 names no texture",
+    ]
+    assert [material.albedo_map is None for material in mesh.materials] == [True, False, True]
+
+
+def test_binary_ply_of_triangles_and_quads_is_no_damage(tmp_path):
+    path = write_ply(tmp_path / "a.ply", binary=True)
+    content = path.read_bytes().replace(
+        f"element face {len(HEAD.faces)}".encode(), f"element face {len(HEAD.faces) + 1}".encode()
+    )
+    path.write_bytes(content + struct.pack("<B4i", 4, 0, 1, 2, 3))
+    with pytest.raises(fr.InputError, match="has faces with different numbers of corners"):
+        fr.load_mesh(path)
+
+
 def test_ply_faces_that_do_not_exist(tmp_path):
     path = write_ply(tmp_path / "a.ply", face=rgb("uchar", OF_FACES), binary=True)
     content = bytearray(path.read_bytes())
@@ -426,16 +511,74 @@ def test_utf_16_without_a_mark_is_refused_by_name(tmp_path):
             fr.load_mesh(path)
 
 
-@pytest.mark.parametrize("scale", [1.0, 255.0, 100.0])
-def test_obj_colours_up_to_255(scale, tmp_path):
-    levels = np.round(COLORS[:, :3] / 255.0 * min(scale, 255.0) * 1000) / 1000
-    path = files.write_obj(tmp_path / "a.obj", HEAD, colors=levels, uv=False)
+@pytest.mark.parametrize(
+    ("scale", "excess"), [(1.0, 0.0), (255.0, 0.0), (100.0, 0.0), (1.0, 2.0), (255.0, 100.0)]
+)
+@pytest.mark.parametrize(
+    ("uv", "mtl"), [(False, None), (True, None), (False, "a.mtl"), (True, "a.mtl")]
+)
+def test_obj_colours_up_to_255(scale, excess, uv, mtl, tmp_path):
+    """A few brighter vertices do not change the scale. Materials without a map keep the colours."""
+    (tmp_path / "a.mtl").write_text("newmtl skin\nKd 0.8 0.8 0.8\n")
+    levels = np.round(COLORS[:, :3] / 255.0 * scale * 1000) / 1000
+    levels[:3] += excess
+    path = files.write_obj(tmp_path / "a.obj", HEAD, colors=levels, uv=uv, mtl=mtl)
     mesh, _ = load(path)
     unit = 255.0 if scale > 1.0 else 1.0
-    expected = srgb_to_linear(np.round(levels / unit * 255.0) / 255.0)
-    np.testing.assert_allclose(
-        sorted(map(tuple, mesh.parts[0].colors)), sorted(map(tuple, expected)), atol=0.005
-    )
+    expected = srgb_to_linear(np.round((levels / unit).clip(0, 1) * 255.0) / 255.0)
+    (part,) = mesh.parts
+    rows = np.arange(len(expected)) if part.sources is None else part.sources
+    np.testing.assert_allclose(part.colors, expected[rows], atol=0.005)
+    assert mesh.materials[0].albedo == (1.0, 1.0, 1.0)
+
+
+def test_obj_textures_win_over_colours(tmp_path):
+    path = files.write_textured_obj(tmp_path / "a.obj", HEAD, colors=COLORS[:, :3] / 255.0)
+    mesh, messages = load(path)
+    assert messages == []
+    assert mesh.parts[0].colors is None
+    assert mesh.materials[0].albedo_map is not None
+
+
+def test_obj_colours_of_some_vertices(tmp_path):
+    lines = ["v 0 0 0 1 0 0", "v 1 0 0 0 1 0", "v 0 1 0", "v 0 0 1 1 0 0 1", "f 1 2 3", "f 1 4 2"]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    mesh, messages = load(tmp_path / "a.obj")
+    assert messages == ["a.obj has vertices without colour (1): drawn white"]
+    colors = {
+        tuple(p): tuple(c)
+        for p, c in zip(mesh.parts[0].positions, mesh.parts[0].colors, strict=True)
+    }
+    assert colors == {
+        (0, 0, 0): (1, 0, 0),
+        (1, 0, 0): (0, 1, 0),
+        (0, 1, 0): (1, 1, 1),
+        (0, 0, 1): (0, 0, 1),
+    }
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "v 0 0 0 # a\nv 1 0 0#b\nv 0 1 0\nf 1 2 3 # c\n",
+        "v 0 \\\n0 0\nv 1 0 0\nv 0 1 0\nf 1 \\\n2 3\n",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0\nvt 0.5\nf 1/1 2/2 3/1\n",
+    ],
+    ids=["comments", "continuations", "one coordinate"],
+)
+def test_legal_obj_lines(text, tmp_path):
+    (tmp_path / "a.obj").write_text(text)
+    mesh, messages = load(tmp_path / "a.obj")
+    assert messages == []
+    assert len(mesh.parts[0].faces) == 1
+
+
+def test_colours_of_zbrush_warn(tmp_path):
+    path = files.write_obj(tmp_path / "a.obj", HEAD, uv=False)
+    path.write_text("#MRGB ffff0000ff00ff00\n" + path.read_text())
+    assert load(path)[1] == [
+        "a.obj has colours of ZBrush (#MRGB), which are not read: export it as .ply or .glb"
+    ]
 
 
 def materials(folder: Path, mtl: str, *uses: str) -> tuple[fr.Mesh, list[str]]:
@@ -468,9 +611,13 @@ def test_the_only_material_is_used(tmp_path):
     ("mtl", "uses", "message"),
     [
         (TWO, ("green",), "a.obj uses the material green, and its MTL has the materials red, blue"),
-        (TWO, ("",), "a.obj has faces without one, and its MTL has the materials red, blue"),
+        (TWO, ("",), "a.obj has faces without usemtl, and its MTL has the materials red, blue"),
         (RED, ("red", "eye"), "a.obj uses the material eye, and its MTL has the materials red"),
-        (TWO, ("", "blue"), "a.obj has faces without one, and its MTL has the materials red, blue"),
+        (
+            TWO,
+            ("", "blue"),
+            "a.obj has faces without usemtl, and its MTL has the materials red, blue",
+        ),
     ],
 )
 def test_a_material_that_the_library_lacks_warns(mtl, uses, message, tmp_path):
@@ -708,8 +855,25 @@ def test_profiles_of_data_maps_and_srgb_change_nothing(tmp_path):
     assert (found > 105).all()  # a gamma of 1.8 is brighter than sRGB
 
 
-def test_a_profile_that_fits_no_image_is_refused(tmp_path):
-    texture = fr.Texture.open(flat(tmp_path / "a.png", LEVEL, b"nonsense" * 30))
-    material = fr.Material(albedo_map=texture)
-    with pytest.raises(fr.InputError, match=r"a\.png has an ICC profile that cannot be used"):
-        material.albedo_map.rgb()
+@pytest.mark.parametrize(
+    ("level", "content"),
+    [(LEVEL, b"nonsense" * 30), ((100,), P3), (LEVEL, GREY), ((*LEVEL, 200), GREY)],
+    ids=["nonsense", "grey image", "grey profile", "grey profile, alpha"],
+)
+def test_a_profile_of_other_channels_is_ignored_with_a_warning(level, content, tmp_path):
+    texture = fr.Texture.open(flat(tmp_path / "a.png", level, content))
+    with pytest.warns(fr.FacerenderWarning, match=r"a\.png has an ICC profile that does not fit"):
+        material = fr.Material(albedo_map=texture)
+    found = np.asarray(material.albedo_map.rgb())[0, 0]
+    assert (found == (level * 3 if len(level) == 1 else level[:3])).all()
+    fr.Material(roughness_map=fr.Texture.open(tmp_path / "a.png"))  # no warning for data
+
+
+def test_a_profile_reaches_trimesh_objects(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    image = Image.open(flat(tmp_path / "a.png", LEVEL, P3))
+    visual = trimesh.visual.TextureVisuals(uv=HEAD.uv, image=image)
+    source = trimesh.Trimesh(HEAD.positions, HEAD.faces, visual=visual, process=False)
+    found = np.asarray(fr.load_mesh(source).materials[0].albedo_map.rgb())[4, 4]
+    expected = np.round(255 * as_p3(np.array([LEVEL]) / 255.0))[0]
+    assert np.abs(found - expected).max() <= 1

@@ -64,7 +64,7 @@ def load_cameras(
         try:
             if suffix in GLTF:
                 return gltf_cameras(content, name)
-            tables = _json(content) if suffix == ".json" else _arrays(content)
+            tables = _json(content, size) if suffix == ".json" else _arrays(content)
             cameras = named([_camera(table, size) for table in tables], Path(path).stem)
         except InputError as error:
             place = "" if name in str(error) else f"{name}: "
@@ -118,13 +118,13 @@ def _world_to_camera(axes: NDArray[np.float64], position: NDArray[np.float64]) -
     return np.column_stack([turn, -turn @ position])
 
 
-def _json(content: bytes) -> list[Any]:
+def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
     try:
         tables = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its JSON cannot be read ({reason(error)})") from None
     if isinstance(tables, Mapping) and isinstance(tables.get("frames"), list):
-        tables = [_of_frame(tables, frame) for frame in tables["frames"][: MOST_CAMERAS + 1]]
+        tables = [_of_frame(tables, frame, size) for frame in tables["frames"][: MOST_CAMERAS + 1]]
     elif isinstance(tables, Mapping) and "cameras" in tables:
         tables = tables["cameras"]
     tables = tables if isinstance(tables, list) else [tables]
@@ -133,13 +133,19 @@ def _json(content: bytes) -> list[Any]:
     return tables
 
 
-def _of_frame(shared: Mapping[str, Any], frame: Any) -> dict[str, Any]:
+def _of_frame(
+    shared: Mapping[str, Any], frame: Any, size: tuple[int, int] | None
+) -> dict[str, Any]:
     """Convert an item of "frames" in a transforms.json of nerfstudio or instant-ngp to a table with
     matrices.
 
+    Parameters
+    ----------
     shared : the file's table, whose intrinsics apply to frames without their own
+    size : size of the image, for a file without w and h
     """
-    table = {**shared, **frame} if isinstance(frame, Mapping) else {}
+    table = dict(zip("wh", size or (), strict=False))
+    table |= {**shared, **frame} if isinstance(frame, Mapping) else {}
     model = table.get("camera_model", "OPENCV")
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE") or any(
         table.get(key) for key in ("k4", "is_fisheye")
@@ -150,20 +156,23 @@ def _of_frame(shared: Mapping[str, Any], frame: Any) -> dict[str, Any]:
         pose = _world_to_camera(to_world[:3, :3], to_world[:3, 3])
         width, height = float(table["w"]), float(table["h"])
         focal = table.get("fl_x") or width / 2.0 / math.tan(float(table["camera_angle_x"]) / 2.0)
+        focal_y = focal
+        if "camera_angle_y" in table:
+            focal_y = height / 2.0 / math.tan(float(table["camera_angle_y"]) / 2.0)
         k = [
             [focal, 0.0, table.get("cx", width / 2.0)],
-            [0.0, table.get("fl_y", focal), table.get("cy", height / 2.0)],
+            [0.0, table.get("fl_y", focal_y), table.get("cy", height / 2.0)],
             [0.0, 0.0, 1.0],
         ]
         coefficients = [float(table.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3")]
-        size = [int(width), int(height)]
+        pixels = int(width), int(height)
     except (KeyError, IndexError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(
             f"a frame cannot be read ({type(error).__name__} {reason(error)}): give "
-            "transform_matrix, w, h, and fl_x or camera_angle_x"
+            "transform_matrix, w, h (or --size), and fl_x or camera_angle_x"
         ) from None
     lens = {"distortion": coefficients} if any(coefficients) else {}
-    return {"K": k, "Rt": pose.tolist(), "width": size[0], "height": size[1], **lens}
+    return {"K": k, "Rt": pose.tolist(), "width": pixels[0], "height": pixels[1], **lens}
 
 
 def _arrays(content: bytes) -> list[dict[str, Any]]:

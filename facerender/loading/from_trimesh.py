@@ -14,7 +14,7 @@ from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
 from facerender.scenes.repair import Piece, check_count, placed, with_face_colors
-from facerender.scenes.texture import Texture
+from facerender.scenes.texture import Texture, profile_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -98,6 +98,7 @@ def piece_of(
     lost_images: bool,
     library: Library | None = None,
     material_name: str = "",
+    colored: bool = False,
 ) -> Piece:
     """Return a trimesh geometry as a piece.
 
@@ -108,7 +109,7 @@ def piece_of(
         because Pillow decodes an image in one thread only
     lost_images : whether an image that the file names is missing
     library : the materials of an OBJ file, or None
-    material_name : name of the material in an OBJ file
+    material_name, colored : of an OBJ file: name of the material, and whether vertices have colours
     """
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if vertices.shape[1:] != (3,):
@@ -125,9 +126,10 @@ def piece_of(
     uv = getattr(visual, "uv", None)
     if uv is not None and len(uv) == len(geometry.vertices):
         uv = np.array(uv, dtype=np.float64)[:, :2]
+        uv = np.pad(uv, ((0, 0), (0, 2 - uv.shape[1])))  # v of a 1D coordinate is 0
     else:
         uv = None
-    has_colors = visual.kind in ("vertex", "face")
+    has_colors = colored or visual.kind in ("vertex", "face")
     colors = None
     if visual.kind == "vertex":
         colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
@@ -181,7 +183,8 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
             return Material(albedo=SKIN_ALBEDO)
         return Material(albedo=tuple(srgb_to_linear(np.asarray(source.diffuse)[:3] / 255.0)))
     name = clipped(image.info.get("file_path", f"the albedo map of {file}"), 80)
-    texture = textures.setdefault(id(image), Texture(lambda: image, name))
+    texture = Texture(lambda: image, name, profile=profile_of(image))
+    texture = textures.setdefault(id(image), texture)
     return Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture)
 
 

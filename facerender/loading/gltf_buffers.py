@@ -198,12 +198,12 @@ class Buffers:
     def converted(self, values: NDArray[Any], index: int) -> NDArray[Any]:
         """Return Draco's values of an accessor, as the accessor without Draco would return them.
 
-        DracoPy returns all integers but 8-bit ones as 32-bit unsigned integers, so that the
-        accessor's type restores sign and range.
+        DracoPy returns 16-bit unsigned integers in 32 bits, and signed integers as floats.
         """
         accessor = self.document["accessors"][index]
-        if values.dtype.kind in "iu":
-            values = values.astype(COMPONENTS[accessor["componentType"]])
+        stored = np.dtype(COMPONENTS[accessor["componentType"]])
+        if values.dtype.kind in "iu" or stored.kind == "i":
+            values = values.astype(stored)
         return _normalized(values, accessor)
 
     def rows(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, warn
 from facerender.images.decode import TooLarge, open_image
@@ -45,6 +48,18 @@ class WarnOnce:
         if message not in self.warned:
             self.warned.add(message)
             warn(message)
+
+
+def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return colours of a mesh file as 8 bits. Programs write floats up to 1 or 255, and integers
+    of any type up to 255 or, in 16 bits, up to 65535."""
+    finite = np.where(np.isfinite(colors), colors, 0)
+    if colors.dtype.kind == "f":
+        lit = finite[finite > 0.0]
+        white = 255.0 if len(lit) and np.median(lit) > 1.0 else 1.0
+    else:
+        white = 65535.0 if colors.dtype.itemsize == 2 and finite.max(initial=0) > 255 else 255.0
+    return np.asarray(np.clip(finite * (255.0 / white), 0.0, 255.0).round(), dtype=np.uint8)
 
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")

@@ -229,7 +229,9 @@ class Library:
                 )
             return known * len(names)
         for name in missing:
-            subject = f"uses the material {clipped(name, 60)}" if name else "has faces without one"
+            subject = (
+                f"uses the material {clipped(name, 60)}" if name else "has faces without usemtl"
+            )
             self.warn(
                 f"{self.name} {subject}, and its MTL has the materials {listing}: drawn without a "
                 "material; correct usemtl in the OBJ file"

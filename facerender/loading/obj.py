@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
+from facerender.images.srgb import srgb_to_linear
+from facerender.loading.materials import color_bytes
 from facerender.loading.references import text_of
 from facerender.scenes.repair import Piece
 
@@ -26,36 +28,42 @@ _KINDS = (b"v", b"vt", b"vn")  # vertex, texture coordinate, normal: the referen
 
 
 def normalized(data: bytes, file: str) -> bytes:
-    """Return an OBJ file as UTF-8 with the line ends and the spaces that trimesh expects, and with
-    vertex colours in [0, 1]. trimesh reads neither tabs after keywords nor indented lines.
+    """Return an OBJ file as UTF-8 with the line ends and spaces that trimesh expects: it reads
+    neither tabs after keywords nor indented lines nor comments behind numbers.
 
-    file : name of the file, for the error about UTF-16 without a byte-order mark, an InputError
+    file : name of the file, for messages
+
+    Raises
+    ------
+    InputError : the file is UTF-16 without a byte order mark
     """
     if any(half and not half.strip(b"\0") for half in (data[:128:2], data[1:128:2])):
         raise InputError(f"{file} is UTF-16 without a byte order mark: save it as UTF-8")
-    data = text_of(data).replace("\t", " ").encode()
-    if _INDENTED.search(data):
-        data = _INDENTED.sub(b"", data)
-    return _with_unit_colors(data)
+    if b"#MRGB" in data:
+        warn(f"{file} has colours of ZBrush (#MRGB), which are not read: export it as .ply or .glb")
+    data = text_of(data).replace("\t", " ").replace("\\\n", "").encode()
+    for pattern in (_INDENTED, _COMMENT):
+        if pattern.search(data):
+            data = pattern.sub(rb"\1", data)
+    return data
 
 
-def _with_unit_colors(data: bytes) -> bytes:
-    """Return an OBJ file whose vertex colours, if some exceed 2, are divided by 255: some scanners
-    write 8-bit colours."""
-    if _COLORED.search(data) is None:
-        return data
+def vertex_colors(data: bytes, file: str) -> NDArray[np.uint8] | None:
+    """Return the sRGB colour (N, 3) of each vertex of a normalised OBJ file, which follows its
+    position; None without colours. trimesh drops them in files with texture coordinates or
+    materials."""
+    columns = np.array(_COLORS.findall(data), dtype=np.bytes_).reshape(-1, 3)
+    missing = columns[:, 0] == b""
+    if missing.all():
+        return None
     try:
-        largest = max(float(channel) for line in _COLORED.findall(data) for channel in line[1:])
-    except ValueError:  # trimesh reads or refuses them
-        return data
-    if not MOST_UNIT < largest <= 255.0:
-        return data
-    return _COLORED.sub(
-        lambda line: (
-            line[1] + b" %.7g %.7g %.7g" % tuple(float(line[i]) / 255.0 for i in (2, 3, 4))
-        ),
-        data,
-    )
+        colors = color_bytes(np.where(missing[:, None], b"nan", columns).astype(np.float64))
+    except ValueError:
+        return None
+    if missing.any():
+        warn(f"{file} has vertices without colour ({missing.sum()}): drawn white")
+        colors[missing] = 255
+    return colors
 
 
 def has_relative(data: bytes) -> bool:
@@ -105,10 +113,10 @@ def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes,
     return b"/".join(references)
 
 
-# A vertex with a colour: position and colour.
-_COLORED = re.compile(rb"^(v +\S+ +\S+ +\S+) +(\S+) +(\S+) +(\S+)", re.MULTILINE)
-MOST_UNIT = 2.0  # above any colour in [0, 1], also one that sharpening has made brighter
-_INDENTED = re.compile(rb"^ +", re.MULTILINE)
+# A vertex: position, in some files a weight, and a colour or nothing.
+_COLORS = re.compile(rb"^v(?: +\S+){3,4}?(?: +(\S+) +(\S+) +(\S+))? *$", re.MULTILINE)
+_INDENTED = re.compile(rb"^ +()", re.MULTILINE)
+_COMMENT = re.compile(rb"^((?:v[tn]?|f) [^\n#]*)#[^\n]*", re.MULTILINE)
 
 Owners = tuple[bytes, ...]  # names of object, group and material
 
@@ -179,12 +187,17 @@ _TRIANGLE = re.compile(rb"^[ \t]*f" + 3 * rb"[ \t]+(\d+)(?:/\S*)?" + rb"[ \t]*\r
 _MULTIPLIERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
-def number_vertices(data: bytes, pieces: Sequence[Piece]) -> None:
-    """Set the sources of the pieces of an OBJ file: the index of each vertex in the file.
+def number_vertices(
+    data: bytes, pieces: Sequence[Piece], colors: NDArray[np.uint8] | None = None
+) -> None:
+    """Set the sources of the pieces of an OBJ file: the index of each vertex in the file. Set the
+    colours of pieces without albedo map.
 
     trimesh splits vertices at texture seams and does not return the indices, so that positions
     identify the vertices. If several vertices of the file share a position, the faces identify
     them in a file with one piece of triangles; in other files the piece stays without sources.
+
+    colors : the result of :func:`vertex_colors`
     """
     try:
         places = np.array(_VERTEX.findall(data), dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
@@ -192,16 +205,16 @@ def number_vertices(data: bytes, pieces: Sequence[Piece]) -> None:
         return
     hashes, first, counts = np.unique(_hashes(places), return_index=True, return_counts=True)
     for piece in pieces:
-        if len(pieces) == 1 and np.array_equal(piece.positions, places):
-            continue
-        matches = np.searchsorted(hashes, _hashes(piece.positions)).clip(max=len(hashes) - 1)
-        sources = first[matches]
-        if not (counts[matches] == 1).all():
-            if len(pieces) > 1 or (face_sources := _by_faces(data, piece)) is None:
-                continue
-            sources = face_sources
-        if sources.max() < len(places) and (places[sources] == piece.positions).all():
-            piece.sources, piece.source_count = sources, len(places)
+        rows = np.arange(len(places))
+        if len(pieces) > 1 or not np.array_equal(piece.positions, places):
+            matches = np.searchsorted(hashes, _hashes(piece.positions)).clip(max=len(hashes) - 1)
+            rows, known = first[matches], bool((counts[matches] == 1).all())
+            if not known and len(pieces) == 1 and (by_faces := _by_faces(data, piece)) is not None:
+                rows, known = by_faces, by_faces.max() < len(places)
+            if known and (places[rows] == piece.positions).all():
+                piece.sources, piece.source_count = rows, len(places)
+        if colors is not None and piece.material.albedo_map is None and len(colors) == len(places):
+            piece.colors = srgb_to_linear(colors[rows.clip(max=len(places) - 1)] / 255.0)
 
 
 def _hashes(places: NDArray[np.float64]) -> NDArray[np.uint64]:

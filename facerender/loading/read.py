@@ -20,19 +20,19 @@ from facerender.images.srgb import srgb_to_linear
 from facerender.loading.from_trimesh import has_normals, piece_of
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
-from facerender.loading.materials import image_of, missing_image, unreadable
+from facerender.loading.materials import color_bytes, image_of, missing_image, unreadable
 from facerender.loading.obj import (
-    MOST_UNIT,
     has_relative,
     normalized,
     number_vertices,
+    vertex_colors,
     with_absolute,
     with_parts,
 )
 from facerender.loading.references import TEXTURE_FILE, References, text_of
 from facerender.loading.source import GLTF, Source, check_format
 from facerender.scenes.material import Material
-from facerender.scenes.repair import Piece, check_count, subset
+from facerender.scenes.repair import Piece, check_count, subset, with_face_colors
 from facerender.scenes.texture import Texture
 
 if TYPE_CHECKING:
@@ -55,7 +55,10 @@ _LINES = re.compile(
 )
 _INDICES = ("vertex_index", "vertex_indices")
 _COLORS = ("red", "green", "blue")
-_OTHER_COLORS = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_OTHER_COLORS = (
+    *(("r", "g", "b"), ("Red", "Green", "Blue")),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+)
 _SLACK = 16  # blank lines allowed at the end
 
 
@@ -188,7 +191,7 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
                 pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
     except InputError:
         raise
-    except ValueError as error:
+    except (ValueError, LookupError, ArithmeticError) as error:
         raise damaged(name, reason(error)) from None
     except Exception as error:  # not a fault of the file, such as a missing package
         error.add_note(f"while reading {name}")
@@ -226,32 +229,32 @@ def _ply_pieces(
 
     names : names of the textures. The face property texnumber is an index into them
     """
-    colors_of = getattr(geometry.visual, "kind", None)
-    if colors_of in ("vertex", "face") and (values := _ply_values(geometry, colors_of, _COLORS)):
-        setattr(geometry.visual, f"{colors_of}_colors", _eight_bit(np.stack(values, axis=1)))
+    file, visual = references.name, geometry.visual
+    colors = {of: _ply_values(geometry, of, _COLORS) for of in ("vertex", "face")}
+    if all(colors.values()):
+        warn(f"{file} has colours of vertices and of faces: the vertex colours are drawn")
+    for of, values in colors.items():
+        if values and visual.kind == of:
+            setattr(visual, f"{of}_colors", color_bytes(np.stack(values, axis=1)))
     textures = [_ply_texture(name, references, not albedo_given) for name in names]
     numbers = _ply_values(geometry, "face", ("texnumber",)) if len(names) > 1 else None
     if numbers:
         geometry.face_attributes["texnumber"] = numbers[0]
-    sources, colors = _ply_sources(geometry), _ply_values(geometry, "vertex", _COLORS)
-    piece = piece_of(geometry, references.name, {}, bool(references.missing()))
+    sources = _ply_sources(geometry)
+    piece = piece_of(geometry, file, {}, bool(references.missing()))
     if sources is not None:
         piece.sources = sources
         piece.source_count = geometry.metadata["_ply_raw"]["vertex"]["length"]
     if not any(textures):
-        if sources is not None and colors and piece.colors is None and not names:
-            levels = _eight_bit(np.stack(colors, axis=1)[sources])
-            piece.colors, white = srgb_to_linear(levels / 255.0), (1.0, 1.0, 1.0)
-            piece.material = Material(albedo=white)
-        return [piece]
+        return [_ply_colored(piece, sources, colors)]
     if piece.uv is None:
-        warn(f"{references.name} has no texture coordinates: its texture is ignored")
+        warn(f"{file} has no texture coordinates: its texture is ignored")
         return [piece]
     if not numbers:
         if len(names) > 1:
             warn(
-                f"{references.name} names {len(names)} textures, but its faces have no texnumber: "
-                f"all get {clipped(names[0], 60)}"
+                f"{file} names {len(names)} textures, but its faces have no texnumber: all get "
+                f"{clipped(names[0], 60)}"
             )
         return [_textured(piece, textures[0])]
     number = geometry.face_attributes["texnumber"]
@@ -259,10 +262,36 @@ def _ply_pieces(
     for value in np.unique(number).astype(np.int64).tolist():
         part = subset(piece, number == value)
         known = 0 <= value < len(names)
+        if not known:
+            warn(f"{file} has {len(part.faces)} faces whose texnumber {value} names no texture")
         part.name = PurePath(names[value]).stem if known else ""
         pieces.append(_textured(part, textures[value] if known else None))
     pieces[0].out_of_range = piece.out_of_range
     return pieces
+
+
+def _ply_colored(
+    piece: Piece, sources: NDArray[np.int64] | None, colors: Mapping[str, list[NDArray[Any]] | None]
+) -> Piece:
+    """Return a piece without texture with the file's colours. trimesh drops colours if the file
+    has texture coordinates.
+
+    Parameters
+    ----------
+    sources : index of each vertex in the file; None: trimesh has kept the colours
+    colors : red, green and blue of the elements "vertex" and "face", or None
+    """
+    if sources is None or piece.out_of_range:
+        return piece
+    for of, values in colors.items():
+        if values:
+            levels = srgb_to_linear(color_bytes(np.stack(values, axis=1)) / 255.0)
+            piece.material = Material(albedo=(1.0, 1.0, 1.0))
+            if of == "face":
+                return with_face_colors(piece, levels)
+            piece.colors = levels[sources]
+            return piece
+    return piece
 
 
 def _textured(piece: Piece, texture: Texture | None) -> Piece:
@@ -314,16 +343,6 @@ def _ply_sources(geometry: trimesh.Trimesh) -> NDArray[np.int64] | None:
     return sources
 
 
-def _eight_bit(colors: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return colours as 8 bits. Programs write floats up to 1 or 255, and integers of any type up
-    to 255."""
-    colors = np.nan_to_num(colors)
-    largest = float(colors.max(initial=0))
-    unit = 1.0 if colors.dtype.kind == "f" and largest <= MOST_UNIT else 255.0
-    scale = 255.0 / (unit if largest <= 255.0 else 65535.0)
-    return np.asarray(np.clip(colors * scale, 0.0, 255.0).round(), dtype=np.uint8)
-
-
 def _ply_texture(name: str, references: References, fatal: bool) -> Texture | None:
     """Return a texture of a PLY file, or None if it is missing.
 
@@ -345,6 +364,7 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     from facerender.loading.mtl import Library
 
     data = normalized(data, name)
+    colors = vertex_colors(data, name)
     library = Library(data, references, name, albedo_given)
     data, names, materials = with_parts(data, name)
     materials = library.matched(materials) or [""]
@@ -368,13 +388,14 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     pieces: list[tuple[int, Piece]] = []
     for key, geometry in geometries.items():
         number = int(key.partition("_")[0]) if len(names) > 1 else 0
-        piece = piece_of(geometry, name, {}, False, library, materials[number])
+        colored = colors is not None
+        piece = piece_of(geometry, name, {}, False, library, materials[number], colored)
         piece.name = names[number]
         pieces.append((number, piece))
     pieces[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
     pieces.sort(key=lambda pair: pair[0])
-    number_vertices(data, [piece for _, piece in pieces])
+    number_vertices(data, [piece for _, piece in pieces], colors)
     parts = [
         part for _, piece in pieces for part in _with_tiles(piece, piece.material_name, library)
     ]
@@ -419,6 +440,11 @@ def _geometries(
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # trimesh's readers raise many exceptions for damaged files
+        if "unexpected length" in str(error):
+            raise InputError(
+                f"{name} has faces with different numbers of corners, or lacks bytes: export it "
+                "with triangles only, or as text"
+            ) from None
         raise ValueError(reason(error)) from None
     names = (scene.graph[node][1] for node in scene.graph.nodes_geometry)
     instances = {key: scene.geometry[key] for key in names}

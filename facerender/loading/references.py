@@ -158,7 +158,7 @@ def _in_any_case(folder: Path, name: str) -> Path | None:
             if not part:
                 return None
         path /= part
-    return path
+    return path if path.is_file() else None
 
 
 def _all_spellings(name: str) -> Iterator[str]:

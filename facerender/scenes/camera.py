@@ -206,8 +206,10 @@ def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
     """Return cameras keyed by unique names; a missing or repeated name is replaced."""
     keyed: dict[str, Camera] = {}
     for number, camera in enumerate(cameras):
-        unique = camera.name and camera.name not in keyed
-        keyed[camera.name if unique else f"{camera.name or stem}_{number:03d}"] = camera
+        key = camera.name or f"{stem}_{number:03d}"
+        while key in keyed:
+            key += f"_{number:03d}"
+        keyed[key] = camera
     return keyed
 
 

@@ -25,6 +25,7 @@ from facerender.errors import (
     clipped,
     reason,
     shown,
+    warn,
 )
 from facerender.images.decode import check_pixels, in_srgb, open_image
 from facerender.images.srgb import linear_to_srgb
@@ -56,7 +57,7 @@ class Texture:
     coarser : implementation of :meth:`coarser` for a texture that is made of other textures. In
         this case, ``decode`` must return an image in mode RGB with row 0 at the bottom, and the
         image is not cached.
-    profile : ICC profile of the image, which :meth:`in_srgb` applies; None without
+    profile : ICC profile of the image, from :func:`profile_of`; :meth:`in_srgb` applies it
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class Texture:
                 file.seek(0)
                 return cls.of(file.read(), name)
             opened = _opened(file, name)
-            return cls(decode, name, opened.size, profile=opened.info.get("icc_profile"))
+            return cls(decode, name, opened.size, profile=profile_of(opened))
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
@@ -134,8 +135,7 @@ class Texture:
         InputError : the content is not an image, or too large
         """
         opened = _opened(content, name)
-        profile = opened.info.get("icc_profile")
-        return cls(lambda: _opened(content, name), name, opened.size, profile=profile)
+        return cls(lambda: _opened(content, name), name, opened.size, profile=profile_of(opened))
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
@@ -193,7 +193,7 @@ class Texture:
             copy = image.copy()
         except Exception as error:  # Pillow's decoders raise many types
             raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
-        return cls(lambda: copy, name, profile=copy.info.get("icc_profile"))
+        return cls(lambda: copy, name, profile=profile_of(copy))
 
     def __repr__(self) -> str:
         size = "" if self._size is None else f", {self._size[0]} x {self._size[1]}"
@@ -403,6 +403,10 @@ class Texture:
         Data maps do not use it: their values are no colours."""
         if self.profile is None:
             return self
+        if not self.profile:
+            warn(f"{self.name} has an ICC profile that does not fit its channels: ignored")
+            self.profile = None
+            return self
         if self._in_srgb is None:
             if self._source:
                 self._in_srgb = self._source.in_srgb().sampled(*self.sampling)
@@ -594,29 +598,38 @@ def _loaded(image: Image, name: str) -> Image:
     return image
 
 
+_SPACES = {**dict.fromkeys(("1", "L", "LA"), b"GRAY"), "CMYK": b"CMYK"}  # else RGB, of a mode
+_RGB = ("RGB", "RGBA", "RGBX", "P", "PA")
+
+
+def profile_of(image: Image) -> bytes | None:
+    """Return the ICC profile of an image; None without a profile, and b"" for a profile that is no
+    profile of these channels (ICC.1:2022, section 7.2)."""
+    profile = image.info.get("icc_profile")
+    space = _SPACES.get(image.mode, b"RGB " if image.mode in _RGB else b"")
+    if not profile:
+        return None
+    fits = profile[36:40] == b"acsp" and profile[16:20] == space
+    return bytes(profile) if fits else b""
+
+
 def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
     """Convert an image from an ICC profile to sRGB, unless the profile is sRGB itself: the image
     then keeps its texels, which a conversion would change by a level."""
     from PIL import Image as images
 
-    if image.mode.startswith(("I", "F")):  # 16-bit grey
-        return image
-    bands = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}.get(image.mode, "RGB")
+    bands = {b"GRAY": "L", b"CMYK": "CMYK"}.get(profile[16:20], "RGB")
     colors = image.convert(bands)
     ramp = np.arange(0, 256, 15, dtype=np.uint8)
-    samples = np.stack(np.meshgrid(*[ramp] * len(bands)), axis=-1).reshape(
-        len(ramp), -1, len(bands)
-    )
+    axes = np.meshgrid(*[ramp] * len(bands))
+    samples = np.stack(axes, axis=-1).reshape(len(ramp), -1, len(bands))
     grid = images.fromarray(samples[..., 0] if bands == "L" else samples, bands)
     try:
-        changes = np.asarray(in_srgb(grid, profile)[0], dtype=np.int16) - np.asarray(
-            grid.convert("RGB")
-        )
+        changes = np.asarray(in_srgb(grid, profile)[0], np.int16) - np.asarray(grid.convert("RGB"))
         return image if np.abs(changes).max() <= 1 else in_srgb(colors, profile)[0]
     except Exception as error:  # LittleCMS raises several types
-        raise InputError(
-            f"{name} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
-        ) from None
+        warn(f"{name} has an ICC profile that cannot be used ({reason(error)}): ignored")
+        return image
 
 
 def _upright_rgb(image: Image, name: str) -> Image:
