@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -346,6 +347,20 @@ def test_meta_stays_with_jobs_that_fail_and_changes_with_the_table(cli):
         assert record["meta"] == {"age": age}
     path.write_text(json.dumps({**row, "meta": 5} | {}).replace('"meta.age": 3, ', ""))
     assert "meta" in cli.run("batch", path, "--check", "-o", cli.folder / "out")[2]
+
+
+def test_layers_have_no_background(cli):
+    row = {"mesh": str(MINI_HEAD), "image.size": 16, "background": [0, 1, 0], "outputs": "layers"}
+    (cli.folder / "jobs.jsonl").write_text(json.dumps(row))
+    assert cli.run("batch", cli.folder / "jobs.jsonl", "-o", cli.folder / "out")[0] == 0
+    record = json.loads((cli.folder / "out" / "jobs.jsonl").read_text())
+    path = cli.folder / "out" / record["files"]["layers.exr"]["path"]
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: channel.pixels.copy() for name, channel in file.channels().items()}
+    outside = channels["mask.A"] == 0.0
+    assert outside.any()
+    assert (channels["albedo.G"][outside] == 0.0).all()
+    assert (channels["G"][outside] > 0.0).any()
 
 
 # --- cameras -------------------------------------------------------------------------------------

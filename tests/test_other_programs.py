@@ -541,7 +541,7 @@ def test_obj_textures_win_over_colours(tmp_path):
 
 
 def test_obj_colours_of_some_vertices(tmp_path):
-    lines = ["v 0 0 0 1 0 0", "v 1 0 0 0 1 0", "v 0 1 0", "v 0 0 1 1 0 0 1", "f 1 2 3", "f 1 4 2"]
+    lines = ["v 0 0 0 1 0 0", "v 1 0 0 0 1 0", "v 0 1 0", "v 0 0 1 1 0 0 1", "f 1 3 2", "f 1 2 4"]
     (tmp_path / "a.obj").write_text("\n".join(lines))
     mesh, messages = load(tmp_path / "a.obj")
     assert messages == ["a.obj has vertices without colour (1): drawn white"]

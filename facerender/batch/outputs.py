@@ -283,9 +283,11 @@ def _depth_scale(view: View, mesh: Mesh) -> float:
 
 
 def _layers(frames: Mapping[str, Frame]) -> dict[str, NDArray[Any]]:
-    """Return the float32 channels of layers.exr, keyed by the channel name."""
+    """Return the float32 channels of layers.exr, keyed by the channel name. Compositing programs
+    expect albedo without background."""
+    covered = frames["mask"].linear[..., 0]
     return {
-        channel: frames[name].linear[..., index]
+        channel: frames[name].linear[..., index] * (covered if name == "albedo" else np.float32(1))
         for name, channels in _CHANNELS.items()
         if name in frames
         for index, channel in enumerate(channels)

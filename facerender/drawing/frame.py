@@ -363,4 +363,7 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
         h = unit(l + v)
         values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
     view[covered, :3] = values
+    # The default background would tint the zeros that programs expect around the mesh.
+    if only == "albedo" and scene.background not in (None, Scene.background):
+        view[~covered, :3] = scene.background
     return view

@@ -315,9 +315,6 @@ class Renderer:
         else:
             linear = data_view(self.gbuffer(scene, drawn, blended=False, cut=True), scene, only)
         _check(linear, scene, self.alpha_threshold)
-        # The default background would tint the zeros that programs expect around the mesh.
-        if only == "albedo" and scene.background not in (None, Scene.background):
-            linear[linear[..., 3] == 0.0, :3] = scene.background
         return Frame(
             linear, only, scene.background is None, self.data_metadata(scene, shading, only)
         )
