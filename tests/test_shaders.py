@@ -271,7 +271,7 @@ def test_lobe_that_is_not_available_does_not_compile(evaluate):
     for lobe, name in (("FR_LOBE_D8", "FR_LOBE_EXACT"), ("FR_LOBE_EXACT", "FR_LOBE_FITTED")):
         prelude = include("lobe", FR_LOBE=lobe)
         assert evaluate(prelude, f"fr_lobe_of(c, 0.3, 4, {lobe})", inputs) > 0.0
-        with pytest.raises(moderngl.Error, match=f"{name}. undeclared"):
+        with pytest.raises(moderngl.Error, match=name):
             evaluate(prelude, f"fr_lobe_of(c, 0.3, 4, {name})", inputs)
     assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, 16)", inputs) == 0.0
 
