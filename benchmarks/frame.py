@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
+from itertools import product
 from typing import Any
 from unittest.mock import patch
 
@@ -18,9 +20,10 @@ import numpy as np
 import facerender as fr
 from benchmarks.data import meshes, save, scenes
 from facerender.images.srgb import linear_to_srgb
-from facerender.measure.rendering import antialiasing
 from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio
+from facerender.scenes.file import MAX_SAMPLES
+from facerender.scenes.scene import SHADING_RATES, ShadingRate
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject
 
@@ -48,20 +51,27 @@ def main() -> None:
 
 def sampled(scene: fr.Scene, size: int) -> list[dict[str, Any]]:
     """Return time and error by the number of samples per pixel; errors in levels."""
-    rows = []
     with fr.Renderer((size, size)) as renderer:
-        for each in antialiasing(renderer, scene):
-            lost = {"silhouette": each.silhouette, "inside": each.inside}
-            rows.append(
-                {
-                    "samples": f"{each.samples}"
-                    + ", per-pixel shading" * (each.shading_rate == "pixel"),
-                    "frame": each.time.value,
-                    **{name: 255.0 * error.mean for name, error in lost.items()},
-                    **{f"{name}_99": 255.0 * error.percentile for name, error in lost.items()},
-                    "over_percent": 100.0 * each.inside.over,
-                }
-            )
+
+        def draw(samples: int, rate: ShadingRate = "sample") -> np.ndarray:
+            return renderer.render(scene, samples=samples, shading_rate=rate).linear
+
+        reference = draw(MAX_SAMPLES)
+        coverage, rows = reference[..., 3], []
+        areas = {"silhouette": (coverage > 0.0) & (coverage < 1.0), "inside": coverage == 1.0}
+        for samples, rate in product((1, 4, 8, 16), SHADING_RATES):
+            if rate == "pixel" and not renderer.can_shade_per_pixel(scene, samples):
+                continue
+            row: dict[str, Any] = {
+                "samples": f"{samples}{', per-pixel shading' * (rate == 'pixel')}"
+            }
+            row["frame"] = ratio(partial(draw, samples, rate), partial(draw, 1), 9).value
+            images = (linear_to_srgb(x[..., :3]) for x in (draw(samples, rate), reference))
+            errors = 255.0 * np.abs(np.subtract(*images)).max(axis=-1)
+            for name, area in areas.items():
+                row |= {name: float(errors[area].mean())}
+                row |= {f"{name}_99": float(np.quantile(errors[area], 0.99))}
+            rows.append(row | {"over_percent": 100.0 * float((errors[areas["inside"]] > 1).mean())})
     return rows
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from facerender.comparison.compare import Driver
-    from facerender.comparison.goldens import Draw, GoldenResult, Updates
+    from facerender.comparison.goldens import GoldenResult, Updates
     from facerender.comparison.sources import Comparable
 
 LONGEST = 180  # characters of a file name; most systems allow 255 bytes
@@ -46,7 +46,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
     flag("update", "write missing goldens, and goldens that differ if this renderer recorded them")
     flag("force", "with --facerender-update: also overwrite goldens of another renderer")
-    flag("alternative", "with --facerender-update: for another renderer's, write NAME@RENDERER.exr")
     flag("update-missing", "write missing goldens")
     report = "write DIR/index.html with all images and goldens, and failed images as EXR"
     group.addoption("--facerender-report", metavar="DIR", help=report)
@@ -68,9 +67,8 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(f"facerender_driver: give one of {', '.join(DRIVERS)}")
     for name in LIMITS:
         _limit(config, name)
-    for name in ("force", "alternative"):
-        if _setting(config, name) and not _setting(config, "update"):
-            raise pytest.UsageError(f"--facerender-{name} needs --facerender-update: add it")
+    if _setting(config, "force") and not _setting(config, "update"):
+        raise pytest.UsageError("--facerender-force needs --facerender-update: add it")
     if report := _setting(config, "report"):
         given_here = config.getoption("facerender_report") is not None
         folder = (config.invocation_params.dir if given_here else config.rootpath) / report
@@ -129,7 +127,6 @@ class Snapshot:
         *,
         mask: NDArray[Any] | None = None,
         metadata: Mapping[str, str] | None = None,
-        draw: Draw | None = None,
         driver: Driver | None = None,
         **limits: float | None,
     ) -> None:
@@ -145,9 +142,6 @@ class Snapshot:
         limits : see :func:`facerender.compare`; default: the values in the ini file
         metadata : metadata for the golden in addition to the frame's, for example GL_RENDERER for
             an array
-        draw : function draw(x, y), which returns the image shifted by x pixels to the right and y
-            pixels down. A written golden then stores each pixel's range over shifts of at most 0.1
-            pixels, so that images with such shifts pass
         driver : see :func:`facerender.compare`; default: the ini file's
 
         Raises
@@ -181,25 +175,23 @@ class Snapshot:
             _updates(config),
             written,
             metadata=metadata,
-            draw=draw,
             mask=mask,
             driver=driver or config.getini("facerender_driver"),
             **{limit_name: _limit(config, limit_name) for limit_name in LIMITS}
             | {limit_name: limit for limit_name, limit in limits.items() if limit is not None},
         )
         if result.written:
-            written.add(result.written)
+            written.add(golden)
         record = self._record(result, golden)
         if result.failure:
-            record["actual"] = actual = self._save_actual(result)
+            record["actual"] = actual = self._save_actual(result, golden)
             remedy = "" if _updates(config).differing else _remedy(node.nodeid, result)
-            raise AssertionError(
-                f"{result.failure}\n  golden {result.golden}\n  actual {actual}{remedy}"
-            )
+            raise AssertionError(f"{result.failure}\n  golden {golden}\n  actual {actual}{remedy}")
 
     def _record(self, result: GoldenResult, golden: Path) -> dict[str, str]:
         """Record a check for the session, with its report entry as JSON, and return the record."""
-        record = {"golden": str(golden), "written": str(result.written or ""), "entry": ""}
+        record = {"golden": str(golden), "entry": ""}
+        record["written"] = str(golden) if result.written else ""
         self._request.node.stash.setdefault(_CHECKS, []).append(record)
         if _setting(self._request.config, "report"):
             from facerender.comparison.report import entry
@@ -207,7 +199,7 @@ class Snapshot:
             record["entry"] = json.dumps(asdict(entry(result.pair)))
         return record
 
-    def _save_actual(self, result: GoldenResult) -> str:
+    def _save_actual(self, result: GoldenResult, golden: Path) -> str:
         """Write an image that failed; return its path, or the reason why it was not written.
 
         The path in the folder is the golden's path in pytest's root directory.
@@ -220,7 +212,6 @@ class Snapshot:
         else:
             folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
         root = self._request.config.rootpath
-        golden = result.golden
         inside = golden.is_relative_to(root)
         actual = folder / (golden.relative_to(root) if inside else golden.name)
         try:
@@ -356,7 +347,7 @@ class _Session:
             golden
             for folder in folders
             for golden in folder.glob("[!.]*.exr")
-            if str(folder / f"{golden.stem.partition('@')[0]}.exr") not in used
+            if str(golden) not in used
         )
 
     def _write_report(self, folder: Path) -> None:

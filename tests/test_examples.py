@@ -96,7 +96,6 @@ def check_sphere(path: Path) -> None:
     [
         ("moderngl_minimal", "moderngl"),
         pytest.param("pyopengl_include", "OpenGL", marks=pytest.mark.slow),
-        pytest.param("panda3d_sphere", "panda3d", marks=pytest.mark.slow),
     ],
 )
 def test_script_agrees_with_float64(egl: Backend, tmp_path: Path, script: str, package: str):

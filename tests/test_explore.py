@@ -822,7 +822,7 @@ def test_new_lobe_of_the_registry_appears_in_the_page(browser, tmp_path, monkeyp
     toy = Lobe(
         name="toy", number=40, file="lobe/toy", call="fr_lobe_toy(c, m, k)",
         evaluate=lambda c, m, k: np.asarray(c, float) ** 3 * np.ones_like(m),
-        ends={4: 2.0, 0: 2.0}, rounding=lambda c, m, k: (0.0, 0.0), colour="#ff0000",
+        ends={4: 2.0, 0: 2.0}, rounding=lambda c, m, k: (0.0, 0.0),
     )  # fmt: skip
     monkeypatch.setitem(LOBES, "toy", toy)
     (shaders / "facerender/lobe/toy.glsl").write_text(

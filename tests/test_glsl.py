@@ -174,7 +174,7 @@ def test_flattened_files_hold_each_file_once(name, lobe, m):
 
 @pytest.mark.parametrize("file", [*glsl.library(), "../printed/ward", "../printed/cook_torrance"])
 def test_files_suit_every_hosts_preprocessor(file):
-    """The preprocessors of naga, Babylon.js, PlayCanvas and Qt each lack some features of GLSL's.
+    """The preprocessors of naga and Babylon.js each lack some features of GLSL's.
     test_hosts.py and test_web.py run them."""
     path = fr.shader_dir() / f"facerender/{file}.glsl"
     for line in path.read_text(encoding="utf-8").split("\n"):

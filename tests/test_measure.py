@@ -14,11 +14,9 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing.context import is_software
 from facerender.errors import InputError
-from facerender.measure import error, rendering, run
+from facerender.measure import error, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError
-from facerender.measure.rendering import skin_parts
 from facerender.measure.report import content
-from facerender.measure.tables import sample_table, skin_table
 from facerender.pricing import cost
 from facerender.pricing.interval import Interval, bootstrap
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
@@ -151,44 +149,6 @@ def test_json_of_a_measurement_is_read_and_written_unchanged():
     assert isinstance(d16.error.image, ImageError)
 
 
-def test_json_of_samples_has_the_shading_rate():
-    content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
-    lost = {"mean": 0.04, "percentile": 0.2, "over": 0.5}
-    row = {"samples": 4, "time": {"value": 2.0, "low": 1.9, "high": 2.1}}
-    row |= {"silhouette": lost, "inside": lost}
-    content["samples"] = [row | {"shading_rate": rate} for rate in ("sample", "pixel")]
-    measurement = measurement_of(content)
-    assert [each.shading_rate for each in measurement.samples] == ["sample", "pixel"]
-    assert measurement.as_dict()["samples"][1] == row | {"shading_rate": "pixel"}
-    assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, per-pixel shading"]
-
-
-@pytest.mark.slow
-def test_parts_of_skin_have_costs_and_errors(coarse_head, egl):
-    head = coarse_head
-    scene = fr.Scene(head, fr.Camera(-35.0))
-    with fr.Renderer((80, 80), backend=egl) as renderer:
-        rows = skin_parts(renderer, scene, repeats=1)
-        unknown = skin_parts(renderer, replace(scene, mesh=replace(head, millimetres=None)), 1)
-    parts = {part: [row for row in rows if row.part == part] for part in {r.part: 0 for r in rows}}
-    assert len(parts) == 5
-    for settings in parts.values():
-        assert settings[0].time.value == 1.0
-        assert settings[0].error.percentile > 1 / 255
-        assert settings[-1].error.mean == 0.0
-    for name in ("samples of scattering", "samples of an environment"):
-        lost = [row.error.mean for row in parts[name]]
-        assert lost == sorted(lost, reverse=True)
-    assert "samples of scattering" not in {row.part for row in unknown}
-    content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
-    measurement = replace(measurement_of(content), skin=rows)
-    assert measurement_of(measurement.as_dict()) == measurement
-    assert [row[:2] for row in skin_table(measurement).rows][:2] == [
-        ["shadow of a light of 5 degrees", "none"],
-        ["shadow of a light of 5 degrees", "hard"],
-    ]
-
-
 def test_json_of_another_version_is_refused():
     with pytest.raises(
         InputError, match=r"schema is 'facerender.measure/9', not .*; measure again"
@@ -216,33 +176,24 @@ def quicker(monkeypatch):
 
 @pytest.fixture
 def quickest(quicker, monkeypatch):
-    """One repeat, small images of samples and skin, and an invented cost of 1 ns per term."""
+    """An invented cost of 1 ns per term."""
 
     def by_slope(terms, of, repeats, *rest):
         assert (of, repeats) == (cost.OF_VECTORS, 7)
         return dict.fromkeys(terms, NANOSECOND)
 
-    def small(size, backend):
-        assert size == (256, 256)
-        return fr.Renderer((32, 32), backend=backend)
-
     monkeypatch.setattr(cost, "by_slope", by_slope)
-    monkeypatch.setattr(run, "Renderer", small)
-    ratios = rendering.ratios
-    monkeypatch.setattr(rendering, "ratios", lambda draws, repeats: ratios(draws, 1))
 
 
 @pytest.mark.slow
 def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
     stages = []
     measurement, triptychs = run.measure(
         coarse_head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
     )
     assert measurement.not_measured == [
-        "FLIP needs flip-evaluator: pip install 'facerender[measure]'",
-        "plots of errors over the angle need matplotlib: pip install 'facerender[measure]'",
+        "FLIP needs flip-evaluator: pip install 'facerender[measure]'"
     ]
     assert "ward: frames" in stages
     rows = {row.variant: row for row in measurement.variants}
@@ -266,8 +217,6 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
         drawn["cook-torrance", "d16"].difference.max()
         > drawn["cook-torrance", "fitted"].difference.max()
     )
-    assert {row.samples for row in measurement.samples} == {1, 4, 8, 16}
-    assert len({row.part for row in measurement.skin}) == 5
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ WITHOUT_GL = [
     *("comparison.goldens", "comparison.report", "page.document"),
     *("batch.jobs", "batch.outputs", "batch.supervisor", "batch.coordinator", "batch.folder"),
     *("pricing.interval", "pricing.variants"),
-    *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
+    *("measure.measurement", "measure.pareto", "measure.tables", "measure.report"),
 ]
 
 

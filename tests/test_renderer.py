@@ -77,6 +77,13 @@ def test_specular_layers_agree_with_float64(renderer, head, light):
         np.testing.assert_allclose(linear, expected, rtol=1e-4, atol=1e-6)
 
 
+def test_shifted_scene_moves_right_and_down(transparent, coarse_head):
+    scene, size = fr.Scene(coarse_head), transparent.size
+    still, moved = (transparent.render(fr.shifted(scene, *by, size)) for by in ((0, 0), (3, 2)))
+    assert compare(transparent.render(scene), still)
+    assert compare(still.linear[:-2, :-3], moved.linear[2:, 3:])
+
+
 def test_disabled_features_are_not_compiled(head):
     scene = mixed(head)
     surface = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False)

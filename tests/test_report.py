@@ -4,7 +4,6 @@ that are written completely or not at all."""
 from __future__ import annotations
 
 import json
-import sys
 from html.parser import HTMLParser
 from itertools import combinations
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from facerender import InputError
-from facerender.measure import chart, plots, report
+from facerender.measure import chart, report
 from facerender.measure.measurement import Triptych
 from facerender.measure.pareto import FRAME, LIMITS, TERM, measure_of, pareto, recommended
 from tests.test_page import CONTRASTS
@@ -58,7 +57,7 @@ def variant(name, cost, largest):
 @pytest.fixture
 def data():
     return {
-        "schema": "facerender.measure/1",
+        "schema": "facerender.measure/2",
         "environment": {
             "date": "2026-01-31",
             "facerender": "0.1.0",
@@ -72,7 +71,6 @@ def data():
         },
         "settings": {"mesh": "head", "m": 0.3, "size": [8, 8], "repeats": 3, "quick": True},
         "variants": [variant(name, *values) for name, values in COSTS.items()],
-        "curves": {"degrees": [0.0, 45.0, 90.0], "cook-torrance": {"d4": {"0.3": [0, -2.5, 0]}}},
         "not_measured": ["FLIP needs a package"],
     }
 
@@ -327,7 +325,6 @@ def test_files(data, triptychs, tmp_path):
     paths = report.write(measurement_of(data), triptychs, tmp_path / "new" / "report")
     assert {path.name for path in paths} == {
         "measure.json",
-        "angles-cook-torrance.png",
         "images-cook-torrance-d16.png",
         "index.html",
     }
@@ -353,28 +350,18 @@ def test_files(data, triptychs, tmp_path):
     assert ("tr", {"class": "dominated"}) in page.tags
 
 
-def test_page_without_matplotlib_has_the_chart(data, triptychs, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    paths = report.write(measurement_of(data), triptychs, tmp_path)
-    names = {path.name for path in paths}
-    assert names == {"measure.json", "images-cook-torrance-d16.png", "index.html"}
-    page = Page(paths[-1].read_text(encoding="utf-8"))
-    assert any(tag == "svg" for tag, _ in page.tags)
-    assert "Error of the lobe over the angle" not in page.texts
-
-
 @pytest.mark.parametrize(
     ("fault", "kind", "message"),
     [
-        ("plot", MemoryError, None),
+        ("image", MemoryError, None),
         ("number", ValueError, "not JSON compliant"),
         ("folder", InputError, "cannot create .*file/report: not a directory"),
     ],
 )
 def test_failed_report_writes_no_file(data, triptychs, tmp_path, monkeypatch, fault, kind, message):
     folder = tmp_path / "report"
-    if fault == "plot":
-        monkeypatch.setattr(plots, "strip", lambda images: (_ for _ in ()).throw(MemoryError))
+    if fault == "image":
+        monkeypatch.setattr(report, "_strip", lambda *_: (_ for _ in ()).throw(MemoryError))
     elif fault == "number":
         data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
     else:

@@ -202,7 +202,7 @@ def test_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, resul
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("error: ")
-    assert printed.err.endswith("pip install 'facerender[measure]'\n")
+    assert printed.err.endswith("pip install matplotlib\n")
     assert not (tmp_path / "none").exists()
 
 

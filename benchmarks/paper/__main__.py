@@ -2,7 +2,7 @@
 
     python -m benchmarks.paper [-o out/reproduction] [--m 0.25]
 
-Needs OpenGL and the extra facerender[measure]. Claims are marked "not measured" if their compiler
+Needs OpenGL and matplotlib. Claims are marked "not measured" if their compiler
 is missing: a C compiler, or the compilers that ``benchmarks.prices.amd`` needs.
 """
 
@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
+from importlib.util import find_spec
 
 from benchmarks.paper import claims, figures
 from benchmarks.paper.report import Reproduction
 from facerender.drawing.context import Backend
-from facerender.errors import FacerenderError, NotMeasured
-from facerender.measure import plots
+from facerender.errors import FacerenderError, InputError, NotMeasured
 from facerender.measure.run import environment
 from facerender.system.progress import Bar, Progress, no_progress
 
@@ -46,7 +46,8 @@ def reproduce(
     InputError : matplotlib is not installed
     ContextError : no OpenGL context
     """
-    plots.check()
+    if find_spec("matplotlib") is None:
+        raise InputError("the figures need matplotlib: pip install matplotlib")
     progress("figures 1 to 4", 0.0)
     images = figures.charts(claims.SLOPES if m is None else [m])
     progress("figure 5", 0.0)

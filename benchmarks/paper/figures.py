@@ -1,5 +1,4 @@
-"""Figures 1 to 5 of Romanyuk et al. (2020), reproduced as PNG in memory. Needs matplotlib, in the
-extra ``measure``."""
+"""Figures 1 to 5 of Romanyuk et al. (2020), reproduced as PNG in memory. Needs matplotlib."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ PACKAGES = {
     "mp4": ("imageio-ffmpeg",),
     "batch": ("distributed", "fsspec", "pyarrow"),
     "completion": ("shtab",),
-    "measure": ("matplotlib", "flip-evaluator"),
+    "measure": ("flip-evaluator",),
 }
 
 

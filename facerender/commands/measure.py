@@ -32,12 +32,12 @@ def add(measure: argparse.ArgumentParser) -> None:
     measure.set_defaults(command=run)
     measure.description = (
         "Measure the cost and the error of each specular approximation on this machine.\n"
-        "Print recommended variants and tables; write measure.json, plots and an HTML page.\n"
-        "FLIP and plots of errors over the angle require pip install 'facerender[measure]'."
+        "Print recommended variants and tables; write measure.json, images and an HTML page.\n"
+        "FLIP requires pip install 'facerender[measure]'."
     )
     add_mesh(measure)
     folder = "out/measure"
-    output = Help("directory for measure.json, plots and index.html", folder)
+    output = Help("directory for measure.json, images and index.html", folder)
     measure.add_argument("-o", "--output", default=folder, metavar="DIR", help=output)
     add_allow_outside(measure)
     add_parts(measure)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from facerender.comparison.blocks import BLOCK, block_sums, cell_sums, common_squares, detail_of
 from facerender.comparison.neighbourhoods import FULL, MARGIN, Float, Mask, filtered, shrunk
-from facerender.comparison.sources import HIGHEST_HALF
 from facerender.images.image import ImageData
 from facerender.images.srgb import srgb_to_linear
 
@@ -36,6 +35,7 @@ CODEC = "another encoding, such as gamma, JPEG or fewer bits"
 
 _ROWS = 128  # height of a strip
 _PIXELS = 1 << 20  # of larger images, evenly spaced strips with this number of pixels are used
+_HIGHEST_HALF = np.float32(65504.0)  # largest half float
 _DARK = 0.1  # smallest radiance that changes are divided by
 _BRIGHT = 2.0  # larger radiance counts as this
 _STEEP = 0.5  # smallest range of 3 x 3 pixels at an edge, as a fraction of their maximum
@@ -91,7 +91,7 @@ class Change:
     @classmethod
     def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
         (x, alpha_x), (y, alpha_y) = a.rows(rows), b.rows(rows)
-        x, y = (color.clip(np.float32(-HIGHEST_HALF), np.float32(HIGHEST_HALF)) for color in (x, y))
+        x, y = (color.clip(-_HIGHEST_HALF, _HIGHEST_HALF) for color in (x, y))
         inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), MARGIN)
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves

@@ -37,7 +37,6 @@ from facerender.comparison.neighbourhoods import (
     Mask,
     difference,
     excess,
-    explained,
     filtered,
     gaps,
     holes,
@@ -49,7 +48,7 @@ from facerender.comparison.verdict import changes_of, reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, warn
 from facerender.images.decode import MAX_BYTES
-from facerender.images.image import Encoding, ImageData, PixelRange
+from facerender.images.image import Encoding, ImageData
 from facerender.images.read import REFUSED, SUFFIXES
 from facerender.system.files import check_file
 
@@ -319,12 +318,7 @@ class _Strip:
         black = holes(color_a, color_b, covered, relative)
         if not all_full:
             black |= gaps(alpha_a, alpha_b)
-        unexplained = uncovered = counted
-        if a.shift_range is not None:
-            moved = PixelRange(*(end[outer] for end in a.shift_range))
-            colors, coverage = explained(moved, color_b, alpha_b, limits.point)
-            unexplained, uncovered = counted & ~colors, counted & ~coverage
-        value = np.where(unexplained, differences.value, np.float32(0.0))[inner]
+        value = np.where(counted, differences.value, np.float32(0.0))[inner]
         slack = differences.slack[inner]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
         sliver = SLIVERS[a.encoding]
@@ -336,7 +330,7 @@ class _Strip:
         worst = max(beyond[row, column], 0.0)
         worst = abs(value[row, column]) if worst > limits.point else worst
         inside = shrunk(full & counted, 0 if all_full and counts is None else MARGIN)
-        faded = 0 if all_full else _faded(alpha_a, alpha_b, uncovered, inner)
+        faded = 0 if all_full else _faded(alpha_a, alpha_b, counted, inner)
         magnitude = difference(color_a[inner], color_b[inner]) * counted[inner]
         down, right = np.unravel_index(magnitude.argmax(), magnitude.shape)
         return cls(
@@ -345,7 +339,7 @@ class _Strip:
             float(beyond[row, column]),
             float(np.copysign(worst, value[row, column])),
             (int(column), rows.start + int(row)),
-            int((black & unexplained)[inner].sum()),
+            int((black & counted)[inner].sum()),
             faded,
             float(magnitude[down, right]),
             float(magnitude.sum(dtype=np.float64)),

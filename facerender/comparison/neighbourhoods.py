@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.images.image import Encoding, PixelRange
+from facerender.images.image import Encoding
 
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -28,7 +28,6 @@ _RELATIVE = 0.01  # a range is widened by this fraction of the level
 COVERED = 0.5  # smallest coverage of a covered pixel
 FULL = 0.99  # least coverage of a pixel inside the mesh: half floats and filters do not reach 1
 MARGIN = 2  # width in pixels of the coverage's border, which statistics of areas ignore
-_ALPHA = 0.01  # amount by which coverage may leave the range that a golden stores
 _STEP = 0.2  # smallest range of 5 x 5 pixels at an edge, as a fraction of their maximum
 
 
@@ -118,34 +117,6 @@ def gaps(a: Float, b: Float) -> Mask:
         if (inside & bare).any():
             mask |= shrunk(inside, 3) & bare
     return mask
-
-
-def explained(
-    shift_range: PixelRange, color: Float, alpha: Float, least: float
-) -> tuple[Mask, Mask]:
-    """Return masks (H, W) of the colours and of the coverages that a golden's range explains.
-
-    A colour may lie in the range of any of the 3 x 3 neighbours. Where the image is not covered,
-    the range also explains darker colours.
-
-    Parameters
-    ----------
-    color, alpha : (H, W, C) and (H, W)
-    least : amount by which a colour may leave the range, in addition to 1 % of the colour
-    """
-    low, high = (end.astype(np.float32) for end in shift_range)
-    channels = color.shape[2]
-    coverage = np.ones(alpha.shape, dtype=bool)
-    if low.shape[2] > channels:
-        coverage = (alpha >= low[..., -1] - _ALPHA) & (alpha <= high[..., -1] + _ALPHA)
-    bare = alpha < COVERED
-    within = coverage.copy()
-    for channel in range(channels):
-        value = color[..., channel]
-        allowed = np.float32(least) + np.float32(_RELATIVE) * np.abs(value)
-        within &= bare | (value >= filtered(low[..., channel], np.fmin) - allowed)
-        within &= value <= filtered(high[..., channel], np.fmax) + allowed  # False where NaN
-    return within, coverage
 
 
 def difference(a: Float, b: Float) -> NDArray[np.float32]:

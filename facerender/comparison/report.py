@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from base64 import b64decode
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
@@ -23,13 +22,11 @@ from facerender.page.document import document, image_source, row, table
 from facerender.system.atomic import write_bytes
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the order of the page
-# Placeholders in the HTML of an entry; names do not contain these characters.
+# Placeholder in the HTML of an entry; names do not contain this character.
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
-IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"
 THUMBNAIL = 160  # largest width and height in pixels
 OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
 MAP = 1 << 18  # largest number of pixels of a difference
-EXACT = 25_000_000  # characters of a page; in longer pages, the largest images are compressed
 # Width of the enlarged area around a place, keyed by the width of the place, in pixels.
 AROUND = {1: 17, BLOCK: 2 * BLOCK}
 
@@ -42,16 +39,13 @@ class Entry:
     ----------
     name, status : name and status of the pair
     row : HTML of the pair's table row; the placeholder INDEX stands for the entry's index
-    section : HTML of the pair's section, also with INDEX. IMAGE and a letter stand for the URL of
-        the image of that letter; IMAGE alone stands for "exact" or "compressed"
-    images : images A and B as data URLs, keyed by "A" and "B"
+    section : HTML of the pair's section, also with INDEX
     """
 
     name: str
     status: int
     row: str
     section: str
-    images: Mapping[str, str] = field(default_factory=dict)
 
 
 def entry(pair: Pair) -> Entry:
@@ -66,7 +60,6 @@ def entry(pair: Pair) -> Entry:
         status=pair.status,
         row=_row(pair),
         section=_section(pair, displayed, large),
-        images={letter: _source(pixels) for letter, pixels in displayed.items()},
     )
 
 
@@ -92,8 +85,8 @@ violet where only the coverage changed. The largest difference has the full colo
 more than 512 × 512 pixels, each pixel of the difference shows the pixel that differs most in a cell
 of the image; the enlarged places are exact.</dd>
 <dt>A and B</dt>
-<dd>Linear radiance 1 is white; the background is black; pixels that are not finite are magenta. In
-a page of very many pairs, A and B may be compressed, as their caption states.</dd>
+<dd>Linear radiance 1 is white; the background is black; pixels that are not finite are magenta.
+</dd>
 <dt>FLIP</dt>
 <dd>The difference that an observer sees when the images alternate, from black (none) to pale
 yellow. The page contains it if <code>pip install 'facerender[measure]'</code> installed FLIP.</dd>
@@ -111,45 +104,15 @@ def _page(entries: Sequence[Entry]) -> str:
     words = {1: "differs" if counts[1] == 1 else "differ", 2: "not comparable", 0: "the same"}
     title = ", ".join(f"{counts[key]} {word}" for key, word in words.items() if counts[key])
     rows = (entry.row.replace(INDEX, str(position)) for position, entry in enumerate(ranked))
-    compressed = _to_compress(ranked)
     sections = (
-        _with_images(entry, position in compressed, position < OPEN and entry.status > 0).replace(
-            INDEX, str(position)
+        entry.section.replace(INDEX, str(position)).replace(
+            "<details", "<details open", int(position < OPEN and entry.status > 0)
         )
         for position, entry in enumerate(ranked)
     )
     summary = table("names", ("pair", "verdict", "reason"), rows) if len(ranked) > 1 else ""
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
-
-
-def _to_compress(entries: Sequence[Entry]) -> set[int]:
-    """Return the indices of the entries whose images are compressed.
-
-    The entries with the largest images are chosen, until the rest has at most EXACT characters.
-    """
-    sizes = [sum(map(len, entry.images.values())) for entry in entries]
-    characters = sum(sizes) + sum(len(entry.section) for entry in entries)
-    chosen = set()
-    for position in sorted(range(len(entries)), key=lambda position: -sizes[position]):
-        if characters <= EXACT:
-            break
-        chosen.add(position)
-        characters -= sizes[position]
-    return chosen
-
-
-def _with_images(entry: Entry, compressed: bool, opened: bool) -> str:
-    """Return an entry's section, with the images A and B filled in."""
-    section = entry.section.replace("<details", "<details open", 1) if opened else entry.section
-    for letter, source in entry.images.items():
-        section = section.replace(IMAGE + letter, _compressed(source) if compressed else source)
-    return section.replace(IMAGE, "compressed" if compressed else "exact")
-
-
-def _compressed(source: str) -> str:
-    pixels = visualization.decoded(b64decode(source.partition(",")[2]))
-    return image_source(visualization.lossy(pixels), "webp")
 
 
 def _row(pair: Pair) -> str:
@@ -266,7 +229,7 @@ def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: boo
         return f'<p class="note">Images of more than {limit} pixels are not shown.</p>'
     if not displayed:
         return ""
-    places = _places(pair)
+    places, sources = _places(pair), {key: _source(pixels) for key, pixels in displayed.items()}
     areas = ""
     if pair.reference and pair.image and pair.comparison is not None:
         colors, largest = visualization.difference(pair.reference, pair.image)
@@ -278,18 +241,17 @@ def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: boo
             flip = '<label><input type="checkbox" class="flip">FLIP</label>'
         caption = _legend(largest, pair.comparison.encoding, flip)
         figures = _figure("difference", caption, shape, maps, places)
-        placeholders = {letter: IMAGE + letter for letter in displayed}
-        figures += _figure("both", _SWAP, shape, placeholders, {})
+        figures += _figure("both", _SWAP, shape, sources, {})
         for name, place in places.items():
             areas += _enlarged(name, place, {**displayed, "difference": colors})
         areas = f'<div class="places">{areas}</div>'
     else:
         figures = "".join(
-            _figure("one", f"<b>{letter}</b>", pixels.shape, {letter: IMAGE + letter}, places)
+            _figure("one", f"<b>{letter}</b>", pixels.shape, {letter: sources[letter]}, places)
             for letter, pixels in displayed.items()
         )
     return (
-        f'<div class="viewer {IMAGE}"><div class="stage" tabindex="0" role="group"'
+        '<div class="viewer"><div class="stage" tabindex="0" role="group"'
         f' aria-label="images; arrow keys move the enlarged area">{figures}</div>{areas}</div>'
     )
 

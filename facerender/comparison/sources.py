@@ -17,7 +17,6 @@ from facerender.images.read import image_from_pillow, read_image
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-HIGHEST_HALF = 65504.0  # largest half float
 HIGHEST = 1e30  # largest valid value: sums and differences of larger values may overflow
 
 Comparable: TypeAlias = "ImageData | Frame | NDArray[Any] | Image | str | os.PathLike[str]"

@@ -167,28 +167,12 @@ def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
     save_png(path, flip.heat_map(displayed(a) / 255.0, displayed(b) / 255.0), {})
 
 
-def decoded(content: bytes) -> Bytes:
-    """Return the pixels of a file that :func:`lossless` returned."""
-    from PIL import Image
-
-    return np.asarray(Image.open(BytesIO(content)))
-
-
 def lossless(pixels: Bytes) -> tuple[bytes, str]:
     """Return pixels as a lossless file, and its format: WebP, or PNG if a side is too long."""
-    if max(pixels.shape) > _LONGEST_WEBP:
-        return _encoded(pixels, "png"), "png"
-    return _encoded(pixels, "webp", lossless=True, method=1, quality=0), "webp"
-
-
-def lossy(pixels: Bytes) -> bytes:
-    """Return pixels as a lossy WebP file, about 1/7 of the lossless size."""
-    return _encoded(pixels, "webp", method=1, quality=90)
-
-
-def _encoded(pixels: Bytes, kind: str, **options: Any) -> bytes:
     from PIL import Image
 
+    kind = "webp" if max(pixels.shape) <= _LONGEST_WEBP else "png"
+    options = {"lossless": True, "method": 1, "quality": 0} if kind == "webp" else {}
     buffer = BytesIO()
     Image.fromarray(pixels).save(buffer, kind, **options)
-    return buffer.getvalue()
+    return buffer.getvalue(), kind

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason
 from facerender.images.decode import check_pixels
-from facerender.images.image import HALVED, ImageData, PixelRange
+from facerender.images.image import HALVED, ImageData
 from facerender.system.atomic import write_bytes
 from facerender.system.standard_error import redirected_stderr
 
@@ -27,10 +27,6 @@ _HALF = 1  # EXR's number for the pixel type HALF
 _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers for lossy compressions
 # Largest measured ImageData.noise for images of the built-in head with 256 to 1024 pixels a side.
 _B44_LOSS, _DWA_LOSS = 0.012, 0.015
-# Layers that store the shift_range of a golden as distances from the pixel, which compress better
-# than values: pixel - low and high - pixel, rounded up to multiples of _MOVE_STEP.
-_MOVED = ("moved_down", "moved_up")
-_MOVE_STEP = np.float32(2.0**-8)
 _DWA_LEVEL = 45.0  # default of the EXR attribute dwaCompressionLevel
 _HIGHEST_DWA_LEVEL = 1000.0  # with a higher level, any difference would count as compression loss
 
@@ -39,30 +35,14 @@ def save_exr(
     path: str | os.PathLike[str],
     linear: NDArray[np.floating],
     metadata: Mapping[str, str],
-    shift_range: PixelRange | None = None,
     rounded: bool = False,
 ) -> None:
     """Write linear pixels (H, W, 3 or 4) as OpenEXR. Needs the extra ``exr``.
 
     linear, rounded : see :func:`exr_bytes`
-    shift_range : see :class:`ImageData`; stored in additional layers of half floats. It is widened
-        by less than 1/256, or by the rounding error of half floats
     """
-    channels: dict[str, NDArray[np.floating]] = {"RGBA"[: linear.shape[-1]]: linear}
-    if shift_range is not None:
-        low, high = (end.astype(np.float32) for end in shift_range)
-        pixels = linear.astype(np.float32, copy=False)
-        distances = (pixels - low, high - pixels)
-        steps = (np.ceil(distance / _MOVE_STEP) * _MOVE_STEP for distance in distances)
-        channels |= zip(_MOVED, map(half_above, steps), strict=True)
+    channels = {"RGBA"[: linear.shape[-1]]: linear}
     write_bytes(path, exr_bytes(os.fspath(path), channels, metadata, rounded))
-
-
-def half_above(values: NDArray[np.float32]) -> NDArray[np.float16]:
-    """Return the smallest half floats that are not less than the values; NaN for NaN."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        half = values.astype(np.float16)
-        return np.where(half < values, np.nextafter(half, np.float16(np.inf)), half)
 
 
 def exr_bytes(
@@ -121,13 +101,6 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         if pixels.dtype != np.float16:
             pixels = pixels.astype(np.float32, copy=False)
         pixels = _in_window(pixels, header)
-        shift_range = None
-        if all(
-            name in file_channels and file_channels[name].pixels.shape == pixels.shape
-            for name in _MOVED
-        ):
-            down, up = (file_channels[name].pixels.astype(np.float32) for name in _MOVED)
-            shift_range = PixelRange(-half_above(down - pixels), half_above(pixels + up))
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
@@ -138,9 +111,7 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         raise InputError(
             f"{path} cannot be read as OpenEXR ({reason(error)}); save it again"
         ) from None
-    return ImageData(
-        pixels, "linear", str(path), metadata, space, noise=noise, shift_range=shift_range
-    )
+    return ImageData(pixels, "linear", str(path), metadata, space, noise=noise)
 
 
 def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:

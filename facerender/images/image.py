@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,6 @@ from facerender.errors import InputError
 
 Encoding = Literal["linear", "srgb8"]
 HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
-
-
-class PixelRange(NamedTuple):
-    """Smallest and largest value of each pixel's channels (colour, and coverage if present) over
-    shifts of an image. Both arrays are (H, W, C)."""
-
-    low: NDArray[np.float16]
-    high: NDArray[np.float16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +33,6 @@ class ImageData:
     noise : RMS error of the pixels. For a linear image, the error of half floats or of lossy EXR
         compression, divided by max(radiance, 0.01). For an 8-bit image, the rounding error of the
         colour conversion, in 8-bit levels
-    shift_range : range of each pixel's values over 24 shifts of the image by at most 0.1 pixel;
-        None if the file stores no such range
     """
 
     pixels: NDArray[Any]
@@ -53,7 +43,6 @@ class ImageData:
     profile: str = ""
     jpeg: bool = False
     noise: float = 0.0
-    shift_range: PixelRange | None = None
 
     @property
     def coverage(self) -> NDArray[np.float32]:

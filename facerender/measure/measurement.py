@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import PRINTED, Variant
-from facerender.scenes.scene import ShadingRate
 
-SCHEMA = "facerender.measure/1"
+SCHEMA = "facerender.measure/2"
 MODELS = PRINTED
 MAGNIFIED = 8
 
 BySlope = Mapping[str, float | None]  # keyed by m as text, "%g" % m
-Curves = Mapping[str, Mapping[str, Sequence[float]]]
 
 
 @dataclass(frozen=True)
@@ -130,60 +128,6 @@ class MeasuredVariant:
     error: Errors
 
 
-@dataclass(frozen=True)
-class DisplayError:
-    """Errors of the displayed image in the worst channel, as fractions of the image's range.
-
-    Attributes
-    ----------
-    mean : mean error over the pixels
-    percentile : 99th percentile of the error over the pixels
-    over : fraction of the pixels with an error above 1/255
-    """
-
-    mean: float
-    percentile: float
-    over: float
-
-
-@dataclass(frozen=True)
-class SampleSetting:
-    """Cost and error of a number of samples.
-
-    Attributes
-    ----------
-    samples : number of samples per pixel
-    time : frame time with readback, relative to a frame with one sample per pixel
-    silhouette : error at pixels of which the mesh covers some, but not all, of 64 samples
-    inside : error at pixels that the mesh covers fully
-    shading_rate : see :meth:`facerender.Renderer.render`
-    """
-
-    samples: int
-    time: Interval
-    silhouette: DisplayError
-    inside: DisplayError
-    shading_rate: ShadingRate = "sample"
-
-
-@dataclass(frozen=True)
-class PartSetting:
-    """One setting of a part of skin shading, with cost and error.
-
-    Attributes
-    ----------
-    part : name of the part, such as "samples of scattering"
-    setting : name of the setting, such as "16"
-    time : frame time with readback, relative to the part's first setting
-    error : error against the part's last setting, at pixels that the mesh covers
-    """
-
-    part: str
-    setting: str
-    time: Interval
-    error: DisplayError
-
-
 @dataclass(frozen=True, eq=False)
 class Triptych:
     """Three images, 8-bit sRGB (H, W, 3): with the exact lobe, with ``lobe``, and their difference.
@@ -205,22 +149,13 @@ class Measurement:
 
     Attributes
     ----------
-    samples : cost and error for each number of samples per pixel
-    degrees : angles γ of the half vector, in degrees
-    curves : lobe minus exact lobe in percent of the peak, one value per angle; keyed by model, lobe
-        and m. Values of m outside the domain are absent
     not_measured : missing results, with the reasons
-    skin : cost and error of each setting, for each part of skin shading
     """
 
     environment: Environment
     settings: Settings
     variants: Sequence[MeasuredVariant]
-    samples: Sequence[SampleSetting]
-    degrees: Sequence[float]
-    curves: Mapping[str, Curves]
     not_measured: Sequence[str]
-    skin: Sequence[PartSetting] = ()
 
     @property
     def models(self) -> list[str]:
@@ -247,8 +182,5 @@ class Measurement:
                 }
                 for measured in self.variants
             ],
-            **({"samples": [asdict(setting) for setting in self.samples]} if self.samples else {}),
-            **({"skin": [asdict(setting) for setting in self.skin]} if self.skin else {}),
-            "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }

@@ -1,10 +1,11 @@
-"""Writes a measurement to files: ``measure.json``, plots as PNG, and the page ``index.html``.
+"""Writes a measurement to files: ``measure.json``, images as PNG, and the page ``index.html``.
 
-``tables.py`` makes sentences and tables, ``chart.py`` and ``plots.py`` draw.
+``tables.py`` makes sentences and tables, ``chart.py`` draws.
 """
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from facerender.measure import chart, plots
+import numpy as np
+
+from facerender.measure import chart
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
 from facerender.measure.pareto import (
     EXACT,
@@ -33,8 +36,6 @@ from facerender.measure.tables import (
     error_tables,
     frame_advice,
     recommendation_table,
-    sample_table,
-    skin_table,
     tables_of,
 )
 from facerender.page.document import document, figure, row
@@ -51,13 +52,6 @@ METHODS = {
     "whole frame": "The time to draw the mesh with one sample per pixel and to read the image"
     " back. The variants are timed in turns. The value is the lower quartile of the repeats, with"
     " a 95 % interval.",
-    "samples": "The frame time is the median ratio to the time of a frame with one sample per"
-    " pixel; frames are drawn in turns. The displayed image is compared with an image of 64"
-    " samples, at pixels that the mesh covers partly (silhouette) and fully (inside). Per-pixel"
-    " shading shades one triangle per pixel and part for all samples.",
-    "parts of skin shading": "Frames have one sample per pixel. The frame time is the median"
-    " ratio to the time of the part's first setting; frames are drawn in turns. The displayed"
-    " image is compared with the image of the part's last setting.",
     "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's"
     " peak, for angles γ of 0 to 90 degrees between N and the half vector, which is halfway"
     " between L and V. Both lobes are computed in float64.",
@@ -102,10 +96,9 @@ class Figure:
 
 
 def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
-    """Write measure.json, plots and index.html atomically, and return their paths.
+    """Write measure.json, images and index.html atomically, and return their paths.
 
-    All plots are drawn before the first file is written. A missing directory is created. Without
-    matplotlib, there are no plots of errors over the angle.
+    All images are encoded before the first file is written. A missing directory is created.
 
     Raises
     ------
@@ -113,12 +106,11 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
     ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
-    curves = _curves(measurement) if plots.available() else []
     strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
         JSON: text.encode(),
-        **{plot.file: plot.png for plot in (*curves, *strips)},
-        PAGE: _page(measurement, curves, strips).encode(),
+        **{strip.file: strip.png for strip in strips},
+        PAGE: _page(measurement, strips).encode(),
     }
     return write_files(directory, files)
 
@@ -152,51 +144,36 @@ def table(measurement: Measurement) -> str:
     """Return tables of cost and error as text for a terminal.
 
     The recommended variants come first. There is one table for each combination of model and kind
-    of cost, one table for samples per pixel, and one table for the parts of skin shading.
+    of cost.
     """
     models = measurement.models
     sentences = [say(measurement, model) for say in (advice, frame_advice) for model in models]
-    tables = [
-        *(recommendation_table(measurement, model) for model in models),
-        *cost_tables(measurement),
-        sample_table(measurement),
-        skin_table(measurement),
-    ]
+    tables = [*(recommendation_table(measurement, model) for model in models)]
+    tables += cost_tables(measurement)
     return "\n\n".join(["\n".join(filter(None, sentences)), *(table.text() for table in tables)])
-
-
-def _curves(measurement: Measurement) -> list[Figure]:
-    figures = []
-    for model, curves in measurement.curves.items():
-        png = plots.angles(measurement.degrees, curves, MODELS[model])
-        caption = (
-            f"{MODELS[model]}: each lobe minus the exact lobe, over the angle of the half vector."
-            " The error axis is linear around 0, and logarithmic from about 0.1 %."
-        )
-        figures.append(Figure(f"angles-{model}.png", png, caption))
-    return figures
 
 
 def _strip(triptych: Triptych, slope: str) -> Figure:
     """Return a figure of the exact image, the approximated image, and their difference."""
-    png = plots.strip([triptych.exact, triptych.image, triptych.difference])
+    from PIL import Image
+
+    file = io.BytesIO()
+    pixels = np.hstack([triptych.exact, triptych.image, triptych.difference])
+    Image.fromarray(pixels).save(file, "PNG", optimize=True)
     caption = (
         f"{MODELS[triptych.model]}, m = {slope}: exact (left), {triptych.lobe} (middle), and"
         f" {MAGNIFIED} times their difference (right)."
     )
-    return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
+    return Figure(f"images-{triptych.model}-{triptych.lobe}.png", file.getvalue(), caption)
 
 
-def _page(measurement: Measurement, curves: Sequence[Figure], strips: Iterable[Figure]) -> str:
+def _page(measurement: Measurement, strips: Iterable[Figure]) -> str:
     """Return the page: one self-contained HTML file."""
     models, slope = measurement.models, measurement.settings.slope
     frames = " ".join(frame_advice(measurement, model) for model in models)
     missing = "".join(f"<li>{escape(text)}</li>" for text in measurement.not_measured)
     terms, *frame_tables = (tables_of(measurement, kind) for kind in KINDS)
     machine = f"{measurement.settings.mesh} on {measurement.environment.GL_RENDERER}"
-    angles = _folded(
-        "Error of the lobe over the angle", f'<div class="pair">{_figures(curves)}</div>'
-    )
     body = [
         f'<p class="note">{escape(machine)}</p>',
         _trades(measurement, TERM),
@@ -214,12 +191,7 @@ def _page(measurement: Measurement, curves: Sequence[Figure], strips: Iterable[F
             f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",
             *(_html(table, "numbers") for table in error_tables(measurement)),
         ),
-        angles * bool(curves),
-        _folded(f"Images at m = {slope}", _figures(strips)),
-        _folded("Cost and error of samples per pixel", _html(sample_table(measurement), "numbers")),
-        _folded(
-            "Cost and error of parts of skin shading", _html(skin_table(measurement), "numbers")
-        ),
+        _folded(f"Images at m = {slope}", *(figure(strip.png, strip.caption) for strip in strips)),
         _folded(
             "How the values are measured",
             "<dl>",
@@ -277,10 +249,6 @@ def _facts(measurement: Measurement) -> list[str]:
         "date of the measurement": environment.date,
     }
     return [row(name, [escape(str(value))]) for name, value in facts.items()]
-
-
-def _figures(figures: Iterable[Figure]) -> str:
-    return "\n".join(figure(plot.png, plot.caption) for plot in figures)
 
 
 def _html(table: Table, kind: str) -> str:

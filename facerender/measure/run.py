@@ -18,14 +18,12 @@ import numpy as np
 from facerender import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
-from facerender.drawing.renderer import Renderer
 from facerender.images.srgb import encode_srgb8
-from facerender.measure import error, plots
+from facerender.measure import error
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
     Costs,
-    Curves,
     Environment,
     Errors,
     ImageError,
@@ -34,7 +32,6 @@ from facerender.measure.measurement import (
     Settings,
     Triptych,
 )
-from facerender.measure.rendering import antialiasing, skin_parts
 from facerender.pricing import cost
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
@@ -45,8 +42,8 @@ from facerender.shading import SMALL_SLOPE, Shading
 from facerender.system.progress import Progress, no_progress
 from facerender.terms import LOBES
 
+# The values of m at which errors of lobe and BRDF are measured, besides the m of the skin.
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-DEGREES = np.linspace(0.0, 90.0, 91)
 
 
 def measure(
@@ -56,7 +53,7 @@ def measure(
     backend: Backend = "auto",
     progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
-    """Measure cost and error of all variants, numbers of samples, and parts of skin shading.
+    """Measure cost and error of all variants.
 
     Parameters
     ----------
@@ -81,28 +78,10 @@ def measure(
         rows, images = _model(model, scene, settings, backend, progress)
         measured += rows
         triptychs += images
-    progress("samples", 0.0)
-    with Renderer(size, backend=backend) as renderer:
-        samples = antialiasing(renderer, scene, repeats=repeats)
-        progress("skin", 0.0)
-        skin = skin_parts(renderer, scene, repeats)
     not_measured = []
     if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
-    if not plots.available():
-        need = "plots of errors over the angle need matplotlib"
-        not_measured.append(f"{need}: pip install 'facerender[measure]'")
-    measurement = Measurement(
-        environment(backend),
-        settings,
-        measured,
-        samples,
-        DEGREES.tolist(),
-        {model: _curves(model, _slopes(m)) for model in MODELS},
-        not_measured,
-        skin,
-    )
-    return measurement, triptychs
+    return Measurement(environment(backend), settings, measured, not_measured), triptychs
 
 
 def _model(
@@ -135,17 +114,12 @@ def _model(
         MeasuredVariant(
             variant,
             Costs(lobe_ns.get(variant.name), term_ns[variant.name], frame_ms.get(variant)),
-            _errors(variant, _slopes(m), images.get(variant)),
+            _errors(variant, sorted({*SLOPES, m}), images.get(variant)),
         )
         for variant in of_model(model)
         if not variant.plain or m >= SMALL_SLOPE
     ]
     return measured, _triptychs(rendered, renderings)
-
-
-def _slopes(m: float) -> list[float]:
-    """Return the values of m at which errors of lobe and BRDF are measured."""
-    return sorted({*SLOPES, m})
 
 
 def environment(backend: Backend = "auto") -> Environment:
@@ -195,26 +169,8 @@ def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
 
 @cache
 def _errors_of(shading: Shading, m: float) -> tuple[float, float]:
-    lobe = _percent(error.lobe_error(shading.term.lobe, m, shading.term.entry.k))
-    return lobe, 100.0 * error.brdf_error(shading, m)
-
-
-def _percent(errors: error.Array) -> float:
-    return 100.0 * float(np.abs(errors).max())
-
-
-def _curves(model: str, slopes: Sequence[float]) -> Curves:
-    return {
-        variant.lobe: {
-            f"{m:g}": np.round(
-                100.0 * error.lobe_error(variant.lobe, m, variant.k, DEGREES), 5
-            ).tolist()
-            for m in slopes
-            if _inside(variant, m)
-        }
-        for variant in of_model(model)
-        if variant.standard and variant.lobe != "exact"
-    }
+    lobe = np.abs(error.lobe_error(shading.term.lobe, m, shading.term.entry.k)).max()
+    return 100.0 * float(lobe), 100.0 * error.brdf_error(shading, m)
 
 
 def _triptychs(rendered: Sequence[Variant], renderings: error.Renderings) -> list[Triptych]:

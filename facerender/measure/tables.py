@@ -12,7 +12,6 @@ from facerender.glsl.code import lobe_macros
 from facerender.measure.measurement import (
     MODELS,
     BySlope,
-    DisplayError,
     ImageError,
     Measurement,
 )
@@ -55,24 +54,6 @@ _IMAGE_HEAD = (
     "displayed, 8-bit levels",
     "99.9th percentile, levels",
     "mean FLIP",
-)
-SAMPLES_HEAD = (
-    "samples",
-    "frame time (1 sample = 1)",
-    "silhouette: mean, 1/255",
-    "99th percentile, 1/255",
-    "inside: mean, 1/255",
-    "99th percentile, 1/255",
-    "pixels over 1/255, %",
-)
-
-SKIN_HEAD = (
-    "part",
-    "setting",
-    "frame time (first setting = 1)",
-    "mean, 1/255",
-    "99th percentile, 1/255",
-    "pixels over 1/255, %",
 )
 
 
@@ -249,41 +230,6 @@ def error_tables(measurement: Measurement) -> list[Table]:
             ),
         ]
     return tables
-
-
-def sample_table(measurement: Measurement) -> Table:
-    """Return the table of cost and error by samples per pixel; without rows if not measured."""
-    rows = []
-    for measured in measurement.samples:
-        name = f"{measured.samples}{', per-pixel shading' * (measured.shading_rate == 'pixel')}"
-        errors = [*_levels(measured.silhouette), *_levels(measured.inside)]
-        values = (measured.time.value, *errors, 100.0 * measured.inside.over)
-        rows.append([name, *map(_number, values)])
-    return Table(
-        "Samples per pixel: {} x {}".format(*measurement.settings.size),
-        "Errors of the displayed image against an image with 64 samples, each shaded separately.",
-        SAMPLES_HEAD,
-        rows,
-    )
-
-
-def skin_table(measurement: Measurement) -> Table:
-    """Return the table of cost and error of skin shading; without rows if not measured."""
-    rows = []
-    for measured in measurement.skin:
-        values = (measured.time.value, *_levels(measured.error), 100.0 * measured.error.over)
-        rows.append([measured.part, measured.setting, *map(_number, values)])
-    return Table(
-        "Parts of skin shading: {} x {}".format(*measurement.settings.size),
-        "Errors of the displayed image against the image with the part's last setting.",
-        SKIN_HEAD,
-        rows,
-    )
-
-
-def _levels(error: DisplayError) -> tuple[float, float]:
-    """Return the mean and the 99th percentile of an error, in 8-bit levels."""
-    return 255.0 * error.mean, 255.0 * error.percentile
 
 
 def _table(

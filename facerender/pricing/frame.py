@@ -48,13 +48,6 @@ def seconds(
     return times
 
 
-def ratios(draws: Sequence[Draw], repeats: int) -> list[Interval]:
-    """Return the median ratio of each draw's time to the first draw's time in the same round."""
-    times = seconds(draws, repeats)
-    over_first = times / times[:, :1]
-    return bootstrap(lambda turns: np.median(over_first[turns], axis=0), repeats)
-
-
 def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
     """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
     times, baseline = seconds([draw, full], repeats).T

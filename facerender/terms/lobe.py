@@ -45,7 +45,6 @@ class Lobe(Entry):
     rounding : float32 error bounds, relative and absolute, as a function of c, m and k
     amplified : error of the lobe, in units of its peak, as a function of the relative error of
         (1 - c)/m²
-    colour : colour in plots
     macro : macro that selects the lobe
     macros : values of further macros, keyed by their names
     price : key in tables of prices; lobes of the same cost share one key
@@ -62,7 +61,6 @@ class Lobe(Entry):
     errors: Mapping[int, tuple[float, ...]] | None = None
     rounding: Rounding
     amplified: Callable[[Float], Float] = lambda error: error
-    colour: str
     macro: str = ""
     macros: Mapping[str, str] = field(default_factory=dict)
     price: str = ""
@@ -447,10 +445,10 @@ def _fitted_rounding(c: Float, m: Float, k: int, name: str) -> tuple[float, Floa
     return ULP * lobe.power, power_error(base, error, lobe.power) + TINY
 
 
-def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float, ...]]) -> Lobe:
+def _g_power(g: int, errors: Mapping[int, tuple[float, ...]]) -> Lobe:
     return Lobe(
         name=f"d{g}",
-        number=number,
+        number=g,
         file="lobe/g_power",
         call=f"fr_lobe_g_power(c, m, k, {g})",
         evaluate=lambda c, m, k: g_power(c, m, k, g),
@@ -458,12 +456,9 @@ def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float,
         open_ends=(4,),
         errors=errors,
         rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, 2.0 / g, k / g),
-        colour=colour,
     )
 
 
-# Colours of Okabe and Ito (2008), for colour-blind readers. The colours are darkened, so that text
-# in them is legible.
 LOBES: dict[str, Lobe] = registry(
     Lobe(
         name="exact",
@@ -474,7 +469,6 @@ LOBES: dict[str, Lobe] = registry(
         ends={4: MAX_SLOPE, 0: MAX_SLOPE},
         errors={4: (0.0,), 0: (0.0,)},
         rounding=_exact_rounding,
-        colour="#000000",
         of_tan2=exact_tan2,
     ),
     Lobe(
@@ -491,25 +485,13 @@ LOBES: dict[str, Lobe] = registry(
         },
         rounding=_cosine_rounding,
         amplified=lambda error: error + 7e-7,  # The second summand is the error of log2.
-        colour="#767676",
+    ),
+    _g_power(4, {4: (6.96, 5.54, 2.46, 4.18, 17.8, 45.4), 0: (6.98, 5.78, 3.79, 1.12, 2.55, 6.64)}),
+    _g_power(
+        8, {4: (3.11, 1.68, 1.43, 7.79, 20.9, 46.9), 0: (3.13, 1.92, 0.12, 2.83, 6.25, 10.25)}
     ),
     _g_power(
-        4,
-        4,
-        "#2b8cbe",
-        {4: (6.96, 5.54, 2.46, 4.18, 17.8, 45.4), 0: (6.98, 5.78, 3.79, 1.12, 2.55, 6.64)},
-    ),
-    _g_power(
-        8,
-        8,
-        "#08457e",
-        {4: (3.11, 1.68, 1.43, 7.79, 20.9, 46.9), 0: (3.13, 1.92, 0.12, 2.83, 6.25, 10.25)},
-    ),
-    _g_power(
-        16,
-        16,
-        "#b3568f",
-        {4: (1.31, 0.13, 3.21, 9.50, 22.3, 47.6), 0: (1.32, 0.12, 1.88, 4.60, 7.99, 11.9)},
+        16, {4: (1.31, 0.13, 3.21, 9.50, 22.3, 47.6), 0: (1.32, 0.12, 1.88, 4.60, 7.99, 11.9)}
     ),
     Lobe(
         name="fitted",
@@ -520,7 +502,6 @@ LOBES: dict[str, Lobe] = registry(
         ends={k: FITTED["fitted", k].max_slope for k in TITLES},
         errors={4: (0.19,), 0: (0.13,)},
         rounding=partial(_fitted_rounding, name="fitted"),
-        colour="#00805d",
         constants=("FR_FITTED_COEFFICIENTS", fitted_coefficients),
     ),
     Lobe(
@@ -532,7 +513,6 @@ LOBES: dict[str, Lobe] = registry(
         ends={k: FITTED["fitted-fine", k].max_slope for k in TITLES},
         errors={4: (0.04,), 0: (0.04,)},
         rounding=partial(_fitted_rounding, name="fitted-fine"),
-        colour="#c44e00",
         constants=("FR_FITTED_FINE_COEFFICIENTS", fitted_fine_coefficients),
     ),
 )
@@ -571,7 +551,6 @@ def _of_g_power(lobe: GPower) -> Lobe:
         ends=dict.fromkeys(TITLES, end),
         rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, factor, offset),
         amplified=lambda error: error * factor * g / 2.0,
-        colour="#444444",
         macro="FR_LOBE_G_POWER",
         macros={"FR_G": str(g), "FR_STEEPNESS(m, k)": f"({factor} / ((m) * (m)){offset_term})"},
         price=f"g{g}",

@@ -29,7 +29,7 @@
 #endif
 
 // Number of FR_FRESNEL, for the comparison at the end of this file. Undefined if FR_FRESNEL is a name
-// and the host compares macros as text, as Babylon.js and PlayCanvas do.
+// and the host compares macros as text, as Babylon.js does.
 #if FR_FRESNEL == FR_FRESNEL_SCHLICK
 #define FR_COMPILED_FRESNEL 0
 #elif FR_FRESNEL == FR_FRESNEL_DIELECTRIC

@@ -32,8 +32,7 @@
 #define FR_LOBE_OWN 90
 #define FR_LOBE_EVERY 91
 
-// FR_LOBE is a number here, because Babylon.js and PlayCanvas compare macros as text and do not
-// expand names.
+// FR_LOBE is a number here, because Babylon.js compares macros as text and does not expand names.
 #if defined(FR_LOBE_FUNCTION) && !defined(FR_LOBE)
 #define FR_LOBE 90
 #endif

@@ -29,7 +29,7 @@
 #endif
 
 // Number of FR_MASKING, for the comparison at the end of this file. Undefined if FR_MASKING is a name
-// and the host compares macros as text, as Babylon.js and PlayCanvas do.
+// and the host compares macros as text, as Babylon.js does.
 #if FR_MASKING == FR_MASKING_V_CAVITY
 #define FR_COMPILED_MASKING 0
 #elif FR_MASKING == FR_MASKING_KELEMEN

@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import multiprocessing
 import os
-import shutil
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +17,6 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +59,7 @@ _MAIN = "\nvoid main() { result = drawn(gl_FragCoord.xy); }\n"
 _FRAGMENT = "\nlayout(location = 0) out vec4 result;\n" + _MAIN
 _VERTEX = "#version 330\nin vec4 corner;\nvoid main() { gl_Position = corner; }\n"
 _CORNERS = [[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]  # a triangle that covers the target
-_ENGINES = Path(__file__).with_name("engines")
+_BABYLON = Path(__file__).with_name("engines") / "babylonjs.js"
 
 
 def _flat(scene: str) -> str:
@@ -120,22 +118,6 @@ def _glslc(scenes: Sequence[str]) -> Drawn:
     return f"glslc of {_run('glslc', '--version').split(chr(10))[0]}", _webgpu(codes)[1]
 
 
-def _qsb(scenes: Sequence[str]) -> Drawn:
-    """Compile to GLSL 330 with Qt's shader baker, which includes files relative to the includer."""
-    tool = shutil.which("qsb") or shutil.which("qsb", path="/usr/lib/qt6/bin") or "qsb"
-    extension = "#version 440\n#extension GL_GOOGLE_include_directive : require\n"
-    texts = []
-    with TemporaryDirectory() as folder:
-        path, baked = Path(folder, "scene.frag"), Path(folder, "scene.qsb")
-        Path(folder, "facerender").symlink_to(fr.shader_dir() / "facerender")
-        for scene in scenes:
-            path.write_text(extension + scene + _FRAGMENT, encoding="utf-8")
-            _run(tool, "--glsl", "330", "-o", baked, path)
-            _run(tool, "-x", "glsl,330", "-o", path, baked)
-            texts.append(path.read_text(encoding="utf-8"))
-    return _run(tool, "--version").strip(), _opengl(texts)[1]
-
-
 def _run(*command: str | Path) -> str:
     """Return the standard output of a tool.
 
@@ -171,45 +153,6 @@ def _vispy(scenes: Sequence[str]) -> Drawn:
     return f"vispy {vispy.__version__}", images
 
 
-def _panda3d(scenes: Sequence[str]) -> Drawn:
-    os.environ["EGL_PLATFORM"] = "surfaceless"
-    from panda3d import core
-
-    core.load_prc_file_data(
-        "", "load-display p3headlessgl\naudio-library-name null\ngl-version 3 3"
-    )
-    engine = core.GraphicsEngine.get_global_ptr()
-    pipe = core.GraphicsPipeSelection.get_global_ptr().make_default_pipe()
-
-    def output(side: int, properties: Any, *parent: Any) -> Any:
-        window, flags = core.WindowProperties(size=(side, side)), core.GraphicsPipe.BF_refuse_window
-        return engine.make_output(pipe, str(side), 0, properties, window, flags, *parent)
-
-    host = output(1, core.FrameBufferProperties.get_default())
-    floats = core.FrameBufferProperties()
-    floats.set_float_color(True)
-    floats.set_rgba_bits(32, 32, 32, 32)
-    target, texture = output(SIZE, floats, host.gsg, host), core.Texture()
-    texture.setup_2d_texture(SIZE, SIZE, core.Texture.T_float, core.Texture.F_rgba32)
-    buffer = core.GraphicsOutput
-    target.add_render_texture(texture, buffer.RTM_copy_ram, buffer.RTP_color)
-    root, card = core.NodePath("root"), core.CardMaker("card")
-    card.set_frame_fullscreen_quad()
-    root.attach_new_node(card.generate())
-    lens = core.OrthographicLens()
-    lens.set_film_size(2, 2)
-    lens.set_near_far(-1, 1)
-    target.make_display_region().set_camera(root.attach_new_node(core.Camera("eye", lens)))
-    images = []
-    for scene in scenes:
-        fragment = fr.resolve_includes("#version 330\n" + scene + _FRAGMENT)
-        vertex = _VERTEX.replace("= corner", "= corner.xzyw").replace("corner", "p3d_Vertex")
-        root.set_shader(core.Shader.make(core.Shader.SL_GLSL, vertex, fragment))
-        engine.render_frame()
-        images.append(_image(bytes(texture.get_ram_image_as("RGBA"))))
-    return f"Panda3D {core.PandaSystem.get_version_string()}", images
-
-
 class _Quiet(SimpleHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         pass
@@ -225,13 +168,13 @@ def served(folder: Path) -> Iterator[str]:
     server.server_close()
 
 
-def _engine(name: str, folder: Path, scenes: Sequence[str]) -> Drawn:
-    """Draw in Chromium with a JavaScript engine that npm installed in a folder."""
+def babylon(folder: Path, scenes: Sequence[str]) -> Drawn:
+    """Draw in Chromium with Babylon.js, which npm installed in a folder."""
     from playwright.sync_api import sync_playwright
 
     from tests.verification import chromium
 
-    script = (_ENGINES / f"{name}.js").read_text(encoding="utf-8")
+    script = _BABYLON.read_text(encoding="utf-8")
     main = _MAIN.replace("result", "gl_FragColor")
     with served(folder) as address, sync_playwright() as playwright:
         browser = chromium.launch(playwright)
@@ -246,19 +189,11 @@ def _engine(name: str, folder: Path, scenes: Sequence[str]) -> Drawn:
 HOSTS: dict[str, Callable[[Sequence[str]], Drawn]] = {
     "naga": _naga,
     "glslc": _glslc,
-    "qsb": _qsb,
     "vispy": _vispy,
-    "Panda3D": _panda3d,
 }
-ENGINES = ("babylonjs", "playcanvas")
 
 
-def draw(host: str, scenes: Sequence[str], folder: Path | None = None) -> Drawn:
-    """Return the version and the images of a host.
-
-    host : one of HOSTS or, if ``folder`` is given, of ENGINES
-    folder : where npm installed the engines
-    """
-    call = partial(_engine, host, folder) if folder else HOSTS[host]
+def draw(host: Callable[[Sequence[str]], Drawn], scenes: Sequence[str]) -> Drawn:
+    """Return the version and the images of a host."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(call, scenes).result()
+        return pool.submit(host, scenes).result()

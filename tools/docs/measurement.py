@@ -10,14 +10,11 @@ from facerender.measure.measurement import (
     MODELS,
     SCHEMA,
     Costs,
-    DisplayError,
     Environment,
     Errors,
     ImageError,
     MeasuredVariant,
     Measurement,
-    PartSetting,
-    SampleSetting,
     Settings,
 )
 from facerender.pricing.interval import Interval
@@ -35,16 +32,11 @@ def measurement_of(content: Mapping[str, Any]) -> Measurement:
         raise InputError(
             f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure again"
         )
-    curves = dict(content["curves"])
     return Measurement(
         environment=Environment(**content["environment"]),
         settings=Settings(**content["settings"] | {"size": tuple(content["settings"]["size"])}),
         variants=[_measured_variant(row) for row in content["variants"]],
-        samples=[_sample_setting(row) for row in content.get("samples", [])],
-        degrees=curves.pop("degrees"),
-        curves=curves,
         not_measured=content["not_measured"],
-        skin=[_part_setting(row) for row in content.get("skin", ())],
     )
 
 
@@ -59,16 +51,6 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
         ),
         Errors(error["lobe"], error["brdf"], error["image"] and ImageError(**error["image"])),
     )
-
-
-def _sample_setting(row: Mapping[str, Any]) -> SampleSetting:
-    errors = DisplayError(**row["silhouette"]), DisplayError(**row["inside"])
-    return SampleSetting(row["samples"], Interval(**row["time"]), *errors, row["shading_rate"])
-
-
-def _part_setting(row: Mapping[str, Any]) -> PartSetting:
-    error = DisplayError(**row["error"])
-    return PartSetting(row["part"], row["setting"], Interval(**row["time"]), error)
 
 
 def _variant(model: str, name: str) -> Variant:

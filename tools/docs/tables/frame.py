@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from facerender.measure.tables import SAMPLES_HEAD
 from tools.docs.tables import load, machine, table, with_median
 
-_SAMPLES = ("frame", "silhouette", "silhouette_99", "inside", "inside_99", "over_percent")
-SAMPLES = tuple(
-    zip(SAMPLES_HEAD, ("{samples}", *(f"{{{name}:digits}}" for name in _SAMPLES)), strict=True)
+SAMPLES = (
+    ("samples", "{samples}"),
+    ("frame time (1 sample = 1)", "{frame:digits}"),
+    ("silhouette: mean, 1/255", "{silhouette:digits}"),
+    ("99th percentile, 1/255", "{silhouette_99:digits}"),
+    ("inside: mean, 1/255", "{inside:digits}"),
+    ("99th percentile, 1/255", "{inside_99:digits}"),
+    ("pixels over 1/255, %", "{over_percent:digits}"),
 )
 _TIME = "{{{0}[value]:.2f}} ({{{0}[low]:.2f}} to {{{0}[high]:.2f}})"
 DEFERRED = (
