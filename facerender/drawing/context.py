@@ -45,16 +45,16 @@ REMEDIES = {
 SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
 _GL_VERSION = 330
 
-# Drivers that this process or its ancestors have opened, keyed by name; True: software driver.
-# A fork does not copy a driver's threads, so _lost names the drivers opened before the last fork.
-_opened: dict[str, bool] = {}
-_lost: dict[str, bool] = {}
+# Names of the drivers that this process or its ancestors have opened. A fork does not copy a
+# driver's threads, so _lost has the drivers opened before the last fork.
+_opened: set[str] = set()
+_lost: set[str] = set()
 _FORKED = "this driver was in use before this process was forked"
 
 
 def _lose() -> None:
-    if "egl" not in _opened and (driver := egl_in_use()):  # other code has opened EGL
-        _opened["egl"] = driver == "software"
+    if egl_in_use():  # also by other code
+        _opened.add("egl")
     _lost.update(_opened)
 
 
@@ -138,51 +138,6 @@ class _OSMesaContext(ForeignContext):
             self._context = None
 
 
-class _SurfacelessContext(ForeignContext):
-    """A context on Mesa's surfaceless display, for processes that were forked after EGL was opened.
-
-    Other EGL contexts do not use this display, so the display starts a separate software driver
-    with running threads.
-    """
-
-    driver = "surfaceless"
-    _PLATFORM_SURFACELESS, _OPENGL_API = 0x31DD, 0x30A2
-    _CONFIG = (0x3033, 0, 0x3040, 8, 0x3038)  # any type of surface; OpenGL is supported
-    _ATTRIBUTES = (0x3098, _GL_VERSION // 100, 0x30FB, _GL_VERSION % 100 // 10, 0x30FD, 1, 0x3038)
-
-    def __init__(self) -> None:
-        self._library = _open_library("libEGL.so.1")
-        super().__init__(self._library.eglGetProcAddress)
-        config, count = ctypes.c_void_p(), ctypes.c_int()
-        self._display = self._egl("GetPlatformDisplay", self._PLATFORM_SURFACELESS, None, None)
-        self._egl("Initialize", self._display, None, None)
-        self._egl("BindAPI", self._OPENGL_API)
-        config_attributes = (ctypes.c_int * len(self._CONFIG))(*self._CONFIG)
-        outputs = ctypes.byref(config), 1, ctypes.byref(count)
-        self._egl("ChooseConfig", self._display, config_attributes, *outputs)
-        attributes = (ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES)
-        self._context = self._egl("CreateContext", self._display, config, None, attributes)
-        self._egl("MakeCurrent", self._display, None, None, self._context)
-
-    def _egl(self, name: str, *arguments: Any) -> ctypes.c_void_p:
-        """Call an EGL function. The functions that this class calls return 0 only on failure."""
-        function = getattr(self._library, f"egl{name}")
-        function.restype = ctypes.c_void_p
-        if not (result := function(*arguments)):
-            raise ContextError(f"{_FORKED}, and egl{name} failed for the surfaceless display")
-        return ctypes.c_void_p(result)
-
-    def __enter__(self) -> _SurfacelessContext:
-        self._egl("MakeCurrent", self._display, None, None, self._context)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._egl("MakeCurrent", self._display, None, None, None)
-
-    def release(self) -> None:
-        self._egl("DestroyContext", self._display, self._context)
-
-
 def check_process(process: int) -> None:
     """Raise ContextError if an object was created before a fork, in another process.
 
@@ -210,8 +165,6 @@ def _open_library(*names: str) -> ctypes.CDLL:
 
 
 def _egl() -> _Loader:
-    if _lost.get("egl") and _SurfacelessContext.driver not in _lost:
-        return _SurfacelessContext()
     _check_not_lost("egl")
     for library in ("libEGL.so.1", "libGL.so.1"):
         _open_library(library)
@@ -391,13 +344,16 @@ def _open(name: str, host: HostContext | None) -> Context:
             pass  # leaving the block unbinds the new context
     handle = guest.handle if guest else 0
     if not guest:
-        _opened[getattr(loader, "driver", name)] = is_software(info["GL_RENDERER"])
+        _opened.add(name)
     return Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
 
 
 def _remedy(tried: tuple[str, ...]) -> str:
-    if not _lost.keys().isdisjoint(tried):
-        return "start processes by spawn or forkserver (multiprocessing.get_context), not by fork"
+    if not _lost.isdisjoint(tried):
+        return (
+            'start the process by multiprocessing.get_context("spawn"), or a PyTorch loader with '
+            'multiprocessing_context="spawn"'
+        )
     root = hasattr(os, "geteuid") and os.geteuid() == 0
     return REMEDIES[tried[0]].format(sudo="" if root else "sudo ")
 

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -92,35 +92,25 @@ def _egl() -> HostContext | None:
     return HostContext(context, library.eglGetProcAddress, rebind)
 
 
-def egl_in_use() -> Literal["software", "hardware"] | None:
-    """Return the kind of driver of the EGL device displays that any code in this process has
-    initialised, or None. If both kinds are in use, the result is "hardware"."""
+def egl_in_use() -> bool:
+    """Return whether any code in this process has initialised an EGL device display."""
     library = _loaded("libEGL.so.1")
     if library is None:
-        return None
+        return False
     library.eglGetProcAddress.restype = ctypes.c_void_p
-    names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT", b"eglQueryDeviceStringEXT"
+    names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT"
     functions = [library.eglGetProcAddress(name) for name in names]
     if not all(functions):
-        return None
+        return False
     query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
     get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
     devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
     query(functions[0])(len(devices), devices, ctypes.byref(count))
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
-    string = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)(functions[2])
-    used = [
-        string(device, 0x3055) or b""  # EGL_EXTENSIONS
+    # 0x3054 is EGL_VERSION: only an initialised display has a version.
+    return any(
+        _pointer(library.eglQueryString, get(functions[1])(0x313F, device, None), 0x3054)
         for device in devices[: count.value]
-        # 0x3054 is EGL_VERSION: only an initialised display has a version.
-        if _pointer(library.eglQueryString, get(functions[1])(0x313F, device, None), 0x3054)
-    ]
-    if not used:
-        return None
-    return (
-        "software"
-        if all(b"EGL_MESA_device_software" in extensions for extensions in used)
-        else "hardware"
     )
 
 
