@@ -289,9 +289,9 @@ SCENES = {  # test_ranges.py has single numbers outside their ranges
     "nested too deep": f"ambient = {'[' * 5000}{']' * 5000}",
     "scattering": f"[material]\nscattering = [[{DIGITS}, 0, 0, 0]]",
     "sizes": f"[planned]\nsizes = [[{DIGITS}, 1]]\nsamples = 4",
-    "lights": f"[shading]\nlights = {{ {DIGITS} = {{ lobe = 'd16' }} }}",
-    "frontal": "[shading]\nfrontal_lights = [0]\nlights = { 0 = { fresnel = [[]] } }",
-    "frontal table": "[shading]\nfrontal_lights = [0]\nlights = { 0 = { lobe = { a = {} } } }",
+    "lights": "[shading]\nspecular_lights = [[0]]",
+    "term": "[shading]\nfresnel = [[]]",
+    "lobe": "[shading]\nlobe = { a = {} }",
     "long": f"'{'x' * 10_000}' = 1",
     "escape": "'\\u001b[31m' = 1",
 }
