@@ -110,7 +110,6 @@ def short(found: Plan) -> str:
         return "exact: nothing saved"
     words = {
         "lights": f"specular of {listed(shading.specular_lights or ())}",
-        "frontal": f"{listed(shading.frontal_lights)} without F and G",
         "normal map": "no normal map",
         "slope": "m constant",
         "specular weight": "ks constant",

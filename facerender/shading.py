@@ -1,12 +1,10 @@
-"""The shading of a scene: the specular term of each light, and the features that are left out.
+"""The shading of a scene: the specular term of its lights, and the features that are left out.
 Shadings convert to and from TOML and JSON. ``glsl/code.py`` generates the GLSL of the terms."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property
 from operator import index
 from typing import Any, TypeVar
 
@@ -22,16 +20,11 @@ from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of,
 
 S = TypeVar("S")
 
-_INDEX = re.compile("[0-9]{1,9}")  # Pattern for the index of a light.
-
-Changes = tuple[tuple[str, Any], ...]  # Pairs (field of a term, value).
-
 OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # Lowest m at which the exact lobe is accurate without FR_SMALL_SLOPE.
 WEIGHTS = Range(0.0, 1e6)  # Specular and diffuse weights.
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
-FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
 @dataclass(frozen=True)
@@ -76,11 +69,6 @@ class Term:
     def entry(self) -> Model:
         """The registry entry of the model."""
         return MODELS[self.model]
-
-    @property
-    def frontal(self) -> Term:
-        """The term for lights near the camera: the Fresnel term is f0, and there is no masking."""
-        return replace(self, **dict(FRONTAL)) if self.entry.factors else self
 
     def for_slopes(self, smallest: float, largest: float, outside: str = "error") -> Term:
         """Return the term for a material: this term, or a copy of it with the exact lobe.
@@ -143,23 +131,19 @@ _TERM_FIELDS = tuple(field.name for field in fields(Term))
 _OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
-# init=False: some parameters change a field of ``term`` or of ``lights``, and are no fields.
+# init=False: some parameters change a field of ``term``, and are no fields.
 @dataclass(frozen=True, init=False)
 class Shading:
-    """The specular terms of the lights, and the features that are left out of a scene.
+    """The specular term of the lights, and the features that are left out of a scene.
 
     Parameters
     ----------
     model, lobe, fresnel, masking, m, small_slope : fields of :class:`Term`, which override the
         fields of ``term``
     term : specular term of all lights; default ``Term()``
-    lights : changed fields in the terms of single lights, keyed by the index of the light, such as
-        ``{1: {"lobe": "d16"}}``
     specular_lights : indices of the lights with a specular term; None (default) for all
     shadow_lights : indices of the lights whose shadows are drawn; None (default) for all lights
         that cast shadows
-    frontal_lights : indices of lights near the camera. Their terms omit masking and use f0 as the
-        Fresnel term; only for Cook-Torrance, without other terms in ``lights``
     outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
         for the exact lobe
     ks : one specular weight that replaces the weights of materials and specular maps; default None
@@ -181,7 +165,7 @@ class Shading:
 
     Raises
     ------
-    InputError : an unknown name, a value outside its domain, or two different g-powers
+    InputError : an unknown name, or a value outside its domain
     """
 
     term: Term = Term()
@@ -198,7 +182,6 @@ class Shading:
     environment_samples: int = ranged(IntegerRange(0, 4096), 32)
     specular_lights: tuple[int, ...] | None = None
     shadow_lights: tuple[int, ...] | None = None
-    lights: tuple[tuple[int, Changes], ...] = ()
 
     __repr__ = short_repr
 
@@ -213,10 +196,8 @@ class Shading:
         m: float | None = _OF_TERM,
         small_slope: bool | None = _OF_TERM,
         term: Term = term,
-        lights: Mapping[int, Mapping[str, Any]] | Sequence[tuple[int, Changes]] = lights,
         specular_lights: Sequence[int] | None = specular_lights,
         shadow_lights: Sequence[int] | None = shadow_lights,
-        frontal_lights: Sequence[int] | None = None,
         ks: float | None = None,
         normal_map: bool = normal_map,
         ambient: bool = ambient,
@@ -233,11 +214,7 @@ class Shading:
         words = (model, lobe, fresnel, masking, m, small_slope)
         pairs = zip(_TERM_FIELDS, words, strict=True)
         overrides: dict[str, Any] = {name: word for name, word in pairs if word is not _OF_TERM}
-        values["term"] = term = replace(term, **overrides) if overrides else term
-        changes = _by_light(lights)
-        if frontal_lights is not None:
-            changes = _with_frontal(term, changes, frontal_lights)
-        values["lights"] = tuple(sorted(entry for entry in changes.items() if entry[1]))
+        values["term"] = replace(term, **overrides) if overrides else term
         for name in ("specular_lights", "shadow_lights"):
             if values[name] is not None:
                 values[name] = tuple(sorted(_indices(name, values[name])))
@@ -263,43 +240,21 @@ class Shading:
         if not isinstance(count, int | float) or count is True or count not in SCATTER_SAMPLES:
             words = ", ".join(map(str, SCATTER_SAMPLES))
             raise InputError(f"scatter_samples = {shown(count)}: give one of {words}")
-        terms = (self.term, *self._own.values())
-        powers = {term.lobe for term in terms if isinstance(term.lobe, GPower)}
-        if len(powers) > 1:
-            raise InputError(
-                f"{' and '.join(map(str, powers))} in one shading: a program can have only one "
-                "g-power; give the other lights a named lobe"
-            )
 
     def replace(self, **changes: Any) -> Shading:
-        """Return a copy with changed parameters. The terms of single lights keep their changed
-        fields, unless ``lights`` or ``frontal_lights`` is given."""
+        """Return a copy with changed parameters."""
         parameters = {field.name: getattr(self, field.name) for field in fields(self)}
         return Shading(**parameters | changes)
 
-    def of(self, light: int) -> Term | None:
-        """Return the specular term of the light with this index, or None if the light has none."""
-        if self.specular_lights is not None and light not in self.specular_lights:
-            return None
-        return self._own.get(light, self.term)
-
-    @cached_property
-    def _own(self) -> dict[int, Term]:
-        """The terms of the lights in ``lights``, keyed by the index of the light."""
-        return {light: replace(self.term, **dict(changes)) for light, changes in self.lights}
-
-    @cached_property
-    def frontal_lights(self) -> tuple[int, ...]:
-        """Indices of the lights that have the frontal term, see :attr:`Term.frontal`."""
-        return tuple(light for light, changes in self.lights if _is_frontal(changes))
+    def shines(self, light: int) -> bool:
+        """Return whether the light with this index has a specular term."""
+        return self.specular_lights is None or light in self.specular_lights
 
     def check_lights(self, count: int) -> None:
         """Raise InputError if the shading names a light that a scene with `count` lights lacks."""
         for name, lights in (
             ("specular_lights", self.specular_lights or ()),
             ("shadow_lights", self.shadow_lights or ()),
-            ("frontal_lights", self.frontal_lights),
-            ("lights", [light for light, _ in self.lights]),
         ):
             for light in lights:
                 if not 0 <= light < count:
@@ -309,12 +264,7 @@ class Shading:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, as plain data for TOML and JSON."""
-        lights = {str(light): _plain(_without_frontal(changes)) for light, changes in self.lights}
-        values = asdict(self.term) | {
-            **{name: getattr(self, name) for name in _FIELDS},
-            "frontal_lights": list(self.frontal_lights),
-            "lights": {light: changes for light, changes in lights.items() if changes},
-        }
+        values = asdict(self.term) | {name: getattr(self, name) for name in _FIELDS}
         for name in ("specular_lights", "shadow_lights"):
             values[name] = None if values[name] is None else [*values[name]]
         return {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
@@ -336,45 +286,16 @@ class Shading:
         values = dict(table)
         if "lobe" in values:
             values["lobe"] = _lobe(values["lobe"])
-        if "lights" in values:
-            values["lights"] = _lights(values["lights"])
         return cls(**values)
 
 
 _FIELDS = {field.name: field.default for field in fields(Shading)}
 # Keys of a shading in TOML and JSON, with their defaults.
-_DEFAULTS = asdict(Term()) | _FIELDS | {"frontal_lights": [], "lights": {}}
+_DEFAULTS = asdict(Term()) | _FIELDS
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m"),
-    *(name for name in _FIELDS if name not in ("term", "outside", "lights")),
-    *("frontal_lights", "lights"),
+    *(name for name in _FIELDS if name not in ("term", "outside")),
 )
-
-
-def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[int, Changes]:
-    """Return the changes, with the frontal term for these lights and for no other lights."""
-    frontal = _indices("frontal_lights", lights)
-    if frontal and not term.entry.factors:
-        raise InputError(
-            f"{term.model} has no Fresnel and masking terms to omit: leave frontal_lights out"
-        )
-    other_changes = {
-        light: _without_frontal(light_changes) for light, light_changes in changes.items()
-    }
-    for light_changes in other_changes.values():
-        replace(term, **dict(light_changes))  # Validates values that the frontal term overrides.
-    for light in frontal:
-        light_fields = dict(other_changes.get(light, ()))
-        for name, value in FRONTAL:
-            if light_fields.get(name, value) != value:
-                raise InputError(
-                    f"{name} = {shown(light_fields[name])} of light {light} and frontal_lights "
-                    "exclude each other: leave one out"
-                )
-    frontal_changes = {
-        light: _changes(dict(other_changes.get(light, ())) | dict(FRONTAL)) for light in frontal
-    }
-    return other_changes | frontal_changes
 
 
 def _indices(name: str, lights: Any) -> tuple[int, ...]:
@@ -389,46 +310,6 @@ def _indices(name: str, lights: Any) -> tuple[int, ...]:
     return tuple(indices)
 
 
-def _by_light(table: Any) -> dict[int, Changes]:
-    remedy = 'give changes by index of the light, such as {1: {"lobe": "d16"}}'
-    try:
-        return {
-            index(light): _changes(dict(changes))
-            for light, changes in dict(table).items()
-            if not isinstance(light, bool)
-        }
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"lights = {shown(table)} of the shading: {remedy}") from None
-
-
-def _changes(table: Mapping[str, Any]) -> Changes:
-    if unknown := sorted(set(table) - set(_TERM_FIELDS)):
-        keys = ", ".join(_TERM_FIELDS)
-        raise InputError(f"unknown key {shown(unknown[0])} in the term of a light; known: {keys}")
-    for name, value in table.items():
-        if value is None:
-            raise InputError(f"{name} = None in the term of a light: give a value")
-    return tuple((name, table[name]) for name in _TERM_FIELDS if name in table)
-
-
-def _is_frontal(changes: Changes) -> bool:
-    return all(change in changes for change in FRONTAL)
-
-
-def _without_frontal(changes: Changes) -> Changes:
-    return (
-        tuple(change for change in changes if change not in FRONTAL)
-        if _is_frontal(changes)
-        else changes
-    )
-
-
-def _plain(changes: Changes) -> dict[str, Any]:
-    return {name: asdict(value) if isinstance(value, GPower) else value for name, value in changes}
-
-
 def _lobe(table: Any) -> Any:
     if not isinstance(table, Mapping):
         return table
@@ -436,19 +317,3 @@ def _lobe(table: Any) -> Any:
         return GPower(**table)
     except TypeError:
         raise InputError(f"lobe = {shown(table)}: give a name, or g, factor, offset") from None
-
-
-def _lights(table: Any) -> dict[int, Mapping[str, Any]]:
-    """Return changes keyed by the light's index, from a TOML or JSON table with string keys."""
-    remedy = 'give a table such as { 1 = { lobe = "d16" } }'
-    if not isinstance(table, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in table):
-        raise InputError(f"lights = {shown(table)} of the shading: {remedy}")
-    for light, changes in table.items():
-        if not isinstance(changes, Mapping):
-            raise InputError(f"lights.{light} = {shown(changes)} of the shading: {remedy}")
-    return {
-        int(light): {
-            name: _lobe(value) if name == "lobe" else value for name, value in changes.items()
-        }
-        for light, changes in table.items()
-    }

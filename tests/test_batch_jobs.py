@@ -285,14 +285,14 @@ def test_lights_of_a_table_replace_the_lights_of_a_scene():
 def test_keys_may_have_indices_of_lists():
     (row,) = rows_of(
         {
-            "shading": {"lights": {"1": {"lobe": "d16"}}, "specular_lights.0": 1},
+            "shading": {"lobe": "d16", "specular_lights.0": 1},
             "material.scattering.0": [1.0, 0.5, 0.5, 0.5],
             "image.size.1": 20,
             "image.size.0": 10,
             **{f"lights.{place}.azimuth": place for place in range(11)},
         }
     )
-    assert row.tables["shading"] == {"lights": {"1": {"lobe": "d16"}}, "specular_lights": [1]}
+    assert row.tables["shading"] == {"lobe": "d16", "specular_lights": [1]}
     assert row.tables["material"] == {"scattering": [[1.0, 0.5, 0.5, 0.5]]}
     assert row.tables["image"] == {"size": [10, 20]}
     assert [light["azimuth"] for light in row.tables["lights"]] == [*range(11)]
@@ -638,7 +638,7 @@ BAD_FILES = [
     ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is not a number"),
     (  # values of unexpected types
         "rows.jsonl",
-        '{"shading": {"frontal_lights": [0], "lights": {"0": {"fresnel": [[]]}}}}',
+        '{"shading": {"fresnel": [[]]}}',
         r"rows.jsonl, row 1 \(line 1\): ",
     ),
     ("rows.jsonl", '{"scene": 3}', "scene = 3: give a path as text"),
@@ -806,7 +806,7 @@ VALID = [
     {"material.scattering": [[1, 0.2, 0.2, 0.2]]},
     {"parts": {"a.b*": {"preset": "cornea", "m": 0.1}, "0": {"albedo": [1, 0, 0]}}},
     {"parts.eye*.preset": "cornea", "parts.eye*.m": 0.1, "parts.0.ks": 0, "mesh.as_is": True},
-    {"shading": {"lobe": {"g": 6, "factor": 0.3}, "lights": {"1": {"fresnel": "dielectric"}}}},
+    {"shading": {"lobe": {"g": 6, "factor": 0.3}, "fresnel": "dielectric"}},
     {"shading.lobe": "d16", "shading.specular_lights": [0, 1], "shading.scatter_samples": 8},
     {"image": {"size": [10, 20], "samples": 64}},
     {"image.size": "640x480"},
@@ -853,7 +853,6 @@ INVALID = [
     {"shading.scatter_samples": 7},
     {"shading.environment_samples": 3},
     {"shading.specular_lights": [0.5]},
-    {"shading.lights": {"1": {"ks": 1}}},
     {"shading.term": {}},
     {"image.size": 0},
     {"image.size": [1]},

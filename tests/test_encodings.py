@@ -32,32 +32,17 @@ def write_exr(path: Path, pixels: np.ndarray, compression: str = "ZIP", **header
     return path
 
 
-COMPRESSIONS = [  # compression of the EXR file, bits of its floats, attributes
-    *((name, bits, {}) for name in ("ZIP", "PXR24", "B44", "B44A", "DWAB") for bits in (16, 32)),
-    *(("DWAA", 32, {"dwaCompressionLevel": level}) for level in (20.0, 45.0, 90.0)),
-]
-
-
 @pytest.mark.first_case
-@pytest.mark.parametrize(("name", "bits", "header"), COMPRESSIONS)
-def test_noise_of_exr(frame, name, bits, header, tmp_path):
+@pytest.mark.parametrize("name", ["ZIP", "PXR24"])
+@pytest.mark.parametrize("bits", [16, 32])
+def test_noise_of_exr(frame, name, bits, tmp_path):
     kind = np.dtype(f"f{bits // 8}")
-    image = read_image(write_exr(tmp_path / "a.exr", frame.linear.astype(kind), name, **header))
+    image = read_image(write_exr(tmp_path / "a.exr", frame.linear.astype(kind), name))
     assert image.pixels.dtype == kind
     exact, inside = frame.linear[..., :3].astype(float), frame.linear[..., 3] > 0.99
     relative = (image.color - exact) / np.maximum(exact, 0.01)
     rms = np.sqrt(np.square(relative[inside]).mean(axis=0)).max()
     assert 0.2 * image.noise <= rms <= image.noise
-
-
-@pytest.mark.parametrize("level", [1e30, float("inf"), float("nan"), -5.0])
-def test_invalid_dwa_level_is_refused(level, tmp_path):
-    """Noise of that level would explain any difference."""
-    pixels = np.zeros((32, 32, 3), np.float32)
-    path = write_exr(tmp_path / "a.exr", pixels, "DWAA", dwaCompressionLevel=level)
-    message = r"DWA level .* is outside \[0, 1000\]\); save it again"
-    with pytest.raises(fr.InputError, match=message):
-        read_image(path)
 
 
 def test_half_floats_have_the_same_noise_in_arrays_and_files(tmp_path):

@@ -551,11 +551,9 @@ def test_explained_errors_are_errors_of_frames(drawing, scene, planned):
 
 def changed_to(shading, values):
     """Return a shading with other values, keyed like :attr:`Decision.values`."""
-    lights = {k: v for k, v in values.items() if k in ("specular_lights", "frontal_lights")}
     term = {k.removeprefix("term."): v for k, v in values.items() if k.startswith("term.")}
-    others = {k: v for k, v in values.items() if not k.startswith("term.") and k not in lights}
-    own = replace(shading, term=replace(shading.term, **term), **others)
-    return own.replace(**lights) if lights else own
+    others = {k: v for k, v in values.items() if not k.startswith("term.")}
+    return replace(shading, term=replace(shading.term, **term), **others)
 
 
 @pytest.mark.slow

@@ -162,37 +162,33 @@ def test_zip_bomb_is_refused_before_decompression(tmp_path):
     assert "2048 MiB" in refused(read_image, path)
 
 
-def _exr(display: tuple[int, ...], data: tuple[int, ...], tmp_path: Path) -> Path:
+def _exr(window: tuple[int, ...], tmp_path: Path) -> Path:
     OpenEXR = pytest.importorskip("OpenEXR")
     path = tmp_path / "window.exr"
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"RGB": np.ones((4, 4, 3), np.float32)}).write(str(path))
     content = path.read_bytes()
-    for name, corners in ((b"dataWindow", data), (b"displayWindow", display)):
+    for name in (b"dataWindow", b"displayWindow"):
         at = content.index(name + b"\0box2i\0") + len(name) + 11
-        content = content[:at] + struct.pack("<4i", *corners) + content[at + 16 :]
+        content = content[:at] + struct.pack("<4i", *window) + content[at + 16 :]
     path.write_bytes(content)
     return path
 
 
-OWN = (0, 0, 3, 3)
 EXTREME = (-(2**31), -(2**31), 2**31 - 1, 2**31 - 1)
 
 
 @pytest.mark.parametrize(
-    ("display", "data", "message"),
+    ("window", "message"),
     [
-        ((0, 0, 19999, 19999), OWN, "20000 x 20000 pixels .* at most 16384 a side"),
-        ((0, 0, 9999, 9999), OWN, "10000 x 10000 pixels, which .* bytes cannot hold"),
-        (OWN, (0, 0, 19999, 19999), "at most 16384 a side"),
-        (OWN, (0, 0, 9999, 9999), "cannot hold"),
-        (EXTREME, OWN, "at most 16384 a side"),
-        (OWN, EXTREME, "at most 16384 a side"),
-        ((5, 5, 2, 2), OWN, "-2 x -2 pixels"),
+        ((0, 0, 19999, 19999), "20000 x 20000 pixels .* at most 16384 a side"),
+        ((0, 0, 9999, 9999), "10000 x 10000 pixels, which .* bytes cannot hold"),
+        (EXTREME, "at most 16384 a side"),
+        ((5, 5, 2, 2), "-2 x -2 pixels"),
     ],
 )
-def test_large_windows_of_exr_are_refused(display, data, message, tmp_path):
-    path = _exr(display, data, tmp_path)
+def test_large_windows_of_exr_are_refused(window, message, tmp_path):
+    path = _exr(window, tmp_path)
     with pytest.raises(InputError, match=message):
         read_image(path)
     refused(read_image, path)
@@ -293,9 +289,9 @@ SCENES = {  # test_ranges.py has single numbers outside their ranges
     "nested too deep": f"ambient = {'[' * 5000}{']' * 5000}",
     "scattering": f"[material]\nscattering = [[{DIGITS}, 0, 0, 0]]",
     "sizes": f"[planned]\nsizes = [[{DIGITS}, 1]]\nsamples = 4",
-    "lights": f"[shading]\nlights = {{ {DIGITS} = {{ lobe = 'd16' }} }}",
-    "frontal": "[shading]\nfrontal_lights = [0]\nlights = { 0 = { fresnel = [[]] } }",
-    "frontal table": "[shading]\nfrontal_lights = [0]\nlights = { 0 = { lobe = { a = {} } } }",
+    "lights": "[shading]\nspecular_lights = [[0]]",
+    "term": "[shading]\nfresnel = [[]]",
+    "lobe": "[shading]\nlobe = { a = {} }",
     "long": f"'{'x' * 10_000}' = 1",
     "escape": "'\\u001b[31m' = 1",
 }

@@ -525,7 +525,7 @@ def everything():
         "Plan": plan,
         "Pose": fr.Pose({"jawOpen": 0.5}, track=True),
         "Scene": scene,
-        "Shading": fr.Shading(lobe="d16", lights={1: {"lobe": "d8"}}),
+        "Shading": fr.Shading(lobe="d16", specular_lights=[0]),
         "Term": fr.Term("ward"),
         "Texture": mesh.materials[0].albedo_map,
         "View": fr.view_of(scene, 1.0),

@@ -34,8 +34,7 @@ JOBS = {
             lobe=GPower(6, 0.3, 0.1),
             ks=0.4,
             normal_map=False,
-            lights={0: {"fresnel": "dielectric"}},
-            frontal_lights=(1,),
+            fresnel="dielectric",
             specular_lights=(0,),
         ),
         planned=Planned(((48, 32),), 4, triangles=900),
@@ -151,7 +150,6 @@ def test_a_pickle_holds_each_texture_once(head):
         ({"outputs": [{"only": "specular"}]}, "outputs .* lacks path"),
         ({"outputs": [{"path": "a.gif"}]}, "a.gif: unknown image format '.gif'"),
         ({"outputs": [{"path": "a.png", "only": "shine"}]}, "unknown term 'shine'; known: spec"),
-        ({"shading": {"lights": {"1": {"m": None}}}}, "m = None in the term of a light"),
         ({"outputs": [{"path": 5}]}, "output path = 5: give a path"),
         ([1], r"job = \[1\]: give a table"),
     ],
@@ -192,27 +190,10 @@ def test_converted_jobs_are_equal():
 
 
 def test_fields_of_a_shading_can_be_reset():
-    pinned = fr.Shading(m=0.3, specular_lights=[0], frontal_lights=[0], small_slope=True)
+    pinned = fr.Shading(m=0.3, specular_lights=[0], small_slope=True)
     assert pinned.replace(m=None, small_slope=None).term == fr.Term()
     assert pinned.replace(specular_lights=None).specular_lights is None
-    assert pinned.replace(frontal_lights=()).frontal_lights == ()
-    assert fr.Shading(frontal_lights=[1]).replace(model="ward", frontal_lights=()) == fr.Shading(
-        "ward"
-    )
-    both = fr.Shading(lights={1: {"lobe": "d16"}}, frontal_lights=[1])
-    assert both.of(1) == fr.Term(lobe="d16").frontal
-    assert both.replace(frontal_lights=()) == fr.Shading(lights={1: {"lobe": "d16"}})
-    assert both.replace(lobe="fitted").of(1).lobe == "d16"
-    assert fr.Shading(lights={1: {}}) == fr.Shading()
-    for shading in (pinned, both, fr.Shading(specular_lights=[0], frontal_lights=[2])):
-        assert fr.Shading.from_dict(shading.as_dict()) == shading
-        with pytest.raises(fr.InputError, match="names light"):
-            shading.replace(frontal_lights=[9]).check_lights(3)
-
-
-@pytest.mark.parametrize(
-    "lights", [{"one": {}}, {1: False}, {1: "d16"}, [{}], {1: {"lob": "d16"}}, 3], ids=str
-)
-def test_invalid_lights_of_a_shading_are_refused(lights):
-    with pytest.raises(fr.InputError, match="of the shading: give|in the term of a light"):
-        fr.Shading(lights=lights)
+    assert pinned.replace(model="ward").term == fr.Term("ward", m=0.3, small_slope=True)
+    assert fr.Shading.from_dict(pinned.as_dict()) == pinned
+    with pytest.raises(fr.InputError, match="names light"):
+        pinned.replace(specular_lights=[9]).check_lights(3)

@@ -83,9 +83,9 @@ def subject(bare):
         "constant m": (bare.with_material(m=0.3), KEY, Shading()),
         "m and ks of maps": (varying, KEY, Shading()),
         "point light": (bare.with_material(m=0.2), (POINT,), Shading()),
-        "frontal": (bare.with_material(m=0.3, ks=0.3), (PLAIN["rim"], *KEY), Shading()),
-        "frontal, three": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
-        "frontal, point": (bare, (PLAIN["rim"], POINT, *KEY), Shading(m=0.25)),
+        "two": (bare.with_material(m=0.3, ks=0.3), (PLAIN["rim"], *KEY), Shading()),
+        "three": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
+        "two and a point": (bare, (PLAIN["rim"], POINT, *KEY), Shading(m=0.25)),
         "Ward": (bare.with_material(m=0.45), KEY, Shading("ward")),
         "as printed": (bare, KEY, Shading("ward-printed", m=0.3)),
         "dielectric": (bare.with_material(m=0.2), KEY, Shading(fresnel="dielectric")),
@@ -142,9 +142,9 @@ def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1
         ("constant m", ("0.5/255", "4/255", "3%"), ["llvmpipe", "vega10"]),
         ("m and ks of maps", ("4/255",), ["navi21"]),
         ("point light", ("1/255", "3%"), ["vega10"]),
-        ("frontal", ("0.5/255", "4/255"), ["navi21"]),
-        pytest.param("frontal, three", ("0.5/255", "4/255"), ["navi21"], marks=SLOW),
-        pytest.param("frontal, point", ("1/255",), ["llvmpipe", "navi21"], marks=SLOW),
+        ("two", ("0.5/255", "4/255"), ["navi21"]),
+        pytest.param("three", ("0.5/255", "4/255"), ["navi21"], marks=SLOW),
+        pytest.param("two and a point", ("1/255",), ["llvmpipe", "navi21"], marks=SLOW),
         ("Ward", ("1/255", "4/255"), ["navi21"]),
         ("as printed", ("1/255", "0.02 flip"), ["llvmpipe"]),
         ("dielectric", ("1/255", "3%"), ["navi21"]),
@@ -155,7 +155,6 @@ def test_no_fitting_candidate_is_cheaper(name, budgets, kinds, small, subject):
         require_module("flip_evaluator")
     plans = planned([small], subject(name), budgets, kinds)
     assert any(plan.shading != plan.full for plan in plans)  # otherwise nothing is tested
-    assert any(plan.shading.frontal_lights for plan in plans) == name.startswith("frontal")
 
 
 @pytest.mark.slow
@@ -171,7 +170,7 @@ def test_plans_fit_all_cameras(small, subject, monkeypatch):
     [
         ("constant m", ("1/255", "3%"), 0.95, ()),
         ("m and ks of maps", ("1/255",), 0.9, ()),
-        pytest.param("frontal, three", ("0.5/255", "2/255"), 0.98, (), marks=SLOW),
+        pytest.param("three", ("0.5/255", "2/255"), 0.98, (), marks=SLOW),
         ("point light", ("0.5/255", "2/255"), 0.9, CAMERAS),  # the fraction applies to each camera
         ("as printed", ("0.05 flip",), 0.6, ()),
     ],
@@ -247,15 +246,12 @@ def test_every_term_is_a_candidate(bare):
 @pytest.mark.slow
 def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
     rough = fr.Scene(head.with_material(m=0.9))
-    constants = Constants(0.3, 0.9, (2, 0, 1), (1, 2, 0))
+    constants = Constants(0.3, 0.9, (2, 0, 1))
     for scene, full in ((fr.Scene(head), Shading()), (rough, Shading("ward", m=0.8, ks=0.5))):
         found = list(candidates(scene, full, constants))
         assert len(found) == len(set(found))
         assert full in found
-        frontal = {(each.specular_lights, each.frontal_lights) for each in found}
-        whole = {(None, ()), ((0, 1), ()), ((1,), ()), ((), ())}
-        near = {(None, (1,)), (None, (1, 2)), ((0, 1), (1,))}
-        assert frontal == whole | near
+        assert {each.specular_lights for each in found} == {None, (0, 1), (1,), ()}
     assert {each.term.m for each in found} == {0.8}  # given values stay
     assert {each.ks for each in found} == {0.5}
     assert {(each.normal_map, each.ambient) for each in found} == set(
@@ -267,18 +263,11 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
 
 @pytest.mark.slow
 def test_lights_are_ordered_by_their_contribution(small, subject):
-    scene = subject("frontal, three").scene
+    scene = subject("three").scene
     scene = replace(scene, lights=(*PLAIN_THREE, replace(PLAIN["front"], irradiance=9.0)))
     constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
-    gbuffer = small.gbuffer(scene)
-    whole, near = (
-        reference.layers(gbuffer, scene, each).specular
-        for each in (Shading(), Shading(term=fr.Term().frontal))
-    )
-    losses = np.abs(near - whole)
-    for order, shown in ((constants.faintest, whole), (constants.frontal, losses)):
-        assert list(order) == sorted(range(4), key=shown.max(axis=(1, 2, 3)).__getitem__)
-    assert constants.faintest != constants.frontal
+    peaks = reference.layers(small.gbuffer(scene), scene, Shading()).specular.max(axis=(1, 2, 3))
+    assert list(constants.faintest) == sorted(range(4), key=peaks.__getitem__)
 
 
 def test_unlit_pixels_do_not_matter(small, subject):
@@ -303,7 +292,7 @@ def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
 
 @pytest.mark.slow
 def test_a_huge_budget_drops_every_highlight(small, subject):
-    scene = replace(subject("frontal, three").scene, lights=PLAIN_THREE)
+    scene = replace(subject("three").scene, lights=PLAIN_THREE)
     cost = fr.plan(scene, "1e9%", cost="auto", renderer=small).cost
     assert cost.specular == 0.0
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
@@ -381,7 +370,7 @@ def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypa
     ("budget", "material", "lights", "exposure"),
     [
         ("0.5/255", {"m": 0.3}, KEY, 0.0),
-        pytest.param(  # frontal
+        pytest.param(
             *("4/255", {"m": 0.3, "ks": 0.3}, (*KEY, PLAIN["rim"], POINT), 0.0), marks=SLOW
         ),
         ("3/255", {}, (*KEY, POINT), 1.0),
@@ -478,7 +467,7 @@ def plans(small, head, bare, subject):
     """Plans with different shadings."""
     mesh = head.with_material(m=0.3)
     scenes = (
-        (subject("frontal").scene, "0.5/255"),
+        (subject("two").scene, "0.5/255"),
         (fr.Scene(bare.with_material(m=0.3), lights=(*KEY, PLAIN["rim"])), "8/255"),
         (subject("constant m").scene, "0.5/255"),
         (fr.Scene(mesh, lights=KEY), "12/255"),
@@ -491,7 +480,6 @@ def plans(small, head, bare, subject):
     assert len({plan.shading for plan in found}) > 6
     assert any(isinstance(plan.shading.term.lobe, GPower) for plan in found)
     assert any(plan.shading.term.model == "ward" for plan in found)
-    assert any(plan.shading.frontal_lights for plan in found)
     assert any(plan.shading == plan.full for plan in found)
     return found
 
@@ -589,7 +577,7 @@ def test_decisions_state_their_error_and_saving(plans, small):
 @pytest.mark.slow
 def test_rejected_choices_are_explained_in_flip(small, subject):
     require_module("flip_evaluator")
-    at = subject("frontal")
+    at = subject("two")
     plan = fr.plan(at.scene, "0.1 flip", cost="navi21", renderer=small)
     unchanged = [each for each in plan.decisions if not each.changed]
     assert unchanged
@@ -749,11 +737,9 @@ FILES = {
             normal_map=False,
             ambient=False,
             specular_lights=(2, 0),
-            frontal_lights=(2, 1),
         ),
     ),
     "ambient alone": (fr.Camera(), (), {"ambient": 0.3}, Shading()),
-    "frontal light": (fr.Camera(), (*KEY, POINT), {}, Shading(frontal_lights=[1])),
     "small slopes": (fr.Camera(), KEY, {"ambient": 0.0}, Shading("ward", small_slope=False)),
     "no highlight": (fr.Camera(), KEY, {}, Shading(specular_lights=(), outside="exact")),
     "named lobe": (fr.Camera(), KEY, {"background": (1, 0, 0.5)}, Shading(lobe="fitted-fine")),

@@ -413,7 +413,6 @@ def test_outputs_must_differ_from_each_other_and_from_inputs(cli, tmp_path):
         ("ambient = false", ("--ambient", "0.4")),
         ("normal_map = false", ("--normal-map", "a.png")),
         ("specular_lights = [0]", ("--light", "rim")),
-        ("frontal_lights = [0]", ("--light", "rim")),
     ],
 )
 def test_options_that_conflict_with_a_pinned_shading(line, options, cli, tmp_path):
@@ -440,7 +439,7 @@ def test_a_planned_scene_accepts_only_the_m_of_its_plan(shading, cli, tmp_path):
 @pytest.mark.slow
 def test_pinned_scene_can_be_planned_again(plan, cli):
     path = cli.folder / "again.toml"
-    path.write_text(f"lights = ['{KEY}']\n[shading]\nfrontal_lights = [0]\n")
+    path.write_text(f"lights = ['{KEY}']\n[shading]\nspecular_lights = [0]\n")
     again = plan("--budget", "4/255", "--scene", path, mesh=(MINI_HEAD, *SMALL[:4]))
     assert "cost" in again
 

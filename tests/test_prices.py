@@ -18,7 +18,7 @@ from benchmarks.prices import table as written
 from benchmarks.prices.__main__ import main, print_parts
 from benchmarks.prices.table import all_seconds, all_terms, compiled, cycles
 from benchmarks.prices.table import parts as compiled_parts
-from facerender.drawing.resolve import Lighting, resolve
+from facerender.drawing.resolve import resolve
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
@@ -64,7 +64,7 @@ def test_every_candidate_has_a_price(head, bare):
         (bare.with_material(m=0.9), Shading()),
     ):
         scene = fr.Scene(mesh, lights=(*KEY, POINT))
-        listed = list(candidates(scene, full, Constants(0.3, 1.0, (0, 1), (1, 0))))
+        listed = list(candidates(scene, full, Constants(0.3, 1.0, (0, 1))))
         table = load_prices("navi21", scene, listed)
         for shading in listed:
             total, specular = table.cost(scene, shading)
@@ -93,11 +93,8 @@ def test_price_is_the_sum_of_its_parts(head, bare):
     for shading, total, specular in (
         (Shading(), one + 2.1e8, 2.1e8),
         (Shading(specular_lights=(1,)), one + 1e7, 1e7),
-        # One full light and two frontal ones, in any order.
-        (Shading(frontal_lights=(1, 2)), one + 8.1e8, 8.1e8),
-        (Shading(frontal_lights=(0, 1)), one + 8.1e8, 8.1e8),
-        (Shading(frontal_lights=(0, 1, 2)), one + 8.4e8, 8.4e8),
-        (Shading(specular_lights=(0, 1), frontal_lights=(2, 0)), one + 4.1e8, 4.1e8),
+        (Shading(specular_lights=(0, 1)), one + 1.1e8, 1.1e8),
+        (Shading(fresnel="constant", masking="none"), one + 8.4e8, 8.4e8),
         # The property map is still read for occlusion.
         (Shading(m=0.3), one + 4.2e8, 4.2e8),
         (Shading(m=0.3, ambient=False), one - 1e4 - 1e3 + 4.2e8, 4.2e8),
@@ -168,9 +165,9 @@ def parts(family):
     return compiled_parts(family)
 
 
-def compiled_for(scene, family, shadings):
+def compiled_for(family, shadings):
     """Compile the terms of shadings, and return their prices."""
-    terms = [term for each in shadings for term in Lighting.of(scene, each).terms]
+    terms = [shading.term for shading in shadings]
     return compiled(family, {k: v for term in terms for k, v in variants(term).items()}, {})
 
 
@@ -180,29 +177,25 @@ def test_compiler_agrees_with_the_table(family, bare):
         Shading(),
         Shading(m=0.3, lobe=GPower(6, 0.2), masking="kelemen"),
         Shading("ward", "d8"),
-        Shading(fresnel="dielectric", lobe="fitted", frontal_lights=(1,)),
+        Shading(fresnel="dielectric", lobe="fitted"),
     ]
     table = load_prices(family, scene, wanted)
     same = table.source.startswith(amd.driver())  # other versions of Mesa differ
-    here = compiled_for(scene, family, wanted)
+    here = compiled_for(family, wanted)
     for shading in wanted:
         cost = here.cost(scene, shading)
         assert all(0.0 <= each < np.inf for each in cost)
         assert not same or cost == pytest.approx(table.cost(scene, shading), rel=0.05)
 
 
-def test_prices_of_frontal_lights_add_up_to_a_program(family, bare):
+def test_prices_of_lights_add_up_to_a_program(family, bare):
     mesh = bare.with_material(m=0.3, occlusion_map=None)
     scene = fr.Scene(mesh, lights=(PLAIN["rim"], *KEY, PLAIN["fill"]), ambient=0.0)
-    other = Shading(fresnel="dielectric", lobe="d8")
-    wanted = [
-        *(Shading(frontal_lights=frontal) for frontal in ((1,), (1, 2), (0, 1, 2))),
-        *(each.replace(frontal_lights=(1, 2)) for each in (Shading(m=0.3), other)),
-        other.replace(frontal_lights=(1,)),
-    ]
+    factors = {"fresnel": "constant", "masking": "none"}
+    wanted = [Shading(**each) for each in ({}, {"m": 0.3}, {"lobe": "d8"}, factors)]
     lit = fragment.scene_with(directional=3)
     whole = cycles([fragment.program_of(lit, shading) for shading in wanted], family)
-    table = compiled_for(scene, family, wanted)
+    table = compiled_for(family, wanted)
     for shading, expected in zip(wanted, whole, strict=True):
         assert table.cost(scene, shading)[0] == pytest.approx(expected, rel=0.03), shading
 

@@ -45,18 +45,8 @@ REDUCED = [  # choices that omit something of a scene with five lights
     fr.Shading("ward", GPower(4, 0.6), m=0.4, specular_lights=(3,)),
     fr.Shading("ward", ks=0.5, specular_lights=()),
     fr.Shading("ward-printed", "d8", normal_map=False, ambient=False, specular_lights=(0,)),
-    fr.Shading(frontal_lights=(3, 1)),
-    fr.Shading(fresnel="dielectric", lobe="d4", frontal_lights=[0, 1, 2, 3, 4]),
-    fr.Shading(masking="kelemen", m=0.3, specular_lights=(4, 0, 2), frontal_lights=(2, 3, 0)),
-]
-LIGHTS_OF_THEIR_OWN = [  # different terms for some of five lights
-    fr.Shading(
-        lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}},
-        specular_lights=(0, 1, 3),
-    ),
-    fr.Shading(lights={0: {"model": "ward", "m": 0.15}, 2: {"lobe": GPower(6, 0.3)}}),
-    fr.Shading("ward", lights={1: {"m": 0.45, "lobe": "cosine"}}, specular_lights=(1,)),
-    fr.Shading(m=0.3, lights={1: {"m": 0.1, "small_slope": True}, 3: {"model": "ward"}}),
+    fr.Shading(fresnel="dielectric", lobe="d4"),
+    fr.Shading(masking="kelemen", m=0.3, specular_lights=(4, 0, 2)),
 ]
 
 
@@ -125,12 +115,6 @@ def test_poses_of_a_mesh(transparent, head, shading):
     for weight in (1.0, 0.3):
         posed = head.with_pose({name: weight * own for name, own in shapes.items()})
         assert compared(transparent, lit(posed), shading)[2].max() < 1e-4
-
-
-@pytest.mark.parametrize("shading", LIGHTS_OF_THEIR_OWN, ids=str)
-def test_lights_with_terms_of_their_own(transparent, head, shading):
-    assert compared(transparent, mixed(head), shading)[2].max() < 1e-4
-    assert fr.Shading.from_dict(json.loads(json.dumps(shading.as_dict()))) == shading
 
 
 @pytest.mark.parametrize("m", [1e-3, 0.05, 0.15, 0.25, 1.5])
@@ -256,10 +240,7 @@ def cases() -> Iterator[tuple[Case, bool]]:
         (fr.Shading(lobe="fitted", fresnel="dielectric", masking="kelemen"), deferred),
         (fr.Shading("ward", "d16"), deferred),
         (fr.Shading("ward-printed", m=0.1), deferred),
-        (
-            fr.Shading(lights={0: {"lobe": "d8"}, 1: {"m": 0.2}}, frontal_lights=[2]),
-            deferred + forward,
-        ),
+        (fr.Shading(lobe="d8"), deferred + forward),
     ):
         yield from ((Case(sweat, shading, {"two_lobes": False}, 0.003), path) for path in paths)
     for material, changes, path in (
@@ -271,9 +252,8 @@ def cases() -> Iterator[tuple[Case, bool]]:
         shading = fr.Shading(diffuse="coupled", **changes)
         yield Case(partial(plain, **material), shading, {"diffuse": "lambert"}, 0.002, -0.02), path
     for path in (False, True):
-        own = {"lobe": "fitted"}
         for curvature in (False, True):
-            shading = fr.Shading(outside="exact", curvature=curvature, lights={1: own})
+            shading = fr.Shading(lobe="fitted", outside="exact", curvature=curvature)
             yield Case(areas, shading, {"normal_map": False}, 0.001), path
         yield Case(shadows, fr.Shading(), {"shadow_lights": []}, 0.01), path
     wide = fr.Shading(scatter_samples=8, diffuse="coupled")

@@ -187,7 +187,7 @@ SHADING = {
     **{"outside": "exact", "ks": 0.5, "normal_map": False, "ambient": False, "two_lobes": False},
     **{"slope_filter": False, "curvature": True, "environment": False, "diffuse": "coupled"},
     **{"scatter_samples": 32, "environment_samples": 16, "specular_lights": [0]},
-    **{"shadow_lights": [0], "lights": {"1": {"lobe": "d8"}}, "frontal_lights": [0]},
+    "shadow_lights": [0],
 }
 TERM = {"lobe": "d16", "fresnel": "dielectric", "masking": "kelemen", "m": 0.2, "small_slope": True}
 # Values that differ from their defaults, by class and table of a scene file.
@@ -235,7 +235,7 @@ def test_scene_files_have_every_field(kind, table, tmp_path):
     tables = SAMPLES[kind, table]
     given = {name for each in tables for name in each}
     own = {each.name for each in fields(kind)} - NOT_IN_FILES.get(kind, set())
-    assert given - {"frontal_lights"} == own
+    assert given == own
     for each in tables:
         head = f"[[{table}]]" if table == "lights" else f"[{table}]"
         (tmp_path / "scene.toml").write_text(toml_text([(head, each)]))
@@ -324,10 +324,6 @@ IN_FRONT = {"position": (0.0, 0.0, 1.0)}
         (
             lambda mesh: fr.view_of(fr.Scene(mesh, fr.Camera(3.0, **IN_FRONT)), 1.0),
             "camera azimuth = 3 and position exclude each other, unless",
-        ),
-        (
-            lambda mesh: fr.Shading(lights={1: {"fresnel": "dielectric"}}, frontal_lights=[1]),
-            "fresnel = 'dielectric' of light 1 and frontal_lights exclude each other",
         ),
         (lambda mesh: fr.Pose(frame=3), "pose frame = 3 needs vertices"),
         (

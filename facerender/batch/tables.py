@@ -108,7 +108,7 @@ def with_default_lights(tables: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists, except ``shading.lights``, ``parts``.
+    """Convert tables with the keys 0, 1, 2, ... into lists, except ``parts``.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def listed(value: Any, name: str) -> Any:
             key: listed(item, f"{name}.{key}") if type(item) in (dict, list) else item
             for key, item in value.items()
         }
-        if not items or not _places(items) or name in ("shading.lights", "parts"):
+        if not items or not _places(items) or name == "parts":
             return items
         for place in range(len(items)):
             if str(place) not in items:

@@ -420,8 +420,6 @@ def _shading(
         ("environment", ("environment",)),
         ("environment_samples", ("environment_samples",)),
         ("specular_lights", ("light",)),
-        ("frontal_lights", ("light",)),
-        ("lights", ("light", "m", "lobe", "model", "fresnel", "masking")),
     ):
         if key in pinned:
             for name, value in values_of(options, *names).items():

@@ -62,14 +62,13 @@ def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, st
 def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, str]:
     """Return the shading of an image as text: model, lobe, Fresnel and masking term, values that
     differ from the defaults, and the lobe of each part if lobes differ from the shading's."""
-    shading, terms = resolved.shading, resolved.lighting.terms
+    shading = resolved.shading
     texts = {key: str(value) for key, value in shading.as_dict().items()}
     for name in ("model", "lobe", "fresnel", "masking"):
         texts[name] = str(getattr(shading.term, name))
-    parts = [part.terms for part in resolved.parts()] if only != "diffuse" else []
-    if any(part_terms != terms for part_terms in parts):
-        lobes = [dict.fromkeys(str(term.lobe) for term in part_terms) for part_terms in parts]
-        texts["lobe of each part"] = ", ".join(map(" and ".join, lobes))
+    terms = resolved.terms if only != "diffuse" and resolved.lighting.shining else []
+    if any(term != shading.term for term in terms):
+        texts["lobe of each part"] = ", ".join(str(term.lobe) for term in terms)
     return {name: _limited(text) for name, text in texts.items()}
 
 

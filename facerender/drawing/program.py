@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,8 +47,8 @@ class Program:
     fragment, vertex : file names of the two shaders in ``shaders/host``
     features : macros that enable features, such as "UV", "NORMAL_MAP", "DIFFUSE"
     lights : groups of lights, see :class:`Lighting`; None for a program without lights
-    prelude : GLSL before the calls: macros and includes of the specular terms
-    calls : GLSL expression of each specular term; () if no light has a specular term
+    prelude : GLSL before the call: macros and includes of the specular term
+    call : GLSL expression of the specular term; "" if no light has one
     environment : GLSL expression of the specular reflection of the environment; "" for none
     """
 
@@ -57,36 +57,30 @@ class Program:
     features: tuple[str, ...] = ()
     lights: tuple[LightGroup, ...] | None = None
     prelude: str = ""
-    calls: tuple[str, ...] = ()
+    call: str = ""
     environment: str = ""
 
     def sources(self, version: str) -> dict[str, str]:
         """Return the GLSL of the stages "vert" and "frag" with the line ``#version VERSION``."""
         head = "".join(f"#define {name}\n" for name in self.features)
         head += f"#define ENVIRONMENT_RADIANCE {self.environment}\n" * bool(self.environment)
-        light = "" if self.lights is None else self._terms() + self._lights()
+        light = "" if self.lights is None else self._term() + self._lights()
         stages = {}
         for stage, code, file in (("vert", "", self.vertex), ("frag", light, self.fragment)):
             text = resolve_includes(f'#version {version}\n{head}{code}#include "host/{file}"\n')
             stages[stage] = _COMMENT.sub("", text)  # comments are half of the text to compile
         return stages
 
-    def _terms(self) -> str:
-        if not self.calls:
+    def _term(self) -> str:
+        if not self.call:
             return ""
-        *branches, last = self.calls
         slopes = "float m, float f0"
         if "TWO_LOBES" in self.features:
             slopes = "float m, float second_m, float lobe_weight, float f0"
-        lines = [f"    if (term == {i}) return {branch};" for i, branch in enumerate(branches)]
-        return "\n".join(
-            [
-                f"{self.prelude}#define SPECULAR",
-                f"float specular_term(int term, vec3 n, vec3 l, vec3 v, {slopes}) {{",
-                *lines,
-                f"    return {last};",
-                "}\n",
-            ]
+        return (
+            f"{self.prelude}#define SPECULAR\n"
+            f"float specular_term(vec3 n, vec3 l, vec3 v, {slopes}) {{\n"
+            f"    return {self.call};\n}}\n"
         )
 
     def _lights(self) -> str:
@@ -103,7 +97,7 @@ class Program:
                     f"{loop}if (in_doubt({light}, {number}, s, p)) doubts |= 1 << {number};"
                 )
                 light = f"shadowed({light}, seen[{number}])"
-            added.append(f"{loop}add_light(s, v, {light}, {group.term});")
+            added.append(f"{loop}add_light(s, v, {light}, {str(group.specular).lower()});")
         kinds = [
             f'#define {kind.upper()}_LIGHTS {count}\n#include "host/light/{kind}.glsl"'
             for kind, count in counts.items()
@@ -161,7 +155,7 @@ def shade_program(
     emits : whether to include emitted light
     """
     scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
-    part, material, terms = own.part, own.material, own.terms
+    part, material, term = own.part, own.material, own.term
     features = surface_features(part, material, shading)
     features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
@@ -169,7 +163,6 @@ def shade_program(
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
         features += ("COUPLED",)
     features += ("EMISSIVE",) * (emits and any(material.emissive))
-    shines = bool(terms) and material.ks > 0.0
     second = material.second_slope if material.two_lobes else None
     environment = ""
     if scene.environment is not None:
@@ -177,14 +170,13 @@ def shade_program(
         if shading.environment_samples and material.ks > 0.0:
             features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
             environment = environment_call(shading.term, second)
-    return Program(
-        "shade.frag",
-        features=features,
-        lights=lighting.groups,
-        prelude=prelude(terms, own.smallest_m, material.two_lobes) if shines else "",
-        calls=tuple(call(term, second) for term in terms) if shines else (),
-        environment=environment,
+    program = Program(
+        "shade.frag", features=features, lights=lighting.groups, environment=environment
     )
+    if term is None or not material.ks:
+        return program
+    head = prelude(term, own.smallest_m, material.two_lobes)
+    return replace(program, prelude=head, call=call(term, second))
 
 
 def light_visibility_program(

@@ -60,7 +60,7 @@ class Layers:
         if self.emission is not None:
             image += self.emission
         for light, specular in enumerate(self.specular):
-            if shading.of(light) is not None:
+            if shading.shines(light):
                 image += specular
         return image
 
@@ -226,8 +226,6 @@ def layers(
     light_of, albedo_of = (
         np.zeros((2, *gbuffer.normalised_position.shape)) if scatters else (None, None)
     )
-    light_terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
-    terms = [resolved.allowed(term) for term in light_terms]
     for index, material in enumerate(scene.mesh.materials):
         covered = gbuffer.part == index
         if not covered.any():
@@ -237,10 +235,10 @@ def layers(
         factor = coupling.left(coupling.mean) if coupling else 1.0
         entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * factor
         ambient[covered] = pixels.albedo * entered
-        for light, (source, by_part) in enumerate(zip(scene.lights, terms, strict=True)):
+        for light, source in enumerate(scene.lights):
             visible = gbuffer.visibility[covered][:, light, None] if source.shadow else None
             l, spread, specular[light][covered] = _lit(
-                pixels, material, by_part[index], source, scene, visible
+                pixels, material, resolved.terms[index], source, scene, visible
             )
             factor = coupling.left(coupling.towards(dot(pixels.n, l))) if coupling else 1.0
             diffuse[covered] += pixels.albedo * spread * factor

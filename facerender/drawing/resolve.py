@@ -1,8 +1,8 @@
 """Combination of a scene and a shading: the lights in the order in which programs loop over them,
-and each part's specular terms for the part's range of m. The renderer, the reference and
+and the specular term of each part for the part's range of m. The renderer, the reference and
 ``pricing`` use the same result.
 
-m is the first of these values that exists: the constant m of a light's term (``Term.m``), then
+m is the first of these values that exists: the constant m of the shading's term (``Term.m``), then
 (roughness factor times roughness map)^2, then ``Material.m``. ``prepare.simplify`` replaces the
 material's m if the shading's term has a constant m. ``Term.slope`` resolves m for a term, and
 ``scenes.mesh.base_slope`` for a part. No OpenGL here."""
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -31,18 +32,18 @@ from facerender.terms.slope_variance import (
 
 @dataclass(frozen=True)
 class LightGroup:
-    """Lights of one kind that share a specular term.
+    """Lights of one kind, all with or all without a specular term and a shadow.
 
     Attributes
     ----------
     kind : see ``scenes.light.LIGHT_KINDS``
-    term : index of the specular term in ``Lighting.terms``, -1 for none
+    specular : whether the lights have a specular term
     count : number of lights, at least one
     shadows : index of the shadow map of the group's first light; None for lights without shadows
     """
 
     kind: str
-    term: int
+    specular: bool
     count: int
     shadows: int | None = None
 
@@ -51,44 +52,40 @@ class LightGroup:
 class Lighting:
     """The lights of a scene in the order in which programs loop over them.
 
-    Lights are sorted by kind. Lights of one kind are sorted by term (lights without a term last),
-    and lights of one term by shadow (lights without shadows first).
+    Lights are sorted by kind, then by term (lights without a term last), then by shadow (lights
+    without shadows first).
 
     Attributes
     ----------
     order : for each sorted light, its index in the scene
     lights : the sorted lights
     groups : groups of the sorted lights
-    terms : specular terms; ``LightGroup.term`` is an index into them
     """
 
     order: tuple[int, ...]
     lights: tuple[Light, ...]
     groups: tuple[LightGroup, ...]
-    terms: tuple[Term, ...]
 
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
-        """Sort the lights of a scene. If a light uses ``shading.term``, this term gets index 0."""
-        light_terms = [shading.of(light) for light in range(len(scene.lights))]
-        first = [shading.term] if shading.term in light_terms else []
-        terms = tuple(dict.fromkeys([*first, *(term for term in light_terms if term is not None)]))
-        sorted_: dict[tuple[str, int, bool], list[int]] = {
-            (kind, number, shadow): []
-            for kind in sorted(LIGHT_KINDS)
-            for number in (*range(len(terms)), -1)
-            for shadow in (False, True)
+        """Sort the lights of a scene."""
+        sorted_: dict[tuple[str, bool, bool], list[int]] = {
+            key: [] for key in product(sorted(LIGHT_KINDS), (True, False), (False, True))
         }
-        for index, (light, term) in enumerate(zip(scene.lights, light_terms, strict=True)):
-            number = -1 if term is None else terms.index(term)
-            sorted_[light.kind.name, number, light.shadow].append(index)
+        for index, light in enumerate(scene.lights):
+            sorted_[light.kind.name, shading.shines(index), light.shadow].append(index)
         groups, maps = [], 0
-        for (kind, number, shadow), indices in sorted_.items():
+        for (kind, specular, shadow), indices in sorted_.items():
             if indices:
-                groups.append(LightGroup(kind, number, len(indices), maps if shadow else None))
+                groups.append(LightGroup(kind, specular, len(indices), maps if shadow else None))
                 maps += len(indices) * shadow
         order = tuple(index for indices in sorted_.values() for index in indices)
-        return cls(order, tuple(scene.lights[index] for index in order), tuple(groups), terms)
+        return cls(order, tuple(scene.lights[index] for index in order), tuple(groups))
+
+    @property
+    def shining(self) -> int:
+        """Number of lights with a specular term."""
+        return sum(group.count for group in self.groups if group.specular)
 
     @property
     def shadowed(self) -> tuple[int, ...]:
@@ -118,20 +115,20 @@ class Lighting:
 
 @dataclass(frozen=True, eq=False)
 class ResolvedPart:
-    """A part of a mesh with its specular terms.
+    """A part of a mesh with the specular term of the lights.
 
     Attributes
     ----------
     part, material : part of the mesh and its material
-    smallest_m : lowest m of the part's lobes; terms with a constant m ignore this value
-    terms : specular terms of the lights. If m lies outside the domain of a lobe, the term has the
-        exact lobe instead. () if specular terms are left out
+    smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
+    term : specular term of the lights. If m lies outside the domain of the lobe, the term has the
+        exact lobe instead. None if the specular term is left out
     """
 
     part: Part
     material: Material
     smallest_m: float
-    terms: tuple[Term, ...]
+    term: Term | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +141,7 @@ class ResolvedScene:
 
     @cached_property
     def slopes(self) -> list[tuple[float, float]]:
-        """The smallest and the largest m of each part. Terms with a constant m ignore both values.
+        """The smallest and the largest m of each part. A constant m of the term replaces both.
 
         The largest m includes the largest amounts that slope filter, curvature and area lights add.
 
@@ -168,29 +165,28 @@ class ResolvedScene:
             ranges.append((smallest, largest))
         return ranges
 
-    def allowed(self, term: Term) -> list[Term]:
-        """Return `term` for each part, with the exact lobe if the term's lobe forbids the part's m.
+    @cached_property
+    def terms(self) -> list[Term]:
+        """The term of each part, with the exact lobe if the shading's lobe forbids the part's m.
 
         Raises
         ------
         InputError : m lies outside the lobe's domain, and ``shading.outside`` is "error"
         """
-        return [term.for_slopes(*limits, self.shading.outside) for limits in self.slopes]
+        shading = self.shading
+        return [shading.term.for_slopes(*limits, shading.outside) for limits in self.slopes]
 
     def parts(self, specular: bool = True) -> list[ResolvedPart]:
-        """Return the parts with their terms. For errors see :meth:`allowed`.
+        """Return the parts with their terms. For errors see :attr:`terms`.
 
-        specular : false to leave out the specular terms and the check of m
+        specular : false to leave out the specular term and the check of m
         """
         mesh = self.scene.mesh
-        smallest = [low for low, _ in self.slopes] if specular else [0.0] * len(mesh.parts)
-        by_term = [self.allowed(term) for term in self.lighting.terms * specular]
-        return [
-            ResolvedPart(part, material, low, tuple(terms[number] for terms in by_term))
-            for number, (part, material, low) in enumerate(
-                zip(mesh.parts, mesh.materials, smallest, strict=True)
-            )
-        ]
+        count = len(mesh.parts)
+        smallest = [low for low, _ in self.slopes] if specular else [0.0] * count
+        terms = self.terms if specular and self.lighting.shining else [None] * count
+        columns = mesh.parts, mesh.materials, smallest, terms
+        return [ResolvedPart(*row) for row in zip(*columns, strict=True)]
 
 
 def resolve(scene: Scene, shading: Shading) -> ResolvedScene:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from facerender.errors import InputError
 from facerender.shading import Term
@@ -26,7 +26,7 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
 
     smallest_m : lowest m of the material; used if the term has no constant m
     """
-    macros = _shared_macros([term], smallest_m)
+    macros = _macros(term, smallest_m)
     if term.entry.factors:
         macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro
         macros["FR_MASKING"] = MASKING[term.masking].macro
@@ -35,17 +35,15 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
     return macros
 
 
-def prelude(terms: Sequence[Term], smallest_m: float, two_lobes: bool = False) -> str:
-    """Return the macros and includes that precede the calls of terms in a program.
+def prelude(term: Term, smallest_m: float, two_lobes: bool = False) -> str:
+    """Return the macros and the include that precede the call of a term in a program.
 
-    smallest_m : lowest m of the material; terms whose m is not constant use it
+    smallest_m : lowest m of the material; used if the term has no constant m
     """
-    files = dict.fromkeys(file_of(term, two_lobes) for term in terms)
-    includes = "".join(f'#include "facerender/{file}.glsl"\n' for file in files)
-    macros = _shared_macros(terms, smallest_m)
-    if terms and all(term.m is not None for term in terms):
+    macros = _macros(term, smallest_m)
+    if term.m is not None:
         macros["FR_CONSTANT_SLOPE"] = "1"
-    return defines(macros) + includes
+    return f'{defines(macros)}#include "facerender/{file_of(term, two_lobes)}.glsl"\n'
 
 
 def file_of(term: Term, two_lobes: bool) -> str:
@@ -110,19 +108,10 @@ def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
     )
 
 
-def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:
-    """Return the macros that the terms of a program share.
-
-    The macros select the lobe (all lobes, if the terms have different lobes) and the parameters
-    of the g-power. FR_SMALL_SLOPE is 0 if terms have the exact lobe and none of them needs accurate
-    small angles.
-    """
-    lobes = {term: lobe_entry(term.lobe) for term in terms}
-    names = {lobe.macro for lobe in lobes.values()}
-    macros = {"FR_LOBE": names.pop() if len(names) == 1 else "FR_LOBE_EVERY"} if names else {}
-    for lobe in lobes.values():
-        macros |= lobe.macros
-    by_angle = [term for term, lobe in lobes.items() if lobe.of_tan2]
-    if by_angle and not any(term.keeps_small_slopes(smallest_m) for term in by_angle):
+def _macros(term: Term, smallest_m: float) -> dict[str, str]:
+    """Return the macros that select the lobe of a term. FR_SMALL_SLOPE is 0 if the term has the
+    exact lobe and needs no accurate small angles."""
+    macros = lobe_macros(term.lobe)
+    if lobe_entry(term.lobe).of_tan2 and not term.keeps_small_slopes(smallest_m):
         macros["FR_SMALL_SLOPE"] = "0"
     return macros

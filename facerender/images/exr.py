@@ -24,11 +24,7 @@ REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _MAGIC = b"v/1\x01"
 _MULTIPART = 0x10  # bit in byte 5 of an EXR file, set if the file has several parts
 _HALF = 1  # EXR's number for the pixel type HALF
-_PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers for lossy compressions
-# Largest measured ImageData.noise for images of the built-in head with 256 to 1024 pixels a side.
-_B44_LOSS, _DWA_LOSS = 0.012, 0.015
-_DWA_LEVEL = 45.0  # default of the EXR attribute dwaCompressionLevel
-_HIGHEST_DWA_LEVEL = 1000.0  # with a higher level, any difference would count as compression loss
+_PXR24 = 5  # EXR's number for the compression PXR24
 
 
 def save_exr(
@@ -100,11 +96,11 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
             pixels = np.stack([file_channels[name].pixels for name in names], axis=-1)
         if pixels.dtype != np.float16:
             pixels = pixels.astype(np.float32, copy=False)
-        pixels = _in_window(pixels, header)
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
-        noise = _exr_noise(raw, any(kinds[name] == _HALF for name in names))
+        noise = 2.0**-16 / 3.0**0.5 if raw[b"compression"][0] == _PXR24 else 0.0
+        noise = HALVED if any(kinds[name] == _HALF for name in names) else noise
     except InputError:
         raise
     except Exception as error:  # from OpenEXR, or from parsing a damaged header
@@ -112,29 +108,6 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
             f"{path} cannot be read as OpenEXR ({reason(error)}); save it again"
         ) from None
     return ImageData(pixels, "linear", str(path), metadata, space, noise=noise)
-
-
-def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
-    """Return :attr:`ImageData.noise` for the compression and pixel type of an EXR file.
-
-    half : whether a channel contains half floats
-
-    Raises
-    ------
-    ValueError, struct.error : an invalid DWA level
-
-    References: OpenEXR, "Technical Introduction"; for the DWA level, source code of OpenEXR.
-    """
-    compression = header[b"compression"][0]
-    if compression in (_DWAA, _DWAB):
-        attribute = header.get(b"dwaCompressionLevel")
-        level = struct.unpack("<f", attribute)[0] if attribute else _DWA_LEVEL
-        if not 0.0 <= level <= _HIGHEST_DWA_LEVEL:
-            raise ValueError(f"DWA level {level:g} is outside [0, {_HIGHEST_DWA_LEVEL:g}]")
-        return float(_DWA_LOSS * level / _DWA_LEVEL)
-    if half:
-        return _B44_LOSS if compression in (_B44, _B44A) else HALVED
-    return 2.0**-16 / 3.0**0.5 if compression == _PXR24 else 0.0
 
 
 def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
@@ -180,34 +153,20 @@ def _checked_exr(
     path: Path, headers: Sequence[Mapping[bytes, bytes]], size: int
 ) -> Mapping[bytes, bytes]:
     """Return the header of a flat image with one part. Raise InputError for an image that is deep,
-    has several parts or is too large, before OpenEXR reads the pixels."""
+    has several parts or two windows, or is too large, before OpenEXR reads the pixels."""
     if len(headers) > 1:
         raise InputError(f"{path} has {len(headers)} parts: save one part as a file")
     (header,) = headers
     if header.get(b"type", b"").startswith(b"deep"):
         raise InputError(f"{path} is a deep image: flatten it")
-    count = len(_exr_channels(header))
-    for name, channels in ((b"dataWindow", max(count, 4)), (b"displayWindow", 4)):
-        left, top, right, bottom = struct.unpack("<4i", header[name])
-        check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * channels, size)
+    if header[b"dataWindow"] != header[b"displayWindow"]:
+        raise InputError(
+            f"{path} has a data window that is not its display window: save it with one window"
+        )
+    left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
+    bytes_of_pixel = 4 * max(len(_exr_channels(header)), 4)
+    check_pixels(str(path), right - left + 1, bottom - top + 1, bytes_of_pixel, size)
     return header
-
-
-def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
-    """Copy an EXR's data window into its display window; pixels without data are 0."""
-    (left, top), (right, bottom) = np.asarray(header["displayWindow"]).tolist()
-    size = (bottom - top + 1, right - left + 1)
-    corner = np.asarray(header["dataWindow"]).tolist()[0]
-    x, y = corner[0] - left, corner[1] - top
-    height, width, channels = pixels.shape
-    if (x, y, height, width) == (0, 0, *size):
-        return pixels
-    placed = np.zeros((*size, channels), dtype=pixels.dtype)
-    rows = slice(max(y, 0), max(min(y + height, size[0]), 0))
-    columns = slice(max(x, 0), max(min(x + width, size[1]), 0))
-    window = placed[rows, columns]
-    window[:] = pixels[max(-y, 0) :, max(-x, 0) :][: window.shape[0], : window.shape[1]]
-    return placed
 
 
 def openexr(path: str | os.PathLike[str]) -> Any:

@@ -30,9 +30,9 @@ class ImageData:
     color_space : colour space that the file specifies; "" for sRGB or if the file specifies none
     profile : name of the ICC profile from which the colours were converted to sRGB, "" for none
     jpeg : whether the file is a JPEG, so that compression has changed the pixels
-    noise : RMS error of the pixels. For a linear image, the error of half floats or of lossy EXR
-        compression, divided by max(radiance, 0.01). For an 8-bit image, the rounding error of the
-        colour conversion, in 8-bit levels
+    noise : RMS error of the pixels. For a linear image, the error of rounding to half or 24-bit
+        floats, divided by max(radiance, 0.01). For an 8-bit image, the rounding error of the colour
+        conversion, in 8-bit levels
     """
 
     pixels: NDArray[Any]

@@ -134,16 +134,12 @@ def piece_of(
     if visual.kind == "vertex":
         colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
     source = getattr(visual, "material", None)
-    uv2 = None
     if library is None:
         material = _material(source, has_colors, name, textures)
         material_name = str(getattr(source, "name", None) or "")
     else:
-        look = library.look(material_name, has_colors)
-        material = look.material
-        if uv is not None:
-            uv2 = None if look.second is None else look.second.applied(uv)
-            uv = look.first.applied(uv)
+        material, transform = library.look(material_name, has_colors)
+        uv = None if uv is None else transform.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
         # The file's white multiplies only the missing map.
         material = replace(material, albedo=SKIN_ALBEDO)
@@ -157,7 +153,6 @@ def piece_of(
         colors=colors,
         material=material,
         out_of_range=int((~valid).sum()),
-        uv2=uv2,
         material_name=material_name,
         ks_ignored=library is not None
         and library.ignores_ks(library.materials.get(material_name, {})),

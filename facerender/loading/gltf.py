@@ -14,9 +14,8 @@ from facerender.loading.gltf_animation import RigReader
 from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import Doc, chunks, damaged, document_of
 from facerender.loading.gltf_features import EXTENSIONS, unsupported
-from facerender.loading.gltf_material import Materials, TextureTransform
+from facerender.loading.gltf_material import Look, Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes
-from facerender.loading.materials import Look
 from facerender.loading.references import References
 from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
@@ -475,9 +474,7 @@ class _File:
             rig=self._rig(base, base_normals, shapes, skin, instance),
         )
 
-    def _drawn_material(
-        self, look: Look[TextureTransform], has_uv: bool, has_uv2: bool
-    ) -> Material:
+    def _drawn_material(self, look: Look, has_uv: bool, has_uv2: bool) -> Material:
         """Return a look's material without the maps whose texture coordinates are missing."""
         material = look.material
         if not has_uv:

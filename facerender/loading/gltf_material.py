@@ -14,14 +14,7 @@ from facerender.errors import clipped, warn
 from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import Doc
 from facerender.loading.gltf_features import EXTENSIONS
-from facerender.loading.materials import (
-    Look,
-    WarnOnce,
-    image_of,
-    missing_image,
-    second_of,
-    unreadable,
-)
+from facerender.loading.materials import WarnOnce, image_of, missing_image, unreadable
 from facerender.loading.references import inline
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
@@ -70,6 +63,16 @@ class TextureTransform:
         return np.stack([u + self.offset[0], 1.0 - (v + self.offset[1])], axis=1)
 
 
+@dataclass(frozen=True)
+class Look:
+    """A material and the transforms of its texture coordinates: ``second`` for the maps named in
+    ``material.second_uv``, ``first`` for the other maps."""
+
+    material: Material
+    first: TextureTransform
+    second: TextureTransform | None = None
+
+
 class Materials:
     """The materials of a checked glTF file. Methods raise ValueError if the data are damaged."""
 
@@ -80,17 +83,17 @@ class Materials:
         self.albedo_given = albedo_given
         self.images: dict[int, tuple[Image, Texture, Texture | None] | None] = {}
         self.sampled: dict[tuple[int, Any, Any], Texture] = {}
-        self.looks: dict[tuple[int | None, bool], Look[TextureTransform]] = {}
+        self.looks: dict[tuple[int | None, bool], Look] = {}
         self.lost_images = False
         self.warn = WarnOnce()
 
-    def look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
+    def look(self, index: int | None, has_colors: bool) -> Look:
         """Return the look of a material; ``has_colors``: its primitive has vertex colours."""
         if (index, has_colors) not in self.looks:
             self.looks[index, has_colors] = self._look(index, has_colors)
         return self.looks[index, has_colors]
 
-    def _look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
+    def _look(self, index: int | None, has_colors: bool) -> Look:
         if index is None:
             albedo = (1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO
             material = Material(albedo=albedo, double_sided=False)
@@ -117,7 +120,7 @@ class Materials:
         first = (
             TextureTransform.of(base) if base else next(iter(places.values()), TextureTransform())
         )
-        second = second_of(places.values(), first)
+        second = next((place for place in places.values() if place != first), None)
         maps = self._maps(uses, places, (first, second))
         if not glossy:
             self._look_for_metal(metallic)

@@ -1,11 +1,8 @@
-"""Code shared by the readers of glTF and MTL materials: looks, and reports of missing or unreadable
-images."""
+"""Code shared by the readers of glTF and MTL materials: reports of missing or unreadable images."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,29 +10,10 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, warn
 from facerender.images.decode import TooLarge, open_image
 from facerender.loading.references import References
-from facerender.scenes.material import Material
 from facerender.scenes.texture import DECODERS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-
-Transform = TypeVar("Transform")
-
-
-@dataclass(frozen=True)
-class Look(Generic[Transform]):
-    """A material and the transforms of its texture coordinates: ``second`` for the maps named in
-    ``material.second_uv``, ``first`` for the other maps."""
-
-    material: Material
-    first: Transform
-    second: Transform | None = None
-
-
-def second_of(transforms: Iterable[Transform], first: Transform) -> Transform | None:
-    """Return the first element of ``transforms`` that is not equal to ``first``, or None."""
-    return next((transform for transform in transforms if transform != first), None)
 
 
 class WarnOnce:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason
 from facerender.images.srgb import srgb_to_linear
 from facerender.loading.conventions import preset_for
-from facerender.loading.materials import Look, WarnOnce, image_of, second_of, unreadable
-from facerender.loading.references import UDIM, References, text_of
+from facerender.loading.materials import WarnOnce, image_of, unreadable
+from facerender.loading.references import References, text_of
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
-from facerender.scenes.repair import Piece, subset
 from facerender.scenes.texture import Texture, with_green_turned
 from facerender.scenes.vectors import MOST_RADIANCE, Vector
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
@@ -100,7 +99,6 @@ def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 
 _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
-_MOST_TILES = 100
 # Keyed by statement: field of the material, name in messages. If a material has several statements
 # for a field, the first of them in this table is used.
 _MAPS = {
@@ -177,7 +175,7 @@ class Library:
         self.name = name
         self.albedo_given = albedo_given
         self.materials: dict[str, dict[str, str]] = {}
-        self.looks: dict[tuple[str, bool, int], Look[UvSpread]] = {}
+        self.looks: dict[tuple[str, bool], tuple[Material, UvSpread]] = {}
         self.textures: dict[tuple[Any, ...], Texture | None] = {}
         self.warn = WarnOnce()
         for line in dict.fromkeys(_LIBRARIES.findall(data)):
@@ -238,83 +236,34 @@ class Library:
             )
         return [*names]
 
-    def look(self, name: str, has_colors: bool, tile: int = 0) -> Look[UvSpread]:
-        """Return the look of a material, or the default look if the material is not defined.
-
-        tile : number of the UDIM tile; 0 ignores UDIM maps
-        """
+    def look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
+        """Return a material and the transform of its texture coordinates, or the default material
+        if the name is not defined."""
         statements = self.materials.get(name)
         if statements is None:
-            return Look(Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO), _PLAIN)
-        key = name, has_colors, tile
+            return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO), _PLAIN
+        key = name, has_colors
         if key not in self.looks:
-            self.looks[key] = self._look(name, statements, has_colors, tile)
+            self.looks[key] = self._look(name, statements, has_colors)
         return self.looks[key]
-
-    def tiles(self, name: str, piece: Piece) -> Mapping[int, NDArray[np.bool_]]:
-        """Return, for each UDIM tile, a mask of the faces on the tile, keyed by the tile number.
-        Without UDIM maps, the result is empty."""
-        statements = self.materials.get(name, {})
-        named = [statements[key] for key in _MAPS if key in statements]
-        if piece.uv is None or not len(piece.faces):
-            if any(UDIM in statement for statement in named):
-                self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
-            return {}
-        middle = piece.uv[piece.faces].mean(axis=1)
-        cells = np.floor(np.where(np.abs(middle) < 1e6, middle, 0.0)).astype(np.int64)
-        tiles = 1001 + np.clip(cells[:, 0], 0, 9) + 10 * np.clip(cells[:, 1], 0, 899)
-        numbers = np.unique(tiles)
-        if not any(UDIM in statement for statement in named):
-            if len(numbers) > 1 and any(
-                re.search(r"(?<!\d)1001(?!\d)", statement) for statement in named
-            ):
-                self.warn(
-                    f"a map of {self.name} is UDIM tile 1001: drawn on all {len(numbers)} tiles; "
-                    f"write {UDIM} instead of 1001 to use one map per tile"
-                )
-            return {}
-        if len(numbers) > _MOST_TILES:
-            raise InputError(
-                f"{self.name} uses {len(numbers)} UDIM tiles, but the limit is {_MOST_TILES}"
-            )
-        return {int(tile): np.asarray(tiles == tile) for tile in numbers}
-
-    def split(
-        self, piece: Piece, name: str, tiles: Mapping[int, NDArray[np.bool_]]
-    ) -> Iterator[Piece]:
-        """Yield the part of a piece on each UDIM tile, with texture coordinates moved into the unit
-        square."""
-        for tile, mask in tiles.items():
-            part = subset(piece, mask)
-            corner = (tile - 1001) % 10, (tile - 1001) // 10
-            assert part.uv is not None
-            yield replace(
-                part,
-                uv=part.uv - corner,
-                uv2=None if part.uv2 is None else part.uv2 - corner,
-                material=self.look(name, piece.colors is not None, tile).material,
-            )
 
     # --- factors ---------------------------------------------------------------------------------
 
     def _look(
-        self, name: str, statements: Mapping[str, str], has_colors: bool, tile: int
-    ) -> Look[UvSpread]:
+        self, name: str, statements: Mapping[str, str], has_colors: bool
+    ) -> tuple[Material, UvSpread]:
         for key in statements.keys() - _READ - _IGNORED:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
         uses = self._uses(statements)
-        places = {key: use.uv for key, use in uses.items()}
-        first = places.get("albedo_map", next(iter(places.values()), _PLAIN))
-        second = second_of(places.values(), first)
-        maps: dict[str, Any] = {}
-        for key, use in uses.items():
-            if places[key] in (first, second):
-                maps[key] = self._map(key, use, tile)
-            else:
+        maps: dict[str, Any] = {key: self._map(key, use) for key, use in uses.items()}
+        first = uses.get("albedo_map") or next(iter(uses.values()), _Map(""))
+        for use in uses.values():
+            if use.uv != first.uv:
                 self.warn(
-                    f"{clipped(use.name, 80)} needs a third transform of texture coordinates: "
-                    "ignored, because a material can have only two"
+                    f"{clipped(use.name, 80)} (named by {self.name}) has other options -s and -o "
+                    f"than {clipped(first.name, 80)}: ignored, because all maps of a material have "
+                    "one scale and offset"
                 )
         changes: dict[str, Any] = dict(maps)
         white = (1.0, 1.0, 1.0)
@@ -332,10 +281,7 @@ class Library:
         changes |= self._highlight(statements)
         if "normal_map" in uses:
             changes["normal_strength"] = uses["normal_map"].strength
-        changes["second_uv"] = tuple(
-            key for key, texture in maps.items() if texture and places[key] != first
-        )
-        return Look(Material(**changes), first, second)
+        return Material(**changes), first.uv
 
     def _numbers(self, statements: Mapping[str, str], key: str) -> list[float]:
         """Return the numbers of a statement; an empty list if a word is not a finite number."""
@@ -456,29 +402,26 @@ class Library:
         use.uv = UvSpread((scale[0], scale[1]), (offset[0], offset[1]))
         return use
 
-    def _map(self, key: str, use: _Map, tile: int) -> Texture | None:
-        if UDIM in use.name and not tile:
-            return None
-        name = use.name.replace(UDIM, str(tile))
-        identity = key, name, use.channel, use.clamp
+    def _map(self, key: str, use: _Map) -> Texture | None:
+        identity = key, use.name, use.channel, use.clamp
         if identity not in self.textures:
-            self.textures[identity] = self._texture(key, use, name)
+            self.textures[identity] = self._texture(key, use)
         return self.textures[identity]
 
-    def _texture(self, key: str, use: _Map, name: str) -> Texture | None:
-        kind = key.removesuffix("_map")
-        shown = f"{clipped(name, 80)} (named by {self.name})"
+    def _texture(self, key: str, use: _Map) -> Texture | None:
+        kind, name = key.removesuffix("_map"), clipped(use.name, 80)
         try:
-            content = self.referred.read(name, "an image file")
+            content = self.referred.read(use.name, "an image file")
         except FileNotFoundError:
             return None
         try:
             image = image_of(content)
         except ValueError as error:
             if kind != "albedo" or not self.albedo_given:
+                shown = f"{name} (named by {self.name})"
                 unreadable(shown, kind, error, fatal=not self.albedo_given)
             return None
-        texture = self._decoding(key, use, content, image, clipped(name, 80))
+        texture = self._decoding(key, use, content, image, name)
         return texture.sampled(("clamp", "clamp")) if use.clamp else texture
 
     def _decoding(self, key: str, use: _Map, content: bytes, image: Image, name: str) -> Texture:

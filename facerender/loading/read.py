@@ -395,11 +395,8 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     pieces[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
     pieces.sort(key=lambda pair: pair[0])
-    number_vertices(data, [piece for _, piece in pieces], colors)
-    parts = [
-        part for _, piece in pieces for part in _with_tiles(piece, piece.material_name, library)
-    ]
-    check_count(len(parts), name)
+    parts = [piece for _, piece in pieces]
+    number_vertices(data, parts, colors)
     _warn_of_missing(references, albedo_given)
     return parts
 
@@ -415,12 +412,6 @@ def _clear(*loaded: object) -> None:
     memory until the garbage collector runs."""
     for trimesh_object in loaded:
         vars(trimesh_object).clear()
-
-
-def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece]:
-    """Return the part of a piece on each UDIM tile; the piece itself if it has no UDIM maps."""
-    tiles = library.tiles(material, piece)
-    return [*library.split(piece, material, tiles)] if tiles else [piece]
 
 
 def _geometries(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import base64
-import glob
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path, PurePath
 from urllib.parse import unquote, unquote_to_bytes
@@ -18,17 +17,12 @@ from facerender.loading.source import GLTF, source_of
 from facerender.system.files import MOST, read_file
 
 ALLOW = "pass --allow-outside (allow_outside=True)"
-UDIM = "<UDIM>"  # placeholder for the tile number in the name of a map
-_TILE = 4 * "[0-9]"
 _MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
 # The comment of a PLY header that names the texture.
 TEXTURE_FILE = re.compile(rb"^[ \t]*comment[ \t]+texturefile[ \t]+(.*\S)", re.MULTILINE | re.I)
 # Windows-1252, in which the five unused bytes are control characters.
 _WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte in range(256)}
-_BYTES = {ord(char): byte for byte, char in _WINDOWS.items()}
-# Other encodings of file names in OBJ and MTL files, which do not state their encoding.
-_ENCODINGS = ("cp932", "gb18030", "cp949", "big5", "cp1250", "cp1251")
 
 
 class References:
@@ -68,7 +62,7 @@ class References:
         path = self.folder and _place(self.folder, name, self.allow_outside)
         if path is None or self.folder is None:
             raise FileNotFoundError(self.why_not(name))
-        if path not in (self.folder / spelling for spelling in _all_spellings(name)):
+        if path not in (self.folder / spelling for spelling in _spellings(name)):
             used = os.path.relpath(path, self.folder)
             warn(
                 f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
@@ -136,7 +130,7 @@ def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
     """Find a referenced file at its path relative to ``folder``, or else by its file name in
     ``folder``. Return its path, or None if it does not exist or is not allowed."""
     for find in (_exact, _in_any_case):
-        for spelling in _all_spellings(name):
+        for spelling in _spellings(name):
             with suppress(ValueError, OSError):  # an invalid file name, or an unreadable folder
                 inside = allow_outside or _is_inside(folder, spelling)
                 if inside and (path := find(folder, spelling)) is not None:
@@ -161,22 +155,11 @@ def _in_any_case(folder: Path, name: str) -> Path | None:
     return path if path.is_file() else None
 
 
-def _all_spellings(name: str) -> Iterator[str]:
-    """Yield the possible paths of a referenced file, relative to the mesh file's folder."""
-    return (path for name in (name, *_recoded(name)) for path in _spellings(name))
-
-
 def _spellings(name: str) -> tuple[str, ...]:
+    """Return the possible paths of a referenced file, relative to the mesh file's folder."""
     path = name.replace("\\", "/").strip()
     plain = unquote(path)
     return path, plain, path.lstrip("/"), os.path.basename(path), os.path.basename(plain)
-
-
-def _recoded(name: str) -> Iterator[str]:
-    """Yield the names that the bytes of a name have in other encodings than Windows-1252."""
-    for encoding in () if name.isascii() else _ENCODINGS:
-        with suppress(UnicodeError):
-            yield name.translate(_BYTES).encode("latin-1").decode(encoding)
 
 
 def _is_inside(folder: Path, name: str) -> bool:
@@ -235,10 +218,7 @@ def _maps(library: Path) -> list[Path]:
     except InputError:
         return []
     names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
-    tiled = {name for name in names if UDIM in name}
-    patterns = (glob.escape(str(library.parent / name)) for name in sorted(tiled))
-    tiles = [tile for pattern in patterns for tile in glob.glob(pattern.replace(UDIM, _TILE))]
-    return [*_paths(library.parent, sorted(names - tiled)), *map(Path, tiles)]
+    return _paths(library.parent, sorted(names))
 
 
 def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:

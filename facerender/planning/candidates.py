@@ -29,7 +29,6 @@ SMALLEST_PLAIN_SLOPE = 0.1
 DECISIONS = {
     "two lobes": "two_lobes",
     "lights": "specular_lights",
-    "frontal": "frontal_lights",
     "shadows": "shadow_lights",
     "scattering": "scatter_samples",
     "normal map": "normal_map",
@@ -48,7 +47,7 @@ _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
 SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs another slope than two lobes
 _SLOPES = {"slope", "normal map"}  # decisions that change slopes
 ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
-TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
+TERM = ("model", "lobe", "Fresnel", "masking", "small slopes")
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,6 @@ class Constants:
     m, ks : mean slope and mean specular weight of the visible pixels
     faintest : indices of the lights, in the order in which they lose their specular terms: the
         light with the faintest highlight first
-    frontal : indices of the lights, sorted by the error if their Fresnel term is f0 and masking
-        is omitted, smallest first
     shadows : indices of the lights with shadows, sorted by how much the shadow darkens the image,
         weakest first
     single : values of m with which a single lobe may replace two lobes
@@ -70,7 +67,6 @@ class Constants:
     m: float
     ks: float
     faintest: tuple[int, ...]
-    frontal: tuple[int, ...] = ()
     shadows: tuple[int, ...] = ()
     single: tuple[float, ...] = ()
 
@@ -90,25 +86,13 @@ def candidates(
         called for each change, except changes of highlights, lobes, Fresnel and masking terms.
         Only changes that fit are combined with other changes, which limits their number
     """
-    lit = [light for light in constants.faintest if full.of(light)]
+    lit = [light for light in constants.faintest if full.shines(light)]
     kinds = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
-    near = set(full.frontal_lights)
     for surface in _surfaces(scene, full, constants, fits):
         for shading, lights in product(_terms(scene, surface), kinds):
             if lights == () and shading != surface:
                 continue
-            candidate = shading
-            if lights != shading.specular_lights:
-                candidate = with_lights(shading, lights, shading.frontal_lights)
-            yield candidate
-            if shading.term != shading.term.frontal:
-                order = [
-                    light
-                    for light in constants.frontal
-                    if candidate.of(light) and light not in near
-                ]
-                for count in range(1, len(order)):
-                    yield with_lights(candidate, lights, sorted(near.union(order[:count])))
+            yield replace(shading, specular_lights=lights)
 
 
 def _surfaces(
@@ -164,24 +148,16 @@ def shadowed(scene: Scene, shading: Shading) -> list[int]:
     return [index for index, light in enumerate(lights) if light.shadow]
 
 
-def with_lights(
-    shading: Shading, specular: Sequence[int] | None, frontal: Sequence[int]
-) -> Shading:
-    """Return a shading with other ``specular_lights`` (None: all) and ``frontal_lights``."""
-    return shading.replace(specular_lights=specular, frontal_lights=frontal)
-
-
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
     ranges = resolve(scene, full).slopes
     smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
     family = full.term.entry.family
     for model in [model for model in MODELS.values() if model.family == family]:
-        plain = full if model.factors else with_lights(full, full.specular_lights, ())
         for lobe in _lobes(model.k, smallest, largest):
             for term in _factors(Term(model.name, lobe, m=full.term.m), full.term):
-                yield replace(plain, term=term)
+                yield replace(full, term=term)
                 if lobe == "exact" and SMALLEST_PLAIN_SLOPE <= smallest < SMALL_SLOPE:
-                    yield replace(plain, term=replace(term, small_slope=False))
+                    yield replace(full, term=replace(term, small_slope=False))
 
 
 def _lobes(k: int, smallest: float, largest: float) -> list[AnyLobe]:
@@ -229,12 +205,9 @@ def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
     """Return a shading whose named decisions are replaced by the decisions of ``other``."""
     decided = values(other, names)
-    specular = decided.pop("specular_lights", shading.specular_lights)
-    frontal = decided.pop("frontal_lights", shading.frontal_lights)
     of_term = {path[5:]: decided.pop(path) for path in [*decided] if path.startswith("term.")}
     term = replace(shading.term, **of_term)
-    bare = with_lights(shading, None, ())
-    return with_lights(replace(bare, term=term, **decided), specular, frontal)
+    return replace(shading, term=term, **decided)
 
 
 def separable(shading: Shading, names: Sequence[str]) -> bool:

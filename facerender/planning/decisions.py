@@ -191,14 +191,12 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     term = shading.term
     light_names = {_plain(light): name for name, light in LIGHTS.items()}
     lights = [light_names.get(_plain(light), f"light {i}") for i, light in enumerate(scene.lights)]
-    lit = [name for i, name in enumerate(lights) if shading.of(i)]
+    lit = [name for i, name in enumerate(lights) if shading.shines(i)]
     dark = [lights[i] for i in shadowed(scene, shading)]
-    near = [lights[i] for i in shading.frontal_lights]
     words = {
         "two lobes": "two" if shading.two_lobes else "one",
         "lights": f"specular of {', '.join(lit) or 'none'}",
         "shadows": f"of {', '.join(dark) or 'none'}",
-        "frontal": f"{', '.join(near)} with Fresnel f0, not masked" if near else "none",
         "normal map": "on" if shading.normal_map else "off",
         "slope": "the material's" if term.m is None else f"constant {term.m:.4g}",
         "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
@@ -215,4 +213,4 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     shown = names if term.entry.factors or "model" not in names else names[:2]
     if len(names) == 1:
         return words[names[0]].removeprefix(names[0]).strip()
-    return ", ".join(words[name] for name in shown if name not in ("small slopes", "frontal"))
+    return ", ".join(words[name] for name in shown if name != "small slopes")

@@ -174,10 +174,11 @@ class Plan:
         two_lobes = any(material.two_lobes for material in resolved.scene.mesh.materials)
         source = term_source(self.shading.term, smallest, target, two_lobes)
         version, _, body = source.partition("\n") if source.startswith("#") else ("", "", source)
-        terms = [self.shading.of(light) for light in range(len(self.scene.lights))]
-        second = 1.0 if two_lobes else None
-        calls = [call(replace(term, m=None), second) if term else "none" for term in terms]
-        lines = [f"BRDF of light {light}: {text}" for light, text in enumerate(calls)]
+        text = call(replace(self.shading.term, m=None), 1.0 if two_lobes else None)
+        lines = [
+            f"BRDF of light {light}: {text if self.shading.shines(light) else 'none'}"
+            for light in range(len(self.scene.lights))
+        ]
         notes = [f"// {line}" for line in [*self.explain().splitlines(), *lines]]
         return "\n".join(filter(None, [version, *notes, body]))
 
@@ -367,8 +368,6 @@ def _checked(scene: Scene, full: Shading) -> Shading:
     """Return the shading with automatic ``small_slope``; raise like :func:`plan`."""
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
-    if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
-        raise InputError("a plan chooses the lights' terms: omit lights from the shading")
     if not scene.lights and scene.environment is None:
         raise InputError("the scene has no lights, so there is no shading to plan: add a light")
     return replace(full, term=replace(full.term, small_slope=None))

@@ -33,7 +33,6 @@ from facerender.planning.candidates import (
     separable,
     shadowed,
     with_decisions,
-    with_lights,
 )
 from facerender.planning.views import DrawnViews, ScatteredLight, Viewpoint
 from facerender.pricing.frame import Frames
@@ -332,8 +331,8 @@ class Region:
         return cls(scene, mapped, plain, counted, full, budget, spared, scattered=scattered)
 
     def layers(self, shading: Shading) -> Layers:
-        """Return the terms of a shading for all lights and ambient light, without frontal terms."""
-        lit_shading = with_lights(replace(shading, ambient=True, scatter_samples=0), None, ())
+        """Return the terms of a shading for all lights and ambient light."""
+        lit_shading = replace(shading, ambient=True, scatter_samples=0, specular_lights=None)
         if lit_shading in self.known:
             return self.known[lit_shading]
         gbuffer = self.mapped if lit_shading.normal_map else self.plain
@@ -355,12 +354,7 @@ class Region:
 
     def image(self, shading: Shading) -> Float:
         """Return the radiance (H, W, 3) of a shading, including the background."""
-        terms = self.layers(shading)
-        image = terms.sum(shading)
-        if shading.frontal_lights:
-            frontal = self.layers(replace(shading, term=shading.term.frontal))
-            for light in shading.frontal_lights:
-                image += frontal.specular[light] - terms.specular[light]
+        image = self.layers(shading).sum(shading)
         if self.scattered is not None:
             image += self.scattered(shading)
         if self.scene.background is not None:
@@ -418,16 +412,12 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
     """
     single = resolve(scene, replace(full, two_lobes=False))
     bounds = {end for slopes in single.slopes for end in slopes}
-    peaks, losses, darkened = np.zeros((3, len(scene.lights)))
+    peaks, darkened = np.zeros((2, len(scene.lights)))
     cast = shadowed(scene, full)
     m, ks, light = [], [], []
     for view in views:
         specular = view.terms.specular.max(axis=-1)
         peaks = np.maximum(peaks, specular.max(axis=(1, 2)))
-        if full.term != full.term.frontal:
-            near = replace(full, term=full.term.frontal)
-            lost = np.abs(view.layers(near).specular - view.terms.specular)
-            losses = np.maximum(losses, lost.max(axis=(1, 2, 3)))
         for index in cast:
             bare = replace(full, shadow_lights=tuple(set(cast) - {index}))
             darkened[index] += np.abs(view.image(bare) - view.exact).mean()
@@ -437,13 +427,10 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
     weights = np.concatenate(light)
     averages = (np.average(np.concatenate(arrays), weights=weights) for arrays in (m, ks))
     means = [_rounded(float(average)) for average in averages]
-    faintest, frontal = (
-        tuple(int(light) for light in np.argsort(maxima, kind="stable"))
-        for maxima in (peaks, losses)
-    )
+    faintest = tuple(int(light) for light in np.argsort(peaks, kind="stable"))
     shadows = tuple(sorted(cast, key=lambda light: darkened[light]))
     slope = bounds.pop() if len(bounds) == 1 else means[0]
-    return Constants(slope, means[1], faintest, frontal, shadows, _single(views, weights))
+    return Constants(slope, means[1], faintest, shadows, _single(views, weights))
 
 
 def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:

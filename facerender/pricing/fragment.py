@@ -105,9 +105,9 @@ def program_of(
     if coupled:
         chosen = chosen.replace(diffuse="coupled")
     chosen = chosen.replace(environment_samples=environment_samples)
-    resolved_part = ResolvedPart(part, material, SLOPE, lighting.terms if shading else ())
+    resolved_part = ResolvedPart(part, material, SLOPE, shading.term if shading else None)
     program = shade_program(ResolvedScene(scene, chosen, lighting), resolved_part)
-    return replace(program, calls=(stub,)) if stub else program
+    return replace(program, call=stub) if stub else program
 
 
 @cache
@@ -125,7 +125,7 @@ def parts_of(program: Program) -> dict[str, int]:
     Further specular terms are a separate part: they share values with the first specular term.
     """
     groups = program.lights or ()
-    specular = sum(group.count for group in groups if group.term >= 0) if program.calls else 0
+    specular = sum(group.count for group in groups if group.specular) if program.call else 0
     counts: Counter[str] = Counter()
     dark: Counter[str] = Counter()
     for group in groups:

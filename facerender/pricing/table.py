@@ -1,20 +1,20 @@
 """Price of a shading per fragment, as a sum of the prices of its parts.
 
 The parts are the renderer's program, its maps and lights (``fragment.py``), the specular term of
-the first light, and the term of each further light. The terms of further lights share values with
-the first term. ``python -m benchmarks.prices table`` writes the table ``prices.json`` in the
-repository; ``measured`` measures the prices on this machine.
+the first light, and the term of each further light, which shares values with the first.
+``python -m benchmarks.prices table`` writes the table ``prices.json`` in the repository;
+``measured`` measures the prices on this machine.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from facerender.drawing.resolve import Lighting, resolve
+from facerender.drawing.resolve import Lighting, ResolvedScene, resolve
 from facerender.errors import InputError, check_known
 from facerender.glsl.code import call, prelude
 from facerender.pricing.variants import SLOPE
@@ -67,18 +67,13 @@ class Prices:
         NoPrice : a term has no price
         """
         resolved = resolve(scene, shading)
-        simple, lighting = resolved.scene, resolved.lighting
-        terms = [
-            lighting.terms[group.term]
-            for group in sorted(lighting.groups, key=lambda group: group.term)
-            for _ in range(group.count if group.term >= 0 else 0)
-        ]
-        lights = self._lights(lighting)
+        simple = resolved.scene
+        lights = self._lights(resolved.lighting)
         total = specular = faces = 0.0
         for part, material, (smallest, _) in zip(
             simple.mesh.parts, simple.mesh.materials, resolved.slopes, strict=True
         ):
-            cost, shine = self._part(simple, shading, part, material, lights, terms, smallest)
+            cost, shine = self._part(resolved, part, material, lights, smallest)
             faces += len(part.faces)
             total += len(part.faces) * cost
             specular += len(part.faces) * shine
@@ -95,25 +90,23 @@ class Prices:
 
     def _part(
         self,
-        scene: Scene,
-        shading: Shading,
+        resolved: ResolvedScene,
         part: Part,
         material: Material,
         lights: float,
-        terms: Sequence[Term],
         smallest: float,
     ) -> tuple[float, float]:
         """Return the cost of a fragment of one mesh part, and the specular part of this cost.
 
         lights : cost of all lights without their specular terms
-        terms : the lights' specular terms
         smallest : smallest slope m of the part
         """
+        scene, shading, count = resolved.scene, resolved.shading, resolved.lighting.shining
         shine = 0.0
-        if material.ks:
-            shine = self._specular([term_name(term, smallest) for term in terms])
+        if material.ks and count:
+            shine = self._specular(term_name(shading.term, smallest), count)
             if material.two_lobes:
-                shine += self._specular([second_name(term, smallest) for term in terms])
+                shine += self._specular(second_name(shading.term, smallest), count)
         diffuse = material.diffuse_weight > 0.0
         ambient = diffuse and any(scene.ambient)  # type: ignore[arg-type]
         coupled = shading.diffuse == "coupled" and diffuse and material.ks > 0.0
@@ -136,9 +129,9 @@ class Prices:
             cost += shading.scatter_samples * self._priced(self.parts, "sample of scattering")
         return cost, shine
 
-    def _specular(self, names: Iterable[str]) -> float:
-        terms = (self._priced(self.terms, name) for name in names)
-        return sum(first if i == 0 else further for i, (first, further) in enumerate(terms))
+    def _specular(self, name: str, lights: int) -> float:
+        first, further = self._priced(self.terms, name)
+        return sum([first, *[further] * (lights - 1)])
 
     def _priced(self, prices: Mapping[str, P], name: str) -> P:
         if name not in prices:
@@ -191,10 +184,10 @@ def load_prices(
     seconds: dict[str, Term] = {}
     two_lobes = any(material.two_lobes for material in scene.mesh.materials)
     for shading in shadings:
-        for term in Lighting.of(scene, shading).terms:
-            terms |= variants(term)
+        if Lighting.of(scene, shading).shining:
+            terms |= variants(shading.term)
             if two_lobes and shading.two_lobes:
-                seconds |= second_variants(term)
+                seconds |= second_variants(shading.term)
     terms |= {term_name(second, SLOPE): second for second in seconds.values()}
     return measured(terms, seconds=seconds)
 
@@ -279,9 +272,9 @@ def measured(
     from facerender.pricing import cost, fragment, scatter
 
     parts = {name: time.value for name, time in fragment.by_slope(repeats=repeats).items()}
-    calls = {name: (prelude([term], SLOPE), call(term)) for name, term in terms.items()}
+    calls = {name: (prelude(term, SLOPE), call(term)) for name, term in terms.items()}
     calls |= {
-        name: (_LOBES + prelude([term], SLOPE, two_lobes=True), call(term, 1.5))
+        name: (_LOBES + prelude(term, SLOPE, two_lobes=True), call(term, 1.5))
         for name, term in (seconds or {}).items()
     }
     times = cost.by_slope(calls, repeats=repeats)

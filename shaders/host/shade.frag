@@ -1,9 +1,8 @@
 // Radiance of a point: the sum of irradiance x N.L x BRDF over all lights, plus the ambient term.
 // drawing/program.py writes the text before this file:
 // - the includes of the kinds of lights;
-// - EVERY_LIGHT, which calls add_light for each light, with the index of the light's specular term,
-//   or -1 for none;
-// - if a light has a specular term: SPECULAR and specular_term(term, n, l, v, m, f0); with
+// - EVERY_LIGHT, which calls add_light for each light and states whether it has a specular term;
+// - if a light has a specular term: SPECULAR and specular_term(n, l, v, m, f0); with
 //   TWO_LOBES the arguments second_m and lobe_weight precede f0;
 // - with ENVIRONMENT_SAMPLES: ENVIRONMENT_RADIANCE, the reflected environment light as an
 //   expression of n, v and the arguments that follow v in specular_term.
@@ -70,7 +69,7 @@ float mean_albedo;
 
 // Add the light from direction l. `spread` is the fraction of the irradiance that the diffuse term
 // receives.
-void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
+void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, bool shines) {
     float cosine = dot(s.normal, l);
 #ifdef COUPLED
     float towards = fr_albedo_of(specular_albedo, cosine);
@@ -78,23 +77,23 @@ void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
 #endif
     diffuse += irradiance * spread;
 #ifdef SPECULAR
-    if (term < 0) return;
+    if (!shines) return;
 #ifdef TWO_LOBES
-    float term_value = specular_term(term, s.normal, l, v, s.m, s.second_m, s.lobe_weight, f0);
+    float term_value = specular_term(s.normal, l, v, s.m, s.second_m, s.lobe_weight, f0);
 #else
-    float term_value = specular_term(term, s.normal, l, v, s.m, f0);
+    float term_value = specular_term(s.normal, l, v, s.m, f0);
 #endif
     specular += irradiance * (clamp(cosine, 0.0, 1.0) * term_value);
 #endif
 }
 
-void add_light(Surface s, vec3 v, Light light, int term) {
+void add_light(Surface s, vec3 v, Light light, bool shines) {
     float spread = clamp(dot(s.normal, light.direction), 0.0, 1.0);
-    add(s, v, light.direction, light.irradiance, spread, term);
+    add(s, v, light.direction, light.irradiance, spread, shines);
 }
 
 #if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
-void add_light(Surface s, vec3 v, Disc light, int term) {
+void add_light(Surface s, vec3 v, Disc light, bool shines) {
     vec3 l = light.center.direction;
     float variance =
         fr_slope_variance_disc(light.size.x, light.size.y, 0.5 * length(l + v));
@@ -103,7 +102,7 @@ void add_light(Surface s, vec3 v, Disc light, int term) {
     s.second_m = fr_slope_filtered(s.second_m, variance);
 #endif
     float spread = fr_cosine_disc(dot(s.normal, l), light.size.x, light.size.y);
-    add(s, v, l, light.center.irradiance, spread, term);
+    add(s, v, l, light.center.irradiance, spread, shines);
 }
 #endif
 

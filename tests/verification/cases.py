@@ -841,7 +841,7 @@ def brdf_case(
     if term.entry.factors:
         bound += 3.0 * off / (f0 + NO_MORE) ** 0.2  # error of (1 - V.H)^5
     return Case(
-        f"const float f0 = {f0};\n" + (prelude or flat(code.prelude([term], 0.0))),
+        f"const float f0 = {f0};\n" + (prelude or flat(code.prelude(term, 0.0))),
         call or code.call(term),
         inputs,
         term.brdf(n, l, v, m, f0),
@@ -893,8 +893,8 @@ def among_all(
 ) -> Case:
     """Return the case of a term with one or two lobes, in a program that contains every lobe."""
     term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
-    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
-    prelude = flat(code.prelude(terms, 0.0, two))
+    small = {} if small_slope else {"FR_SMALL_SLOPE": "0"}
+    prelude = include(code.file_of(term, two), **code.lobe_macros(lobe) | EVERY | small)
     if two:
         return two_lobes(term, prelude, code.call(term, 1.0))
     return in_domain(term, prelude, code.call(term))

@@ -258,7 +258,7 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
         order = region.within(triangle_setup_of(part, mesh))
         if not len(order):
             continue
-        program = shade_program(resolved, ResolvedPart(part, material, 0.0, ()))
+        program = shade_program(resolved, ResolvedPart(part, material, 0.0, None))
         program = replace(program, features=(*program.features, "BEHIND_REFRACTION"))
         uniforms: Uniforms = {
             **part_uniforms(part, material),

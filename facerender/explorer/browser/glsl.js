@@ -53,7 +53,7 @@ function shadeSource(part, term, {lights, ambient, only}, specular = true) {
   if (specular) {
     const {text, call} = termSource(term, termOf(part, term).m ?? part.slopes[0]);
     head.push(text, "#define SPECULAR\n",
-      "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
+      "float specular_term(vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
       term.constant === null ? "" : `    m = ${literal(term.constant)};\n`,
       `    return ${call};\n}\n`);
   } else {
@@ -64,7 +64,7 @@ function shadeSource(part, term, {lights, ambient, only}, specular = true) {
     const count = lights.filter(light => lightKind(light) === kind).length;
     if (!count) continue;
     head.push(`#define ${kind.toUpperCase()}_LIGHTS ${count}\n`, text);
-    loops.push(`for (int i = 0; i < ${count}; ++i) add_light(s, v, ${kind}_light(i, s.position), 0);`);
+    loops.push(`for (int i = 0; i < ${count}; ++i) add_light(s, v, ${kind}_light(i, s.position), true);`);
   }
   return [...head, `#define EVERY_LIGHT ${loops.join(" ")}\n`, sources.host["shade.frag"]].join("");
 }

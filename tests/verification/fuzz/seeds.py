@@ -108,7 +108,7 @@ d 0.9
 Tf 1 1 1
 map_Kd -s 2 3 1 -o 0.5 -clamp on skin.jpg
 map_Bump -bm 0.5 skin.jpg
-map_d -imfchan g skin.<UDIM>.jpg
+map_d -imfchan g skin.jpg
 map_Pr skin.jpg
 """
 
