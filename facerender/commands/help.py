@@ -45,10 +45,6 @@ EXAMPLES = {
     ),
     "shaders prepare-normal-map": ("facerender shaders prepare-normal-map pores.png pores.ktx2",),
     "doctor": ("facerender doctor",),
-    "completion": (
-        'eval "$(facerender completion bash)"',
-        "facerender completion zsh > ~/.zfunc/_facerender",
-    ),
 }
 
 
