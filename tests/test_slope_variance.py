@@ -3,7 +3,6 @@ against supersampling."""
 
 from __future__ import annotations
 
-import struct
 from dataclasses import replace
 
 import numpy as np
@@ -168,27 +167,6 @@ def test_options_of_render_equal_python(tmp_path, egl, capsys):
     with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
         expected = renderer.render(scene, shading).linear
     np.testing.assert_array_equal(read_image(path).pixels[..., :3], expected[..., :3])
-
-
-def test_prepared_maps_hold_the_levels(tmp_path, capsys):
-    random = np.random.default_rng(4)
-    texels = random.integers(90, 166, (6, 10, 3), dtype=np.uint8)
-    Image.fromarray(texels).save(tmp_path / "in.png")
-    place = tmp_path / "out.ktx2"
-    command = ["shaders", "prepare-normal-map", str(tmp_path / "in.png"), str(place)]
-    assert main(command) == 0
-    content = place.read_bytes()
-    assert content[:12] == b"\xabKTX 20\xbb\r\n\x1a\n"
-    assert struct.unpack_from("<9I", content, 12) == (37, 1, 10, 6, 0, 0, 1, 4, 0)
-    expected = fr.Texture.open(tmp_path / "in.png").levels("normal").result()
-    for number, level in enumerate(expected):
-        at, length, whole = struct.unpack_from("<3Q", content, 80 + 24 * number)
-        assert (at % 4, length, whole) == (0, level.nbytes, level.nbytes)
-        stored = np.frombuffer(content, np.uint8, length, at).reshape(level.shape)
-        np.testing.assert_array_equal(stored[::-1], level)
-    assert content[-expected[0].nbytes :] == expected[0][::-1].tobytes()  # the finest level is last
-    assert main([*command[:-1], str(tmp_path / "out.png")]) == 2
-    assert "unknown texture format '.png'; give .ktx2" in capsys.readouterr().err
 
 
 @pytest.mark.slow

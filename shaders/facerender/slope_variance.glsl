@@ -43,7 +43,6 @@ float fr_slope_filtered(float m, float variance) {
 }
 
 // Slope variance within one texel of a prepared normal map, at any mip level.
-// The command facerender shaders prepare-normal-map writes such maps.
 //
 //   formula:  FR_MAP_SHARE (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of
 //             unit normals; (0.35 alpha)^2 is the variance v of the slopes, FR_MAP_SHARE is 0.5
