@@ -281,10 +281,7 @@ def test_scenes_that_the_page_cannot_show_are_refused(tmp_path, capsys, words, m
             "subsurface scattering, the coupled diffuse term",
         ),
         ("--no-shadows --scattering skin --scatter-samples 0", ""),
-        (
-            "--no-shadows --no-slope-filter --curvature",
-            "slope_filter, curvature of the shading",
-        ),
+        ("--no-shadows --no-slope-filter", "slope_filter of the shading"),
         ("--no-shadows --anisotropy 4 --full-maps", "anisotropy, full_maps of the image"),
         ("--no-shadows --normal-strength 0.5 --normal-map normal_map.png", "map strengths"),
         ("--no-shadows --part *,alpha=mask,opacity=0.3", "masks"),

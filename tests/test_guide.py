@@ -132,7 +132,7 @@ def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monke
 
 
 VARIABLES = """#version 330 core
-uniform vec3 n, l, v, u, albedo, irradiance, position, mesh_normal, centre;
+uniform vec3 n, l, v, u, albedo, irradiance, position, centre;
 uniform vec2 uv;
 uniform float m, f0, ks, s, k, material_m, radius, size;
 uniform mat3 frame, axes;

@@ -272,9 +272,8 @@ def cases() -> Iterator[tuple[Case, bool]]:
         yield Case(partial(plain, **material), shading, {"diffuse": "lambert"}, 0.002, -0.02), path
     for path in (False, True):
         own = {"lobe": "fitted"}
-        for curvature in (False, True):
-            shading = fr.Shading(outside="exact", curvature=curvature, lights={1: own})
-            yield Case(areas, shading, {"normal_map": False}, 0.001), path
+        shading = fr.Shading(outside="exact", lights={1: own})
+        yield Case(areas, shading, {"normal_map": False}, 0.001), path
         yield Case(shadows, fr.Shading(), {"shadow_lights": []}, 0.01), path
     wide = fr.Shading(scatter_samples=8, diffuse="coupled")
     for shading, path in ((fr.Shading(), False), (wide, True)):
