@@ -52,7 +52,6 @@ COMMANDS = {
     "compare": "compare IN/a IN/b --report OUT/a.html",
     "heatmap": "compare IN/a/0.png IN/b/0.png --heatmap OUT/a.png",
     "explore": "explore IN/small.obj -o OUT/a.html",
-    "normal-map": "shaders prepare-normal-map IN/skin.png OUT/a.ktx2",
     "batch": "batch IN/jobs.jsonl -o OUT --workers 1 --chunk 2",
 }
 

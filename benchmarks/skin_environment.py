@@ -123,7 +123,6 @@ def sparkle(size: int = 384) -> dict[str, int]:
         "1 sample": image(1, 1),
         "4 samples": image(1, 4),
         "16 samples": image(1, 16),
-        "4 samples, `--curvature`": image(1, 4, fr.Shading(curvature=True)),
         "4 samples, twice the size, scaled down": image(2, 4),
     }
     errors = {name: np.abs(own - expected).max(axis=-1) for name, own in images.items()}

@@ -82,7 +82,6 @@ def _frames(plain: fr.Scene) -> Mapping[str, tuple[fr.Scene, fr.Shading]]:
     return {
         "plain": (plain, every),
         "without the slope filter": (plain, fr.Shading(slope_filter=False)),
-        "curvature": (plain, fr.Shading(curvature=True)),
         "key light with a radius": (key_light(radius=5.0), every),
         "key light with a hard shadow": (key_light(shadow=True), every),
         "key light with a soft shadow": (having(1), every),

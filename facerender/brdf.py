@@ -41,7 +41,6 @@ from facerender.terms.slope_variance import (
     slope_filtered,
     slope_variance_disc,
     slope_variance_map,
-    slope_variance_pixel,
 )
 
 __all__ = [
@@ -69,7 +68,6 @@ __all__ = [
     "slope_sample",
     "slope_variance_disc",
     "slope_variance_map",
-    "slope_variance_pixel",
     "ward",
     "ward_pdf",
     "ward_printed",

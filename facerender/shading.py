@@ -157,11 +157,10 @@ class Shading:
         32; 0 leaves the specular environment light out
     slope_filter : specular antialiasing of normal maps, default true: widen the lobe by the map's
         slopes that a pixel does not resolve
-    curvature : whether to widen the lobe by the curvature of the mesh within a pixel, default false
     scatter_samples : subsurface samples per pixel: 8, 16 (default), 32 or 64; 0 leaves scattering
         out
 
-    slope_filter, curvature and area lights do not widen the lobe of a term with a constant m.
+    slope_filter and area lights do not widen the lobe of a term with a constant m.
 
     Raises
     ------
@@ -175,7 +174,6 @@ class Shading:
     ambient: bool = True
     two_lobes: bool = True
     slope_filter: bool = True
-    curvature: bool = False
     environment: bool = True
     diffuse: str = "lambert"
     scatter_samples: int = 16
@@ -202,7 +200,6 @@ class Shading:
         normal_map: bool = normal_map,
         ambient: bool = ambient,
         slope_filter: bool = slope_filter,
-        curvature: bool = curvature,
         two_lobes: bool = two_lobes,
         diffuse: str = diffuse,
         scatter_samples: int = scatter_samples,

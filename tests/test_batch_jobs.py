@@ -849,7 +849,7 @@ INVALID = [
     {"shading.masking": "x"},
     {"shading.diffuse": "x"},
     {"shading.outside": "x"},
-    {"shading.curvature": 1},
+    {"shading.slope_filter": 1},
     {"shading.scatter_samples": 7},
     {"shading.environment_samples": 3},
     {"shading.specular_lights": [0.5]},

@@ -28,9 +28,8 @@ BASES: dict[str, tuple[str, ...]] = {
     "measure": ("--quick",),
     "compare": (),
     "explore": ("-o", "x.html"),
-    "shaders prepare-normal-map": (),
 }
-FILES = {"jobs": "jobs.csv", "a": "a.png", "b": "a.png", "source": "a.png", "output": "a.ktx2"}
+FILES = {"jobs": "jobs.csv", "a": "a.png", "b": "a.png"}
 SUFFIX = {
     "jobs": ".csv",
     "mesh": ".glb",
@@ -55,7 +54,7 @@ PARSERS = dict(parsers())
 
 def reads_file(action: argparse.Action) -> bool:
     metavar = str(action.metavar or "")
-    is_file = metavar.startswith("FILE") or metavar in ("MESH", "JOBS", "IN", "A", "B")
+    is_file = metavar.startswith("FILE") or metavar in ("MESH", "JOBS", "A", "B")
     return is_file and action.dest != "output"
 
 

@@ -27,13 +27,11 @@ from facerender.drawing.frame import GBuffer
 from facerender.errors import FacerenderWarning
 from facerender.explorer.mesh import QUALITIES, drawable, encoded, octahedral
 from facerender.explorer.page import explorer_page
-from facerender.glsl.library import TARGETS, term_source
 from facerender.images.srgb import linear_to_srgb
 from facerender.job import Job, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
 from facerender.scenes.framing import region_of
-from facerender.scenes.mesh import slope_range
 from facerender.scenes.texture import Texture
 from facerender.scenes.vectors import direction_to
 from facerender.scenes.view import view_of
@@ -228,7 +226,7 @@ def test_command_opens_the_page_with_its_scene(browser, tmp_path, capsys):
         probed = page.evaluate("places => explorer.probe(places)", at.tolist())
         assert page.locator("#cameras :checked").get_attribute("value") == "three-quarter"
         assert page.get_by_label("m of B", exact=True).input_value() == "0.2"
-        code = page.evaluate("explorer.code('b', 'command')")
+        code = page.evaluate("explorer.command('b')")
     for which, name in (("a", "fitted"), ("b", "d8")):
         assert {each: now[which][each] for each in ("model", "lobe", "m", "f0")} == {
             "model": "ward", "lobe": name, "m": 0.2, "f0": None
@@ -281,10 +279,7 @@ def test_scenes_that_the_page_cannot_show_are_refused(tmp_path, capsys, words, m
             "subsurface scattering, the coupled diffuse term",
         ),
         ("--no-shadows --scattering skin --scatter-samples 0", ""),
-        (
-            "--no-shadows --no-slope-filter --curvature",
-            "slope_filter, curvature of the shading",
-        ),
+        ("--no-shadows --no-slope-filter", "slope_filter of the shading"),
         ("--no-shadows --anisotropy 4 --full-maps", "anisotropy, full_maps of the image"),
         ("--no-shadows --normal-strength 0.5 --normal-map normal_map.png", "map strengths"),
         ("--no-shadows --part *,alpha=mask,opacity=0.3", "masks"),
@@ -323,7 +318,7 @@ def test_note_lists_the_features_that_the_page_omits(browser, tmp_path, mesh):
 
     assert note(Job(lights=PLAIN), mesh) == ("", True)
     soft = note(Job(lights=(fr.Light(radius=3.0),)), mesh)[0]
-    assert soft == "This page omits soft shadows. Its code omits soft shadows."
+    assert soft == "This page omits soft shadows. Its command omits soft shadows."
     dark = Job(lights=(), ambient=0.0, environment=fr.EnvironmentFile("studio"))
     assert note(dark, mesh)[1]  # lit by the default lights
     head = note(Job(lights=PLAIN), fr.load_mesh())[0]
@@ -347,8 +342,8 @@ def test_constant_m_of_a_plan_is_shown_and_drawn(browser, tmp_path, written, egl
         assert "in A, 0.314 in B" in page.inner_text("#here")
         size = tuple(page.evaluate("explorer.size"))
         drawn = images(page)[1]
-        assert "m = 0.31416" in page.evaluate("explorer.code('b', 'toml')")
-        assert "--scene b.toml" in page.evaluate("explorer.code('b', 'command')")
+        assert "m = 0.31416" in page.evaluate("explorer.scene('b')")
+        assert "--scene b.toml" in page.inner_text("#command")
     options = parser_of(["render", *words, "-o", "a.png"]).parse_args(
         ["render", *words, "-o", "a.png"]
     )
@@ -358,8 +353,8 @@ def test_constant_m_of_a_plan_is_shown_and_drawn(browser, tmp_path, written, egl
     assert np.abs(drawn - frame.linear).mean() < 1e-3
 
 
-def test_toml_renders_the_image_of_the_page(browser, tmp_path, written, monkeypatch):
-    """The TOML and its first line, the command, render the page's image in the page's size."""
+def test_saved_scene_renders_the_image_of_the_page(browser, tmp_path, written, monkeypatch):
+    """The scene file and the command in its first line render the page's image in its size."""
     mesh, path = written[1], tmp_path / "page.html"
     job = Job(
         mesh,
@@ -375,10 +370,13 @@ def test_toml_renders_the_image_of_the_page(browser, tmp_path, written, monkeypa
         page.evaluate("explorer.errors()")
         size = page.evaluate("explorer.size")
         shown = linear_to_srgb(np.clip(2**0.5 * images(page)[1][..., :3], 0.0, 1.0))
-        toml = page.evaluate("explorer.code('b', 'toml')")
+        with page.expect_download() as download:
+            page.click("#save-scene")
+        assert download.value.suggested_filename == "b.toml"
+        download.value.save_as(tmp_path / "b.toml")
     monkeypatch.chdir(tmp_path)
-    Path("b.toml").write_text(toml)
-    command = shlex.split(toml.splitlines()[0].removeprefix("# facerender "))
+    first = Path("b.toml").read_text().splitlines()[0]
+    command = shlex.split(first.removeprefix("# facerender "))
     assert main(command) == 0
     image = Image.open("b.png")
     assert image.size == tuple(size)
@@ -465,11 +463,9 @@ def test_m_of_a_term_applies_to_the_skin(browser, tmp_path):
         width, height = page.evaluate("explorer.size")
         at = [[int(x * width), height // 2] for x in np.linspace(0.0, 0.99, 50)]
         probed = page.evaluate("places => explorer.probe(places)", at)
-        code = page.evaluate("explorer.code('a', 'python')")
     found = {each["a"]["part"]: each["a"] for each in probed}
     shown = {part: (own["m"], own["specular_weight"]) for part, own in found.items() if part >= 0}
     assert shown == {0: (0.5, 0.25), 1: (0.125, 1.0)}
-    assert ".with_skin(m=0.5, ks=0.25)" in code
 
 
 def test_errors_agree_with_compare(page):
@@ -755,65 +751,36 @@ def test_slope_outside_the_domain_is_reported(page):
 
 
 @pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
-def test_code_equals_the_output_of_flatten(page, mesh, words, term, changes):
-    follow(page, f"a={words}")
-    smallest = min(slope_range(*each)[0] for each in zip(mesh.parts, mesh.materials, strict=True))
-    for target in TARGETS:
-        own = term_source(term, changes.get("m", smallest), target)
-        assert page.evaluate("target => explorer.code('a', target)", target) == own
-
-
-@pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
-def test_command_line_toml_and_python_give_the_same_scene(
+def test_command_line_and_scene_file_give_the_same_scene(
     page, written, tmp_path, words, term, changes
 ):
     light = "-50,42,3.6,3.4,3.1,5;20,30,1,1,1,0,2.5"  # a disc, a point light
     follow(page, f"a={words}&camera=azimuth:-35;zoom:1.2&lights={light}&exposure=0.5")
-    command, toml, python = (
-        page.evaluate("kind => explorer.code('a', kind)", kind)
-        for kind in ("command", "toml", "python")
-    )
+    command, toml = page.evaluate("explorer.command('a')"), page.evaluate("explorer.scene('a')")
     (tmp_path / "a.toml").write_text(toml)
-    first = toml.splitlines()[0].replace("a.toml", str(tmp_path / "a.toml"))
-    plain = shlex.split(first)[2:]
-    command = command.replace("\\\n", "").replace("a.toml", str(tmp_path / "a.toml"))
-    given = shlex.split(command)[1:]
     jobs = []
-    for words_ in (plain, given):
-        options = parser_of(words_).parse_args(words_)
-        jobs.append(job_of(options, (8, 8))[0])
-    taken = {}
-    code = python.split("with fr.Renderer")[0] + python.split(" as renderer:")[1].split("\n")[1]
-    code = code.replace("    frame = renderer.render(scene, ", "shading = (")
-    exec(code, taken)
-    scene, shading = taken["scene"], taken["shading"]
-    for job in jobs:
-        assert job.shading == shading == fr.Shading(term=term)
+    for text in (command.replace("\\\n", ""), toml.splitlines()[0].removeprefix("# ")):
+        given = shlex.split(text.replace("a.toml", str(tmp_path / "a.toml")))[1:]
+        jobs.append(job_of(parser_of(given).parse_args(given), (8, 8))[0])
+        job = jobs[-1]
+        assert job.shading == fr.Shading(term=term)
         assert {name: job.material[name] for name in changes} == changes
         roughness = None if "m" in changes else written[1].roughness_map
         assert job.mesh == replace(written[1], roughness_map=roughness)
-        for one, other in zip(job.lights, scene.lights, strict=True):
-            np.testing.assert_allclose(one.irradiance, other.irradiance)
-            assert (one.position is None) == (other.position is None)
-            assert one.radius == other.radius
-            assert (one.shadow, other.shadow) == (False, False)  # as in the page
-        assert job.ambient == scene.ambient
-        assert job.camera == scene.camera
-    assert (scene.camera.azimuth, scene.camera.zoom) == (-35.0, 1.2)
+        assert (job.camera.azimuth, job.camera.zoom) == (-35.0, 1.2)
+        assert job.lights[0] == fr.Light(-50.0, 42.0, (3.6, 3.4, 3.1), radius=5.0, shadow=False)
+    assert jobs[0].lights == jobs[1].lights
+    assert jobs[0].lights[1].position is not None
+    assert (jobs[0].ambient, jobs[0].camera) == (jobs[1].ambient, jobs[1].camera)
     assert "--exposure 0.5" in command
-    assert 'frame.save("a.png", 0.5)' in python
 
 
-def test_diff_shows_the_changed_lines(page):
-    look(page, "b=lobe:d8")
-    page.locator("#code-of label", has_text="A to B").click()
-    page.locator("#code-kind label", has_text="GLSL ES 300").click()
-    text = page.inner_text("#code")
-    assert "- #define FR_LOBE FR_LOBE_EXACT" in text
-    assert "+ #define FR_LOBE FR_LOBE_D8" in text
-    assert "unchanged lines" in text
-    look(page, "b=lobe:exact")
-    assert page.inner_text("#code") == "A and B are the same here."
+def test_command_without_lights_reads_them_from_the_scene_file(page):
+    look(page, "lights=none")
+    command = page.inner_text("#command")
+    assert "--scene b.toml" in command
+    assert "--light" not in command
+    assert "lights = []" in page.evaluate("explorer.scene('b')")
 
 
 def test_new_lobe_of_the_registry_appears_in_the_page(browser, tmp_path, monkeypatch):
@@ -956,7 +923,7 @@ CUT = """() => {
     const cut = [];
     const name = each => each.ariaLabel || each.id || each.textContent.trim() || each.tagName;
     const all = [...document.querySelectorAll(".explorer *")]
-        .filter(each => each.checkVisibility() && !each.closest("#code, .hidden, svg")
+        .filter(each => each.checkVisibility() && !each.closest("#command, .hidden, svg")
             && !each.matches(".choice input, option"));
     for (const each of all) {
         const box = each.getBoundingClientRect();

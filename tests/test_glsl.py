@@ -464,9 +464,7 @@ def test_missing_file_within_a_condition_is_left_to_the_compiler(evaluate, tmp_p
             for flat in (fr.resolve_includes(text), fr.shader_source(str(own))):
                 assert evaluate(flat, "x", inputs) == 0.5
             if "#if 1" not in condition:
-                with pytest.raises(
-                    moderngl.Error, match=r"no file (\S*/)?absent|#include FILE"
-                ):
+                with pytest.raises(moderngl.Error, match=r"no file (\S*/)?absent|#include FILE"):
                     evaluate(f"#define HOST 1\n{fr.resolve_includes(text)}", "x", inputs)
     (tmp_path / "inner.glsl").write_text('#include "absent.glsl"\n')
     text = '#ifdef HOST\n#include "inner.glsl"\n#endif\n'

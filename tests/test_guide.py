@@ -11,6 +11,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import facerender as fr
 from facerender.commands import parser_of
@@ -123,13 +124,15 @@ def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monke
     if page.stem == "compare":
         for m, file in ((0.3, "golden.exr"), (0.306, "new.exr")):
             fr.render(m=m, size=(640, 640)).save(file)
+    if page.stem == "shaders":
+        Image.new("RGB", (8, 4), (128, 128, 255)).save("normal.png")
     names: dict[str, object] = {}
     for block in python(page):
         exec(compile(block, name(page), "exec"), names)
 
 
 VARIABLES = """#version 330 core
-uniform vec3 n, l, v, u, albedo, irradiance, position, mesh_normal, centre;
+uniform vec3 n, l, v, u, albedo, irradiance, position, centre;
 uniform vec2 uv;
 uniform float m, f0, ks, s, k, material_m, radius, size;
 uniform mat3 frame, axes;

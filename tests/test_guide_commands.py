@@ -88,7 +88,7 @@ def write_inputs(folder: Path) -> None:
     stand_ins.write_obj(folder / "head.obj", egg, egg["v_template"])
     np.save(folder / "frames.npy", np.repeat(egg["v_template"][None], 13, axis=0))
     texels = np.full((32, 32, 3), (128, 128, 255), dtype=np.uint8)
-    for file in ("colour.jpg", "pores.png", "sweat.png", "normal.png"):
+    for file in ("colour.jpg", "pores.png", "sweat.png"):
         Image.fromarray(texels).save(folder / file)
     shutil.copy(folder / "head.obj", folder / "scan.obj")
     (folder / "skin.frag").write_text(SHADER)

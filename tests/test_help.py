@@ -1,11 +1,10 @@
-"""Help texts: descriptions, options and examples; unknown options; --verbose; shell completion."""
+"""Help texts: descriptions, options and examples; unknown options; --verbose."""
 
 from __future__ import annotations
 
 import argparse
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,7 +16,6 @@ import pytest
 from facerender.commands import COMMANDS, main, parser_of
 from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from tests.awkward_files import MINI_HEAD
-from tests.conftest import missing, require_module
 
 SIZE = ("--size", "16", "--samples", "1")
 
@@ -102,48 +100,6 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
     assert "--quiet and --verbose exclude each other" in err
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
-def test_completion_is_a_script(shell, capsys):
-    require_module("shtab")
-    status, script, err = run(capsys, "completion", shell)
-    assert (status, err) == (0, "")
-    for word in ("render", "hide", "fitted-fine"):
-        assert word in script
-
-
-def test_completion_completes(tmp_path, capsys):
-    require_module("shtab")
-    if shutil.which("bash") is None:
-        missing("no bash")
-    script = run(capsys, "completion", "bash")[1]
-    (tmp_path / "head.glb").touch()
-    asked = {
-        "re": "render",
-        "render --hi": "--hide",
-        "render --lobe d": "d4 d8 d16",
-        "render he": "head.glb",
-        "render --albedo he": "head.glb",
-        "render --vertices he": "head.glb",
-        "shaders fl": "flatten",
-    }
-    for words in asked:
-        count = len(words.split())
-        script += f"\nCOMP_WORDS=(facerender {words}); COMP_CWORD={count}; COMPREPLY=()\n"
-        script += '_shtab_facerender; echo "> ${COMPREPLY[*]}"\n'
-    done = subprocess.run(
-        ["bash"], input=script, capture_output=True, text=True, cwd=tmp_path, check=True
-    )
-    told = [line[2:] for line in done.stdout.splitlines() if line.startswith("> ")]
-    assert told == [*asked.values()]
-
-
-def test_completion_without_its_package_is_told(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    status, out, err = run(capsys, "completion", "bash")
-    assert (status, out) == (2, "")
-    assert err.startswith("facerender: error: completion needs the package shtab; pip install")
-
-
 @pytest.mark.slow
 def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
     code = (
@@ -151,7 +107,7 @@ def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
         "assert not {'numpy', 'argparse', 'moderngl'} & {*sys.modules}\n"
         "from facerender.commands import main\n"
         "main(sys.argv[1:])\n"
-        "late = {'shtab', 'tqdm', 'trimesh', 'facerender.commands.completion'}\n"
+        "late = {'tqdm', 'trimesh'}\n"
         "assert not late & {*sys.modules}\n"
     )
     words = ["render", *SIZE, "--no-cache", "--only", "mask", "--m", "0.3"]

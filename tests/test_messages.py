@@ -364,13 +364,6 @@ MESSAGES = [
         ),
     ),
     (
-        "completion fish",
-        (
-            "argument shell: invalid choice: 'fish' (choose from bash, zsh, tcsh); see "
-            "facerender completion --help"
-        ),
-    ),
-    (
         "batch bad.toml -o out",
         "bad.toml is not valid TOML: Invalid value (at end of document); correct it",
     ),

@@ -97,7 +97,6 @@ READ = [
     ("mask.png", ("compare", "skin.png", "mask.png", "--report"), ".html"),
     ("mask.png", ("compare", "skin.png", "skin.png", "--mask", "mask.png", "--report"), ".html"),
     ("skin.png", ("explore", "head.obj", "--albedo", "skin.png", "-o"), ".html"),
-    ("skin.png", ("shaders", "prepare-normal-map", "skin.png"), ".ktx2"),
 ]
 
 

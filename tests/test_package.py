@@ -192,7 +192,7 @@ def test_parts_without_opengl_work_elsewhere(system, tmp_path):
 
 
 PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-EXTRAS = {"exr", "hdr", "draco", "lod", "rays", "mp4", "batch", "completion", "measure"}
+EXTRAS = {"exr", "hdr", "draco", "lod", "rays", "mp4", "batch", "measure"}
 
 
 @pytest.fixture(scope="module")

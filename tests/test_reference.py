@@ -252,9 +252,8 @@ def cases() -> Iterator[tuple[Case, bool]]:
         shading = fr.Shading(diffuse="coupled", **changes)
         yield Case(partial(plain, **material), shading, {"diffuse": "lambert"}, 0.002, -0.02), path
     for path in (False, True):
-        for curvature in (False, True):
-            shading = fr.Shading(lobe="fitted", outside="exact", curvature=curvature)
-            yield Case(areas, shading, {"normal_map": False}, 0.001), path
+        shading = fr.Shading(lobe="fitted", outside="exact")
+        yield Case(areas, shading, {"normal_map": False}, 0.001), path
         yield Case(shadows, fr.Shading(), {"shadow_lights": []}, 0.01), path
     wide = fr.Shading(scatter_samples=8, diffuse="coupled")
     for shading, path in ((fr.Shading(), False), (wide, True)):

@@ -1,9 +1,8 @@
-"""Tests the slope filter, curvature and area lights: stored mip levels, rendering, and errors
-against supersampling."""
+"""Tests the slope filter and area lights: stored mip levels, rendering, and errors against
+supersampling."""
 
 from __future__ import annotations
 
-import struct
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +19,9 @@ from facerender.images.read import read_image
 from facerender.scenes.light import parse_light
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
-from tests.test_lod import mesh_of
-from tests.test_reference import SIDE, areas
+from tests.test_reference import areas
 from tests.verification.evaluate import Evaluator
 from tests.verification.lights import PLAIN_THREE
-from tests.verification.parts_head import ball
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
 
 
@@ -87,37 +84,11 @@ def test_relief_of_normally_distributed_slopes_needs_the_whole_variance(egl):
 
 
 @pytest.mark.slow
-def test_curvature_is_the_same_with_deferred_shading(egl, head, monkeypatch):
-    scene = fr.Scene(head.with_material(m=0.2, normal_map=None), SIDE)
-    slopes = []
-    for deferred in (False, True):
-        monkeypatch.setattr(
-            "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
-        )
-        with fr.Renderer((128, 128), samples=1, backend=egl) as renderer:
-            slopes.append(renderer.gbuffer(scene, fr.Shading(curvature=True)).m)
-    covered = slopes[0] > 0.0
-    assert slopes[0][covered].max() > 0.3
-    assert np.quantile(np.abs(slopes[0] - slopes[1])[covered], 0.99) < 3e-3
-
-
-def test_a_sphere_is_widened_by_its_curvature(egl):
-    distance, fov, size, m = 20.0, 7.0, 32, 0.1
-    mesh = mesh_of(ball((0.0, 0.0, 0.0), 1.0, 64)).with_material(m=m)
-    camera = fr.Camera(position=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), fov=fov)
-    with fr.Renderer((size, size), samples=1, backend=egl) as renderer:
-        found = renderer.gbuffer(fr.Scene(mesh, camera), fr.Shading(curvature=True)).m[16, 16]
-    turn = 2.0 * (distance - 1.0) * np.tan(np.radians(fov / 2.0)) / size  # angle per pixel
-    assert float(found) ** 2 - m**2 == pytest.approx(2.0 * (2.0 * turn**2 / 24.0), rel=0.01)
-
-
-@pytest.mark.slow
 def test_slope_filter_can_be_disabled(renderer, head):
     off = fr.Shading(slope_filter=False)
     (part,), (material,) = head.parts, head.materials
     assert "SLOPE_FILTER" in surface_features(part, material, fr.Shading())
-    features = surface_features(part, material, off)
-    assert not {"SLOPE_FILTER", "CURVATURE"}.intersection(features)
+    assert "SLOPE_FILTER" not in surface_features(part, material, off)
     mesh = head.with_material(m=0.3)
     covered = renderer.gbuffer(fr.Scene(mesh), off).part >= 0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), off).m[covered]) == 0.0
@@ -161,34 +132,13 @@ def test_options_of_render_equal_python(tmp_path, egl, capsys):
     options = ["--size", "48", "--samples", "1", "--light", "key,radius=12", "--no-cache"]
     path = tmp_path / "head.exr"
     require_module("OpenEXR")
-    options += ["--no-slope-filter", "--curvature", "-o", str(path)]
+    options += ["--no-slope-filter", "-o", str(path)]
     assert main(["render", str(MINI_HEAD), *options]) == 0
-    shading = fr.Shading(slope_filter=False, curvature=True)
+    shading = fr.Shading(slope_filter=False)
     scene = fr.Scene(fr.load_mesh(MINI_HEAD), lights=(parse_light("key,radius=12"),))
     with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
         expected = renderer.render(scene, shading).linear
     np.testing.assert_array_equal(read_image(path).pixels[..., :3], expected[..., :3])
-
-
-def test_prepared_maps_hold_the_levels(tmp_path, capsys):
-    random = np.random.default_rng(4)
-    texels = random.integers(90, 166, (6, 10, 3), dtype=np.uint8)
-    Image.fromarray(texels).save(tmp_path / "in.png")
-    place = tmp_path / "out.ktx2"
-    command = ["shaders", "prepare-normal-map", str(tmp_path / "in.png"), str(place)]
-    assert main(command) == 0
-    content = place.read_bytes()
-    assert content[:12] == b"\xabKTX 20\xbb\r\n\x1a\n"
-    assert struct.unpack_from("<9I", content, 12) == (37, 1, 10, 6, 0, 0, 1, 4, 0)
-    expected = fr.Texture.open(tmp_path / "in.png").levels("normal").result()
-    for number, level in enumerate(expected):
-        at, length, whole = struct.unpack_from("<3Q", content, 80 + 24 * number)
-        assert (at % 4, length, whole) == (0, level.nbytes, level.nbytes)
-        stored = np.frombuffer(content, np.uint8, length, at).reshape(level.shape)
-        np.testing.assert_array_equal(stored[::-1], level)
-    assert content[-expected[0].nbytes :] == expected[0][::-1].tobytes()  # the finest level is last
-    assert main([*command[:-1], str(tmp_path / "out.png")]) == 2
-    assert "unknown texture format '.png'; give .ktx2" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -215,7 +165,7 @@ def test_slope_filter_reduces_flicker(egl, scan_mesh):
     texture = relief(slopes_of(scan_mesh.materials[0].normal_map), 4.0)
     beyond = flicker(scan_mesh, texture, 0.15, 96, (-20.0, -19.8, -19.6))
     assert beyond["none"] > 0.0
-    assert beyond["filter and curvature"] < 0.5 * beyond["none"]
+    assert beyond["filter"] < 0.5 * beyond["none"]
 
 
 @pytest.mark.first_case

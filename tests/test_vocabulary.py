@@ -185,7 +185,7 @@ MATERIAL = {
 }
 SHADING = {
     **{"outside": "exact", "ks": 0.5, "normal_map": False, "ambient": False, "two_lobes": False},
-    **{"slope_filter": False, "curvature": True, "environment": False, "diffuse": "coupled"},
+    **{"slope_filter": False, "environment": False, "diffuse": "coupled"},
     **{"scatter_samples": 32, "environment_samples": 16, "specular_lights": [0]},
     "shadow_lights": [0],
 }

@@ -28,9 +28,8 @@ COMMANDS = {
     "measure": "measure cost and error of each specular approximation",
     "compare": "compare two images, or two folders of images",
     "explore": "write a web page that compares two shadings of a mesh",
-    "shaders": "list, flatten and prepare files of the GLSL library",
+    "shaders": "list and flatten files of the GLSL library",
     "doctor": "check the OpenGL drivers and packages of this machine",
-    "completion": "print a shell-completion script",
 }
 INTERNAL_ERROR = 70  # exit status EX_SOFTWARE of sysexits.h; all statuses: see main()
 

@@ -25,7 +25,6 @@ PACKAGES = {
     "rays": ("embreex",),
     "mp4": ("imageio-ffmpeg",),
     "batch": ("distributed", "fsspec", "pyarrow"),
-    "completion": ("shtab",),
     "measure": ("flip-evaluator",),
 }
 

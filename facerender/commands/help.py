@@ -43,12 +43,7 @@ EXAMPLES = {
         "facerender shaders flatten cook_torrance --target es300 --lobe d16 --m 0.3 > skin.frag",
         "facerender shaders flatten mine.frag > flat.frag",
     ),
-    "shaders prepare-normal-map": ("facerender shaders prepare-normal-map pores.png pores.ktx2",),
     "doctor": ("facerender doctor",),
-    "completion": (
-        'eval "$(facerender completion bash)"',
-        "facerender completion zsh > ~/.zfunc/_facerender",
-    ),
 }
 
 

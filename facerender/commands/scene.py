@@ -175,8 +175,6 @@ def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
     add_field(terms, Material, "kd", "diffuse weight")
     text = "specular antialiasing: widen the lobe by normal-map slopes smaller than a pixel"
     add_switch(terms, "slope-filter", text, "on")
-    text = "also widen the lobe by a pixel's curvature, for images below about 128 x 128 pixels"
-    add_switch(terms, "curvature", text, "off")
     second = "m of a second lobe, as a factor of m"
     add_field(terms, Material, "second_slope", second, "{:g}: one lobe", metavar="F")
     weight = "fraction of the first lobe"
@@ -430,7 +428,7 @@ def _shading(
                     f"--{name.replace('_', '-')} out, or {remedy}"
                 )
     terms = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
-    features = ("slope_filter", "curvature", "scatter_samples", "environment_samples")
+    features = ("slope_filter", "scatter_samples", "environment_samples")
     return Shading.from_dict({**pinned, **values_of(options, *terms, *features)})
 
 

@@ -1,4 +1,4 @@
-"""``facerender shaders list``, ``path``, ``flatten`` and ``prepare-normal-map``."""
+"""``facerender shaders list``, ``path`` and ``flatten``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import add_flag, add_number, check_outputs
+from facerender.commands.common import add_flag, add_number
 from facerender.commands.help import Help
 from facerender.commands.streams import print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
@@ -18,8 +18,7 @@ from facerender.terms.lobe import SLOPES
 def add(shaders: argparse.ArgumentParser) -> None:
     shaders.description = (
         "Use the GLSL library in another program: list its functions, print its include\n"
-        "directory, flatten a shader into one file, or prepare a normal map for specular\n"
-        "antialiasing."
+        "directory, or flatten a shader into one file."
     )
     actions = shaders.add_subparsers(title="actions", required=True, metavar="ACTION")
     listing = actions.add_parser("list", help="list every function with its unit and error")
@@ -57,16 +56,6 @@ def add(shaders: argparse.ArgumentParser) -> None:
         "-I", dest="paths", action="append", default=[], metavar="DIR", help=folder
     )
     flatten.set_defaults(command=run_flatten)
-    summary = "prepare a normal map for specular antialiasing"
-    prepare = actions.add_parser("prepare-normal-map", help=summary)
-    prepare.description = (
-        "Write a normal map with all mip levels as KTX 2.0. Its alpha channel stores the\n"
-        "standard deviation of the normals' slopes, which slope_variance.glsl reads."
-    )
-    source = Help("normal map: .png, .jpg, .tif or .webp", "required")
-    prepare.add_argument("source", metavar="IN", help=source)
-    prepare.add_argument("output", metavar="OUT", help=Help("output file: .ktx2", "required"))
-    prepare.set_defaults(command=run_prepare_normal_map)
 
 
 def run_list(options: argparse.Namespace) -> int:
@@ -94,13 +83,4 @@ def run_path(options: argparse.Namespace) -> int:
 def run_flatten(options: argparse.Namespace) -> int:
     choices = {"lobe": options.lobe, "m": options.m, "paths": options.paths}
     print_result(shader_source(options.name, options.target, **choices), end="")
-    return 0
-
-
-def run_prepare_normal_map(options: argparse.Namespace) -> int:
-    from facerender.scenes.prepared import prepare_normal_map
-
-    check_outputs([options.output], [options.source])
-    prepare_normal_map(options.source, options.output)
-    print_result(options.output)
     return 0

@@ -113,7 +113,6 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
     names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
     second = [name for name in names if material.by_second(name.lower())]
     names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
-    names += ["CURVATURE"] * shading.curvature
     names += ["CONSTANT_SLOPE"] * (shading.term.m is not None)
     if part.uv is not None:
         names.append("UV")

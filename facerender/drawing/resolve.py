@@ -23,7 +23,6 @@ from facerender.scenes.mesh import Mesh, Part, slope_range
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
 from facerender.terms.slope_variance import (
-    MAX_PIXEL_VARIANCE,
     slope_filtered,
     slope_variance_disc,
     slope_variance_map,
@@ -143,7 +142,7 @@ class ResolvedScene:
     def slopes(self) -> list[tuple[float, float]]:
         """The smallest and the largest m of each part. A constant m of the term replaces both.
 
-        The largest m includes the largest amounts that slope filter, curvature and area lights add.
+        The largest m includes the largest amounts that slope filter and area lights add.
 
         Raises
         ------
@@ -152,7 +151,6 @@ class ResolvedScene:
         scene, shading = self.scene, self.shading
         discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
         shared = max((float(slope_variance_disc(*disc, 0.0)) for disc in discs), default=0.0)
-        shared += MAX_PIXEL_VARIANCE * shading.curvature
         ranges = []
         for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
             smallest, largest = slope_range(part, material)

@@ -19,7 +19,7 @@ from facerender import __version__
 from facerender.errors import InputError, warn
 from facerender.explorer.mesh import drawable, encoded, lost_features, packed
 from facerender.glsl.code import call
-from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_source
+from facerender.glsl.library import shader_dir, shader_source, term_source
 from facerender.job import Job, MeshFile
 from facerender.page.document import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
@@ -38,7 +38,7 @@ from facerender.terms.ranges import EXPOSURES, Range, range_of, ranges_of
 _BROWSER = Path(__file__).parent / "browser"
 _SCRIPTS = (
     *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state", "controls"),
-    *("lobe", "cost", "code", "explorer"),
+    *("lobe", "cost", "command", "explorer"),
 )
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
@@ -48,7 +48,7 @@ TERM_FACTORS = ("m", "f0", "ks")  # factors of the skin that the page changes, i
 MOST_LIGHTS = 8
 _DRAWN = {*("model", "lobe", "fresnel", "masking", "m", "small_slope", "outside", "diffuse")}
 _OWN_NOTE = ("scatter_samples", "environment", "environment_samples", "two_lobes", "shadow_lights")
-# Factors that the page does not draw. Its code leaves them out.
+# Factors that the page does not draw. Its scene file leaves them out.
 _UNDRAWN = (
     *("second_slope", "lobe_weight", "scattering", "normal_strength", "occlusion_strength"),
     *("emissive", "alpha", "alpha_cutoff", "opacity", "transmission", "refraction"),
@@ -113,7 +113,6 @@ def explorer_page(
         "background": job.background or (0.0, 0.0, 0.0),
         "registry": registry(),
         "ranges": _ranges(),
-        "targets": TARGETS,
     }
     sources = zlib.compress(json.dumps(_sources()).encode(), 9)
     data = [
@@ -150,7 +149,7 @@ def _term(term: Term) -> dict[str, Any]:
 
 
 def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
-    """Return the names of the features of a job that neither the page nor its code draws."""
+    """Return the names of the features of a job that neither the page nor its command draws."""
     shading, materials = job.shading, mesh.materials
     drawn = shading.shadow_lights
     cast = [
@@ -292,12 +291,11 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
 
 
 def _words(job: Job) -> dict[str, Any]:
-    """Return the mesh's files as command-line and Python arguments."""
+    """Return the mesh's files as command-line arguments, and material and pose as TOML."""
     file = job.mesh
     files = ("albedo", "normal_map", "specular_map", "roughness_map")
     maps = {name: value for name in files if (value := getattr(file, name)) is not None}
-    names = ("flip_v", "allow_outside", "as_is", "double_sided")
-    switches = [name for name in names if getattr(file, name)]
+    names = ("flip_v", "allow_outside", "as_is", "double_sided", "occlusion")
     green = (
         {} if file.normal_map_y == MeshFile.normal_map_y else {"normal_map_y": file.normal_map_y}
     )
@@ -311,50 +309,20 @@ def _words(job: Job) -> dict[str, Any]:
             for name, value in values.items()
         }
 
-    def keywords(values: Mapping[str, Any]) -> list[str]:
-        return [f"{name}={value!r}" for name, value in values.items()]
-
-    occlusion = ["occlusion"] * file.occlusion
-    flags = [f"--{name.replace('_', '-')}" for name in (*switches, *occlusion)]
-    arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True) | green)]
-    load = f"fr.load_mesh({', '.join(arguments)})"
-    select = f".select({', '.join(keywords(selected))})" if selected else ""
+    flags = [f"--{name.replace('_', '-')}" for name in names if getattr(file, name)]
     pose = {
         name: value for name, value in asdict(job.pose).items() if value != getattr(Pose(), name)
     }
     factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *_UNDRAWN)}
     materials = [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
-    for name, table in job.parts.items():
-        select += f".with_material({', '.join([repr(name), *keywords(table)])})"
-    python = (f"fr.with_occlusion({load})" if occlusion else load) + _posed(job.pose) + select
     return {
         "shell": " ".join(
             [*map(shlex.quote, path), *flags, *options(green | selected).values(), *materials]
         ),
         "maps": options(maps),
-        "python": f"fr.tracked({python})" if job.pose.track else python,
-        "material": {
-            "toml": toml_text([("", factors)]).strip().splitlines(),
-            "python": keywords(factors),
-        },
+        "material": toml_text([("", factors)]).strip().splitlines(),
         "pose": toml_text([("[pose]", pose)]) if pose else "",
     }
-
-
-def _posed(pose: Pose) -> str:
-    """Return the Python call that poses a mesh."""
-    if pose.vertices is not None:
-        frame, load = pose.frame, f"np.load({pose.vertices!r})"
-        npz = pose.vertices.lower().endswith(".npz")
-        every = f"{{name: own[{frame}] for name, own in {load}.items()}}"
-        return f".with_positions({every if npz else f'{load}[{frame}]'})"
-    words = [
-        f"{name}={value!r}"
-        for name in ("clip", "time")
-        if (value := getattr(pose, name)) is not None
-    ]
-    arguments = [*([repr(dict(pose.weights))] if pose.weights else []), *words]
-    return f".with_pose({', '.join(arguments)})" if arguments else ""
 
 
 def _text(name: str) -> str:

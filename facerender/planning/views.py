@@ -60,7 +60,7 @@ class ScatteredLight:
         """Return the change of each pixel's radiance that scattering causes, (H, W, 3)."""
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
         if shading.diffuse == "coupled":  # this term also depends on m and the added names
-            names, m = [*names, "ks", "two_lobes", "slope_filter", "curvature"], shading.term.m
+            names, m = [*names, "ks", "two_lobes", "slope_filter"], shading.term.m
         light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
         if light not in self.known:
             if len(self.known) >= _MOST_SCATTERED:

@@ -14,7 +14,6 @@ from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 Float = NDArray[np.float64]
 
 MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # FR_MAP_DEVIATION, and default of FR_MAP_SHARE.
-MAX_PIXEL_VARIANCE = 0.1  # Value of FR_MAX_PIXEL_VARIANCE in GLSL.
 MAX_RADIUS = 20.0  # Largest angular radius of a disc light, in degrees.
 _LEAST_V_DOT_H2 = 0.05
 
@@ -34,18 +33,6 @@ def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
 def slope_variance_map(alpha: ArrayLike) -> Float:
     """Return the slope variance that alpha, in [0, 1], encodes in a prepared normal map."""
     return np.asarray(MAP_SHARE * (MAP_DEVIATION * np.asarray(alpha, dtype=np.float64)) ** 2)
-
-
-def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
-    """Return the slope variance of a curved mesh over a pixel, at most 0.1.
-
-    Parameters
-    ----------
-    n_x, n_y : change of the unit normal to the next pixel in x and in y, (..., 3)
-    """
-    x, y = np.asarray(n_x, dtype=np.float64), np.asarray(n_y, dtype=np.float64)
-    variance = ((x * x).sum(axis=-1) + (y * y).sum(axis=-1)) / 24.0
-    return np.asarray(np.minimum(variance, MAX_PIXEL_VARIANCE))
 
 
 def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float:

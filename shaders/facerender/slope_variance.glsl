@@ -23,10 +23,6 @@
 #define FR_MAP_SHARE 0.5
 #endif
 
-// Largest result of fr_slope_variance_pixel. At a silhouette the normal changes without bound, but
-// m must stay in the domain of the lobe.
-#define FR_MAX_PIXEL_VARIANCE 0.1
-
 // Roughness m after adding unresolved slope variance.
 //
 //   formula:   sqrt(m^2 + 2 variance), clamped to [FR_MIN_SLOPE, FR_MAX_SLOPE]; the slopes of a
@@ -43,7 +39,6 @@ float fr_slope_filtered(float m, float variance) {
 }
 
 // Slope variance within one texel of a prepared normal map, at any mip level.
-// The command facerender shaders prepare-normal-map writes such maps.
 //
 //   formula:  FR_MAP_SHARE (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35, where N is the mean of
 //             unit normals; (0.35 alpha)^2 is the variance v of the slopes, FR_MAP_SHARE is 0.5
@@ -58,20 +53,6 @@ float fr_slope_filtered(float m, float variance) {
 float fr_slope_variance_map(float alpha) {
     float deviation = FR_MAP_DEVIATION * alpha;
     return FR_MAP_SHARE * deviation * deviation;
-}
-
-// Slope variance of a curved mesh within a pixel.
-//
-//   formula:   (|n_x|^2 + |n_y|^2)/24, at most 0.1: half of the sum for each axis, times 1/12, the
-//              variance of a uniform position in a pixel
-//   n_x, n_y:  Change of the unit normal of the mesh (without normal map) to the next pixel in x
-//              and in y, for example dFdx(n) and dFdy(n).
-//   error:     Error of assuming that the normal changes linearly within the pixel; float32
-//              rounding: 5e-7 times the result.
-//   source:    Kaplanyan et al. (2016), Tokuyoshi and Kaplanyan (2019), here with a box filter of
-//              one pixel.
-float fr_slope_variance_pixel(vec3 n_x, vec3 n_y) {
-    return min((dot(n_x, n_x) + dot(n_y, n_y)) / 24.0, FR_MAX_PIXEL_VARIANCE);
 }
 
 // Slope variance that represents the extent of a disc light.

@@ -47,7 +47,7 @@ uniform float lobe_weight;   // Weight of the first lobe.
 uniform sampler2D lobe_map;  // Red: factor on the weight 1 - lobe_weight of the second lobe.
 #endif
 
-#if defined(SLOPE_FILTER) || defined(CURVATURE)
+#ifdef SLOPE_FILTER
 #include "facerender/slope_variance.glsl"
 #endif
 
@@ -97,25 +97,15 @@ Surface surface(Point p) {
     // normal in curved triangles, where normals may point further away from the camera.
     float facing = p.inside && dot(p.normal, v) < -0.2 ? -1.0 : 1.0;
     vec3 n = facing * inversesqrt(square) * p.normal;
-#if defined(SLOPE_FILTER) || defined(CURVATURE)
-    float variance = 0.0;
-#endif
-#ifdef CURVATURE
-    float inverse = inversesqrt(square);
-    variance += fr_slope_variance_pixel(
-        inverse * (p.normal_x - n * dot(n, p.normal_x)),
-        inverse * (p.normal_y - n * dot(n, p.normal_y))
-    );
-#endif
 #ifdef NORMAL_MAP
     n = mapped_normal(p, square, facing);
 #ifdef SLOPE_FILTER
 #ifdef NORMAL_STRENGTH
     float strength2 = normal_strength * normal_strength;
-    variance += strength2 * fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
+    float variance = strength2 * fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
 #else
     // mapped_normal fetches the same texel; compilers fetch it once.
-    variance += fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
+    float variance = fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
 #endif
 #endif
 #endif
@@ -173,7 +163,7 @@ Surface surface(Point p) {
     s.lobe_weight = 1.0 - (1.0 - lobe_weight) * TEXEL(lobe_map, p, LOBE_MAP_UV).r;
 #endif
 #endif
-#if (defined(SLOPE_FILTER) || defined(CURVATURE)) && !defined(CONSTANT_SLOPE)
+#if defined(SLOPE_FILTER) && !defined(CONSTANT_SLOPE)
     s.m = fr_slope_filtered(s.m, variance);
 #ifdef TWO_LOBES
     s.second_m = fr_slope_filtered(s.second_m, variance);

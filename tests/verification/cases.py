@@ -447,16 +447,6 @@ def slope_variance_map() -> Case:
     return variance_case("slope_variance_map", 3e-7, alpha=np.linspace(0.0, 1.0, 511))
 
 
-@case()
-def slope_variance_pixel() -> Case:
-    random = np.random.default_rng(3)
-    scale = 10.0 ** random.uniform(-6.0, 3.0, (5000, 1))
-    inputs = {name: singles(scale * random.normal(size=(5000, 3))) for name in ("n_x", "n_y")}
-    expected = brdf.slope_variance_pixel(*(values.astype(float) for values in inputs.values()))
-    call = "fr_slope_variance_pixel(n_x, n_y)"
-    return Case(include("slope_variance"), call, inputs, expected, 5e-7, TINY)
-
-
 @cache
 def discs(last: float) -> tuple[Singles, Singles]:
     """Return s and k of discs with radii up to ``last`` degrees."""

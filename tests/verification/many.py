@@ -27,7 +27,7 @@ OWN_INPUTS = (  # groups whose inputs here differ from tests/verification/cases.
         "fr_slope_filtered",
         "fr_slope_variance_map",
     ),
-    *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
+    *("fr_slope_variance_disc", "fr_cosine_disc"),
     *("fr_shadow_depth", "fr_shadow_weight", "fr_shadow_hard", "fr_shadow_disc"),
     *("fr_scatter_profile", "fr_scatter_turn", "fr_scatter"),
 )
@@ -58,7 +58,6 @@ OTHERS = (
     *(("lobe/fitted", f"length(fr_lobe_fitted_fine_coefficients(m, {k}) * m * m)") for k in (0, 4)),
     ("slope_variance", "fr_slope_filtered(m, min(tan2, 1e18))"),
     ("slope_variance", "fr_slope_variance_map(c)"),
-    ("slope_variance", "fr_slope_variance_pixel(tan2 * n, n - l)"),
     ("slope_variance", "fr_slope_variance_disc(0.34 * c, 0.97, p.x)"),
     ("slope_variance", "fr_cosine_disc(dot(n, l), 0.5 * c, 1.0 - 0.06 * c)"),
     ("shadow", "fr_shadow_depth(c_texels, ivec3(7, 0, 64), 64.0 * n.xy)"),

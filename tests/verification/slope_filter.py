@@ -121,7 +121,6 @@ def lost(image: NDArray[np.floating], reference: NDArray[np.floating]) -> Lost:
 FILTERS = {
     "none": fr.Shading(slope_filter=False),
     "filter": fr.Shading(),
-    "filter and curvature": fr.Shading(curvature=True),
 }
 
 

@@ -1,5 +1,5 @@
 // The page: drawing, pointer and keyboard input, and the URL fragment.
-const SETTLED = 180;  // Milliseconds without a change before errors, code and URL are updated.
+const SETTLED = 180;  // Milliseconds without a change before errors, command and URL are updated.
 
 const HANDLE = 32;    // Size of a light's handle with its outline, in CSS pixels.
 
@@ -75,7 +75,7 @@ function paint() {
 
 async function settle() {
   history.replaceState(null, "", `#${fragmentOf(state)}`);
-  writeCode();
+  writeCommand();
   if (!isDrawing()) return;
   if (frame) {
     cancelAnimationFrame(frame);
@@ -216,9 +216,8 @@ function writeCosts({write}) {
     : "The cost was measured for another image; you can still save it.");
 }
 
-function saveCost() {
-  const blob = new Blob([JSON.stringify(cost, null, 2)], {type: "application/json"});
-  const link = element("a", {href: URL.createObjectURL(blob), download: "explorer-cost.json"});
+function saveFile(name, text) {
+  const link = element("a", {href: URL.createObjectURL(new Blob([text])), download: name});
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
@@ -249,20 +248,13 @@ function watchPointer() {
   });
 }
 
-let codeSide = "b";
-let codeForm = "command";
+let commandSide = "b";
+const sizeNow = () => drawing?.size ?? [1024, 1024];
 
-function writeCode() {
+function writeCommand() {
   byId("outside").textContent = ["a", "b"].map(which => [SWATCH[which], outsideDomain(state[which])])
     .filter(([, words]) => words).map(([name, words]) => `${name}: ${words}.`).join(" ");
-  if (!sources) return;
-  const text = which => codeOf(state, which, codeForm, drawing?.size ?? [1024, 1024]);
-  if (codeSide !== "diff") return byId("code").replaceChildren(text(codeSide));
-  const lines = hunks(diff(text("a"), text("b")));
-  const classes = {"-": "gone", "+": "come", "@": "same", " ": ""};
-  byId("code").replaceChildren(...lines.every(([sign]) => sign === "@") ? ["A and B are the same here."]
-    : lines.map(([sign, line]) => element("span", {className: classes[sign]},
-      sign === "@" ? `⋯ ${line}\n` : `${sign} ${line}\n`)));
+  byId("command").textContent = commandLine(state, commandSide, sizeNow());
 }
 
 // Returns a note of the features that the page omits, or "".
@@ -271,7 +263,7 @@ function omissions() {
   const list = names => names.join(", ");
   if (!mesh.length && !scene.length) return "";
   return `This page omits ${list([...mesh, ...scene])}.`
-    + (scene.length ? ` Its code omits ${list(scene)}.` : "");
+    + (scene.length ? ` Its command omits ${list(scene)}.` : "");
 }
 
 function buildControls() {
@@ -315,18 +307,18 @@ function buildControls() {
     scale = value;
     if (lobes) plotLobes(byId("lobes"), lobes, scale);
   });
-  choice("code-of", [["a", "A"], ["b", "B"], ["diff", "A to B"]], () => codeSide, value => { codeSide = value; writeCode(); });
-  const names = {330: "GLSL 330", es300: "GLSL ES 300", vulkan: "Vulkan"};
-  const targets = Object.keys(facts.targets).map(target => [target, names[target] ?? target]);
-  const kinds = [["command", "command line"], ["toml", "TOML"], ["python", "Python"], ...targets];
-  choice("code-kind", kinds, () => codeForm, value => { codeForm = value; writeCode(); });
+  choice("command-of", Object.entries(SWATCH), () => commandSide, value => {
+    commandSide = value;
+    writeCommand();
+  });
+  byId("save-scene").addEventListener("click", () =>
+    saveFile(`${commandSide}.toml`, sceneFile(state, commandSide, sizeNow())));
   byId("copy").addEventListener("click", async () => {
-    const text = byId("code").textContent;
     try {
-      await navigator.clipboard.writeText(text);
+      await navigator.clipboard.writeText(byId("command").textContent);
       byId("copy").textContent = "copied";
     } catch {  // Some browsers allow no clipboard for a local file: the user copies the selection.
-      getSelection().selectAllChildren(byId("code"));
+      getSelection().selectAllChildren(byId("command"));
       byId("copy").textContent = "selected";
     }
     setTimeout(() => { byId("copy").textContent = "copy"; }, 1500);
@@ -430,7 +422,8 @@ function listen() {
   }));
   watchPointer();
   byId("cost").addEventListener("click", () => attempt(measureCost));
-  byId("save").addEventListener("click", saveCost);
+  byId("save").addEventListener("click", () =>
+    saveFile("explorer-cost.json", JSON.stringify(cost, null, 2)));
   addEventListener("hashchange", () => restore(location.hash));
   new ResizeObserver(changed).observe(byId("viewport"));
 }
@@ -468,7 +461,8 @@ window.explorer = {
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
   lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),
-  code: (which, form) => codeOf(state, which, form, drawing.size),
+  command: which => commandLine(state, which, drawing.size),
+  scene: which => sceneFile(state, which, drawing.size),
 };
 
 attempt(async () => {

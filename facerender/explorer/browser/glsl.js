@@ -9,8 +9,6 @@ const termOf = (part, term) => ({
   ...term, ...!part.skin && {m: null, f0: null, ks: null},
   ...term.constant !== null && {m: term.constant},
 });
-const smallestSlope = term =>
-  Math.min(...facts.parts.map(part => termOf(part, term).m ?? part.slopes[0]));
 
 // Returns a term's function call, and its GLSL without #include, valid for m >= smallest.
 function termSource(term, smallest) {
@@ -22,19 +20,12 @@ function termSource(term, smallest) {
   if (term.lobe !== "g-power") return {text, call};
   const offset = term.offset ? ` - ${literal(term.offset)}` : "";
   const steepness = `(${literal(term.factor)} / ((m) * (m))${offset})`;
-  return {call, text: text.replace(/lobe g-power .*(?=\.$)/m, `lobe ${powerFormula(term)}`)
-    .replace(/(?<=^#define FR_G ).*/m, term.g)
+  return {call, text: text.replace(/(?<=^#define FR_G ).*/m, term.g)
     .replace(/(?<=^#define FR_STEEPNESS\(m, k\) ).*/m, steepness)};
 }
 
 const lobeName = ({lobe, g, factor, offset}) =>
   lobe === "g-power" ? `g-power ${g}, factor ${short(factor)}, offset ${short(offset)}` : lobe;
-
-// Returns the name of a g-power lobe in GLSL files.
-function powerFormula({g, factor, offset}) {
-  const less = offset ? ` ${offset > 0 ? "-" : "+"} ${+Math.abs(offset).toPrecision(5)}` : "";
-  return `g-power ${g} (${+factor.toPrecision(5)}/m^2${less})`;
-}
 
 // Returns the first lines of the renderer's programs for a part: the part's features as macros.
 function surfaceHead(part, term) {

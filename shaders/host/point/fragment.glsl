@@ -25,10 +25,6 @@ Point point() {
     Point p;
     p.position = position;
     p.normal = vertex_normal;
-#ifdef CURVATURE
-    p.normal_x = dFdx(vertex_normal);
-    p.normal_y = dFdy(vertex_normal);
-#endif
     p.inside = gl_FrontFacing;  // True for back faces: the image is drawn upside down.
 #if defined(NORMAL_MAP) || defined(SHADOWS)
     p.position_x = dFdx(position);

@@ -5,10 +5,6 @@
 struct Point {
     vec3 position;
     vec3 normal;  // Interpolated normal, of any length.
-#ifdef CURVATURE
-    vec3 normal_x;  // Change of the normal per pixel.
-    vec3 normal_y;
-#endif
     bool inside;  // Whether the camera sees the back face.
 #if defined(NORMAL_MAP) || defined(SHADOWS)
     vec3 position_x;  // Change of the position per pixel.

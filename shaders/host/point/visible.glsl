@@ -18,16 +18,6 @@ vec4 texel_of(uint triangle, int index) {
     return texelFetch(triangle_table, ivec2(column * TRIANGLE_TEXELS + index, row), 0);
 }
 
-#ifdef CURVATURE
-vec3 normal_change(uint triangle, vec3 change) {
-    return vec3(
-        dot(texel_of(triangle, 1).xyz, change),
-        dot(texel_of(triangle, 2).xyz, change),
-        dot(texel_of(triangle, 3).xyz, change)
-    );
-}
-#endif
-
 float affine(uint triangle, int index, vec3 position) {
     vec4 function = texel_of(triangle, index);
     return dot(function.xyz, position) + function.w;
@@ -50,13 +40,9 @@ Point point(uint triangle) {
     p.normal = vec3(
         affine(triangle, 1, p.position), affine(triangle, 2, p.position), affine(triangle, 3, p.position)
     );
-#if defined(UV) || defined(CURVATURE) || defined(SHADOWS)
+#if defined(UV) || defined(SHADOWS)
     vec3 position_x = distance * (ray_x - direction * (dot(ray_x, plane.xyz) / across));
     vec3 position_y = distance * (ray_y - direction * (dot(ray_y, plane.xyz) / across));
-#endif
-#ifdef CURVATURE
-    p.normal_x = normal_change(triangle, position_x);
-    p.normal_y = normal_change(triangle, position_y);
 #endif
 #ifdef UV
     vec4 u = texel_of(triangle, 4);

@@ -22,7 +22,6 @@ FLICKER = (
     ("relief", "{relief}"),
     ("unfiltered", "{beyond[none]:.4f}"),
     ("slope filter", "{beyond[filter]:.4f}"),
-    ("slope filter and curvature", "{beyond[filter and curvature]:.4f}"),
 )
 DISCS = (
     ("angle between light and camera, degrees", "{angle:g}"),
