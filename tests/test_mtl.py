@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -191,6 +192,16 @@ def test_bump_map_is_visible(tmp_path, renderer):
 
     without = roughness(mesh.with_material(normal_map=None))
     assert roughness(mesh) > 1.25 * without
+
+
+def test_a_udim_tile_on_several_tiles_causes_a_warning(tmp_path):
+    head = mini_head()
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "skin.1001.png")
+    (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.1001.png\n")
+    for width, tiles in ((0.999, 1), (1.999, 2)):
+        wide = replace(head, uv=np.clip(head.uv, 0.0, 1.0) * (width, 0.999))
+        messages = loaded(files.write_obj(tmp_path / "a.obj", wide, mtl="a.mtl"))[1]
+        assert ["drawn on all 2 tiles" in each for each in messages] == [True] * (tiles - 1)
 
 
 def test_libraries_of_several_names(tmp_path):

@@ -104,7 +104,7 @@ def check(
         failure = "" if updates.force else pair.error
     elif not failure and pair.reference is not None:
         recorded, this = (
-            each.metadata.get("GL_RENDERER") or UNKNOWN for each in (pair.reference, image)
+            picture.metadata.get("GL_RENDERER") or UNKNOWN for picture in (pair.reference, image)
         )
         if recorded != this and not updates.force:
             failure = (

@@ -139,7 +139,9 @@ def piece_of(
         material_name = str(getattr(source, "name", None) or "")
     else:
         material, transform = library.look(material_name, has_colors)
-        uv = None if uv is None else transform.applied(uv)
+        if uv is not None:
+            library.warn_of_tiles(material_name, uv[faces])
+            uv = transform.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
         # The file's white multiplies only the missing map.
         material = replace(material, albedo=SKIN_ALBEDO)

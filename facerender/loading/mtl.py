@@ -356,6 +356,21 @@ class Library:
 
     # --- maps ------------------------------------------------------------------------------------
 
+    def warn_of_tiles(self, name: str, uv: NDArray[np.float64]) -> None:
+        """Warn if a map of a material is a UDIM tile and its faces are on several tiles.
+
+        uv : (faces, 3, 2) texture coordinates
+        """
+        maps = [text for key, text in self.materials.get(name, {}).items() if key in _MAPS]
+        if not any(re.search(r"(?<!\d)1001(?!\d)", text) for text in maps):
+            return
+        tiles = len(np.unique(np.floor(uv.mean(axis=1)), axis=0))
+        if tiles > 1:
+            self.warn(
+                f"a map of {self.name} is UDIM tile 1001: drawn on all {tiles} tiles; "
+                "export one map per part"
+            )
+
     def _uses(self, statements: Mapping[str, str]) -> dict[str, _Map]:
         """Return the statements of maps, keyed by the field of the material."""
         uses: dict[str, _Map] = {}

@@ -42,7 +42,7 @@ from facerender.shading import SMALL_SLOPE, Shading
 from facerender.system.progress import Progress, no_progress
 from facerender.terms import LOBES
 
-# The values of m at which errors of lobe and BRDF are measured, besides the m of the skin.
+# Errors of lobe and BRDF are measured at these values of m and at the roughness of the skin.
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 
 
