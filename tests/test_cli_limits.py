@@ -58,7 +58,7 @@ LIMITS = tuple(each.name for each in fields(Limits))
 PYTHON: dict[str, tuple[Range, Raises]] = {
     **fields_of(fr.Material, "m", "f0", "ks", "kd", "second_slope", "lobe_weight"),
     **fields_of(fr.Material, "normal_strength"),
-    **fields_of(fr.ImageSettings, "size", "samples", "anisotropy"),
+    **fields_of(fr.ImageSettings, "size", "samples", "anisotropy", "alpha_threshold"),
     **fields_of(fr.MeshFile, "millimetres", "triangles"),
     **fields_of(partial(fr.Scene, fr.load_mesh(MINI_HEAD)), "ambient", "background"),
     **fields_of(fr.Camera, "fov", "target"),

@@ -414,7 +414,6 @@ def test_other_commands_take_materials_of_parts(command, tmp_path, capsys, monke
         status, _, err = run(capsys, *words, "--as-is", "--part", "eye,m=0.125")
         assert status == 0
         text = (tmp_path / "a.html").read_text()
-        assert ".with_material('eye', m=0.125)" in text
         assert "--as-is --part eye,m=0.125" in text
     elif command != "batch":
         status, _, err = run(capsys, *words, "--part", "lash*=lashes")

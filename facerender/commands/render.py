@@ -104,7 +104,7 @@ def add(render: argparse.ArgumentParser) -> None:
     only = Help("term or data to render", "the whole image", note=note)
     image.add_argument("--only", choices=ONLY, help=only)
     opacity = "smallest opacity at which a blended part counts as a surface in data"
-    add_field(image, ImageSettings, "alpha_threshold", opacity, metavar="A")
+    add_field(image, ImageSettings, "alpha_threshold", opacity, metavar="ALPHA")
     image.add_argument("--format", choices=IMAGE_FORMATS, help=Help("format of -o -", "png"))
     add_flag(image, "sheet", "arrange all views in one image")
     rate, default = (
