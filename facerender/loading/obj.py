@@ -210,7 +210,7 @@ def number_vertices(
             matches = np.searchsorted(hashes, _hashes(piece.positions)).clip(max=len(hashes) - 1)
             rows, known = first[matches], bool((counts[matches] == 1).all())
             if not known and len(pieces) == 1 and (by_faces := _by_faces(data, piece)) is not None:
-                rows, known = by_faces, by_faces.max() < len(places)
+                rows, known = by_faces, bool(by_faces.max() < len(places))
             if known and (places[rows] == piece.positions).all():
                 piece.sources, piece.source_count = rows, len(places)
         if colors is not None and piece.material.albedo_map is None and len(colors) == len(places):
