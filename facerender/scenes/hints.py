@@ -86,7 +86,9 @@ def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
 def of_mesh(mesh: Mesh) -> list[str]:
     """Return all hints on a mesh. Decodes the maps."""
     hints = (
-        *(hint(mesh, True) for hint in (upside_down, green_down, no_ks, faint)),
+        *(hint(mesh, True) for hint in (upside_down, green_down)),
+        no_ks(mesh),
+        faint(mesh, True),
         wrong_unit(mesh),
     )
     return [hint for hint in hints if hint]
@@ -330,7 +332,7 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     )
 
 
-def no_ks(mesh: Mesh, decode: bool = False) -> str | None:
+def no_ks(mesh: Mesh) -> str | None:
     """Return a hint if a part whose file has Ks 0 is drawn with highlights nevertheless."""
     pairs = zip(mesh.parts, mesh.materials, strict=True)
     if not any(
