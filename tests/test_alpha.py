@@ -159,14 +159,6 @@ def test_maps_with_equal_sampling_share_a_property_map():
     assert Material(occlusion_map=one, roughness_map=two, second_uv=both).property_map is not None
 
 
-def test_second_coordinates_are_checked():
-    part = quad()
-    with pytest.raises(InputError, match="uv2 without uv"):
-        replace(part, uv=None, uv2=part.uv)
-    with pytest.raises(InputError, match=r"uv2 has the shape \(4, 3\)"):
-        replace(part, uv2=np.zeros((4, 3)))
-
-
 def quad(z=0.0, size=1.0, **columns):
     """Return a square that faces +z."""
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=np.float64)

@@ -14,7 +14,6 @@ from PIL import Image
 
 import facerender as fr
 from facerender.job import MESH_PATHS
-from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 
 MATRIX, NAME, HUGE = np.zeros((2, 3)), np.array(["a"]), 10**400
@@ -40,7 +39,6 @@ ALLOWED = {
 RIGHT: dict[str, list[Any]] = {
     "MeshFile triangles": [HUGE],  # keeps all triangles
     "simplified triangles": [HUGE],
-    "Part source_count": [HUGE],
     "Pose weights": [{"x": 1}],
     **{f"{name} paths": [["x"]] for name in ("resolve_includes", "shader_source")},
     **{f"Mesh.with_positions {name}": [None, {}] for name in ("positions", "normals")},
@@ -48,7 +46,6 @@ RIGHT: dict[str, list[Any]] = {
         name: [MATRIX]
         for name in ("Mesh bounds", "Texture.from_array texels", "Mesh.from_arrays faces")
     },
-    **{f"Part {name}": [MATRIX] for name in ("positions", "normals", "faces", "colors", "head")},
 }
 UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for internal use
 METHODS = [
@@ -71,7 +68,7 @@ def public_callables() -> list[str]:
     """Return the names of all public classes, functions and methods with parameters."""
     errors = [name for name in fr.__all__ if name.endswith(("Error", "Warning"))]
     names = [name for name in fr.__all__ if callable(getattr(fr, name))]
-    return [*sorted({*names} - {*errors, *RESULTS}), *METHODS, "Part"]
+    return [*sorted({*names} - {*errors, *RESULTS}), *METHODS]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +80,6 @@ def objects(egl: Any) -> Iterator[dict[str, Any]]:
         frame = renderer.render(scene)
         yield {
             **{f"Mesh {name}": value for name, value in vars(mesh).items()},
-            **{f"Part {name}": value for name, value in vars(mesh.parts[0]).items()},
             **{f"Frame {name}": value for name, value in vars(frame).items()},
             **{"Renderer": renderer, "Frame": frame, "View": fr.view_of(scene, 1.0), "Mesh": mesh},
             **{"mesh": mesh, "scene": scene, "job": fr.Job(), "source": MINI_HEAD, "name": "a"},
@@ -113,7 +109,7 @@ def right(call: str, name: str, annotation: str) -> list[Any]:
 @pytest.mark.parametrize("call", public_callables())
 def test_values_of_the_wrong_type_raise_input_error(objects, call):
     owner, _, method = call.partition(".")
-    function = Part if call == "Part" else getattr(fr, owner)
+    function = getattr(fr, owner)
     if method:
         static = isinstance(inspect.getattr_static(function, method), classmethod | staticmethod)
         function = getattr(function if static else objects[owner], method)

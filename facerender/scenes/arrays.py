@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import InputError, check_type
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
-from facerender.scenes.repair import Piece
+from facerender.scenes.repair import Piece, with_faces
 from facerender.scenes.vectors import rows_of
 
 
@@ -47,9 +46,8 @@ def piece_of(
     )
     if uv_faces is not None and uv is not None:
         rows = rows_of("uv", uv, (2,))
-        return _split_at_seams(
-            piece, rows, _indices("uv_faces", uv_faces, len(rows), "row", "uv_faces use row")
-        )
+        uv_corners = _indices("uv_faces", uv_faces, len(rows), "row", "uv_faces use row")
+        return _split_at_seams(piece, rows, uv_corners)
     piece.uv = None if uv is None else rows_of("uv", uv, (2,), count=count)
     return piece
 
@@ -78,21 +76,9 @@ def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.
         raise InputError(
             f"uv_faces has {len(uv_faces)} rows: give {len(piece.faces)}, one for each face"
         )
-    pairs = piece.faces * len(uv) + uv_faces
-    used_pairs, corners = np.unique(pairs, return_inverse=True)
-    sources, rows = np.divmod(used_pairs, len(uv))
-    per_vertex: dict[str, Any] = {
-        name: None if (attribute := getattr(piece, name)) is None else attribute[sources]
-        for name in ("positions", "normals", "colors")
-    }
-    return replace(
-        piece,
-        **per_vertex,
-        faces=corners.reshape(-1, 3),
-        uv=uv[rows],
-        sources=sources,
-        source_count=len(piece.positions),
-    )
+    pairs, corners = np.unique(piece.faces * len(uv) + uv_faces, return_inverse=True)
+    vertices, rows = np.divmod(pairs, len(uv))
+    return replace(with_faces(piece, corners.reshape(-1, 3), vertices), uv=uv[rows])
 
 
 def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:

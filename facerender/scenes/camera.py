@@ -103,8 +103,12 @@ class Camera:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        if isinstance(self.azimuth, str):
-            object.__setattr__(self, "azimuth", _azimuth(self.azimuth))
+        if isinstance(name := self.azimuth, str):
+            if name not in AZIMUTHS_BY_NAME:
+                bounds = f"[{AZIMUTHS.low:g}, {AZIMUTHS.high:g}]"
+                remedy = f"give a number in {bounds}, or {', '.join(AZIMUTHS_BY_NAME)}"
+                raise InputError(f"camera azimuth = {shown(name)} is not a number: {remedy}")
+            object.__setattr__(self, "azimuth", AZIMUTHS_BY_NAME[name])
         check_fields(self, "camera ")
         check_type("camera name", self.name, str, "text")
         for name in ("azimuth", "elevation", "fov", "zoom"):
@@ -225,14 +229,6 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
     ):
         raise InputError(f"{name} = {shown(value)}: give 3 rows of {columns} numbers")
     return tuple(tuple(float(number) for number in row) for row in rows)
-
-
-def _azimuth(name: str) -> float:
-    if name not in AZIMUTHS_BY_NAME:
-        names = ", ".join(AZIMUTHS_BY_NAME)
-        remedy = f"give a number in [{AZIMUTHS.low:g}, {AZIMUTHS.high:g}], or {names}"
-        raise InputError(f"camera azimuth = {shown(name)} is not a number: {remedy}")
-    return AZIMUTHS_BY_NAME[name]
 
 
 def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:

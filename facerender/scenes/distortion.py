@@ -52,17 +52,9 @@ def undistort(points: Float, coefficients: Coefficients) -> Float:
         for _ in range(_STEPS):
             distorted, slopes = _distorted(solution, coefficients)
             residual = distorted - points
-            solution = (
-                solution
-                - np.stack(
-                    [
-                        slopes[:, 1, 1] * residual[:, 0] - slopes[:, 0, 1] * residual[:, 1],
-                        slopes[:, 0, 0] * residual[:, 1] - slopes[:, 1, 0] * residual[:, 0],
-                    ],
-                    axis=-1,
-                )
-                / _determinant(slopes)[:, None]
-            )
+            (x, y), ((a, b), (c, d)) = residual.T, np.moveaxis(slopes, 0, -1)
+            steps = np.stack([d * x - b * y, a * y - c * x], axis=-1)
+            solution = solution - steps / _determinant(slopes)[:, None]
             if np.nanmax(np.abs(residual), initial=0.0) < 1e-15:
                 break
         residual = np.abs(distort(solution, coefficients) - points).max(axis=-1)

@@ -35,7 +35,6 @@ from facerender.terms.ranges import (
 )
 
 if TYPE_CHECKING:
-    from facerender.scenes.environment import Environment
     from facerender.scenes.mesh import Mesh
 
 KEYS = (
@@ -173,6 +172,9 @@ def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> Environ
 
 
 _TABLES: dict[str, Any] = {"planned": Planned, "pose": Pose, "before": Pose}
+# Values, and lists of values, that are texts or tables: the class, and the parser of texts.
+_TEXTS = {"camera": (Camera, camera_of), "environment": (EnvironmentFile, parse_environment)}
+_LISTS = {"cameras": (Camera, camera_of), "lights": (Light, parse_light)}
 
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -209,42 +211,32 @@ def scene_value(key: str, value: Any) -> Any:
     """
     if key in _TABLES:
         return from_table(_TABLES[key], key, value)
-    if key == "lights":
-        check_type(key, value, list, "a list of names or tables")
-        return tuple(
-            parse_light(light) if isinstance(light, str) else from_table(Light, key, light)
-            for light in value
-        )
-    if key == "camera":
-        return _camera(key, value)
-    if key == "cameras":
-        if not isinstance(value, list) or not value:
-            raise InputError(f"cameras = {shown(value)}: give a list of names or tables")
-        return tuple(_camera(key, camera) for camera in value)
-    if key == "shading":
-        Shading.from_dict(value)  # only checks the values
-        return value
-    if key == "material":
-        from_table(Material, key, value, without=MAPS)  # only checks the values
-        return value
+    if key in _TEXTS:
+        return _parsed(key, value)
+    if key in _LISTS:
+        if not isinstance(value, list) or (key == "cameras" and not value):
+            raise InputError(f"{key} = {shown(value)}: give a list of names or tables")
+        return tuple(_parsed(key, element) for element in value)
     if key == "parts":
         return part_tables(key, value)
-    if key == "environment":
-        text = isinstance(value, str)
-        return parse_environment(value) if text else from_table(EnvironmentFile, key, value)
     if key == "background":
         return background_of(value)
     if key == "ambient":
         return range_of(Scene, key).check(key, value)
-    if key == "image":
-        from_table(ImageSettings, key, value)  # only checks the values
-        return value
-    raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
+    if key == "shading":
+        Shading.from_dict(value)
+    elif key == "material":
+        from_table(Material, key, value, without=MAPS)
+    elif key == "image":
+        from_table(ImageSettings, key, value)
+    else:
+        raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
+    return value  # the calls above only check it
 
 
-def _camera(key: str, value: Any) -> Camera:
-    camera: Camera = camera_of(value) if isinstance(value, str) else from_table(Camera, key, value)
-    return camera
+def _parsed(key: str, value: Any) -> Any:
+    kind, parse = (_TEXTS | _LISTS)[key]
+    return parse(value) if isinstance(value, str) else from_table(kind, key, value)
 
 
 def parse_vertices(text: str) -> tuple[str, int | None]:
@@ -370,14 +362,20 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
     """
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
+    environment: dict[str, Any] = {}
+    if (source := scene.environment) is not None:
+        environment = {"file": source.panorama.name}
+        environment |= {"rotation": source.rotation, "scale": source.scale}
     skin = scene.mesh.skin
-    shared = _shared_factors([scene.mesh.materials[i] for i in skin])
+    materials = [scene.mesh.materials[i] for i in skin]
+    values = ((name, {getattr(m, name) for m in materials}) for name in _factor_names(*materials))
+    shared = {name: several.pop() for name, several in values if len(several) == 1}
     differing = _differing_factors(scene.mesh, shared, skin)
     tables: list[tuple[str, Mapping[str, Any]]] = [
         ("", {"ambient": scene.ambient, "background": background} | dark),
         ("[camera]", _changes(scene.camera)),
         *(("[[lights]]", _changes(light)) for light in scene.lights),
-        *([("[environment]", _environment(scene.environment))] if scene.environment else []),
+        *([("[environment]", environment)] if environment else []),
         *(("[material]", shared), *([("[parts]", differing)] if differing else [])),
         ("[shading]", shading.as_dict()),
         *([("[planned]", asdict(planned))] if planned else []),
@@ -398,26 +396,17 @@ def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 def _changes(instance: Camera | Light) -> dict[str, Any]:
     """Return the fields of a camera or light that differ from their defaults."""
     return {
-        attribute.name: getattr(instance, attribute.name)
-        for attribute in fields(instance)
-        if getattr(instance, attribute.name) != attribute.default
+        member.name: value
+        for member in fields(instance)
+        if (value := getattr(instance, member.name)) != member.default
     }
 
 
-def _environment(environment: Environment) -> dict[str, Any]:
-    return {
-        "file": environment.panorama.name,
-        "rotation": environment.rotation,
-        "scale": environment.scale,
-    }
-
-
-def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
-    names = [factor.name for factor in fields(Material) if factor.name not in MAPS]
+def _factor_names(*materials: Material) -> list[str]:
+    """Return the names of the factors that have an effect on some of the materials."""
     mapped = any(material.roughness_map is not None for material in materials)
-    names.remove("m" if mapped else "roughness_factor")
-    factors = {name: {getattr(material, name) for material in materials} for name in names}
-    return {name: values.pop() for name, values in factors.items() if len(values) == 1}
+    unused = (*MAPS, "m" if mapped else "roughness_factor")
+    return [member.name for member in fields(Material) if member.name not in unused]
 
 
 def _differing_factors(
@@ -426,14 +415,11 @@ def _differing_factors(
     """Return, for each named part, its factors, without the ``shared`` factors of the skin."""
     tables: dict[str, dict[str, Any]] = {}
     for number, (part, material) in enumerate(zip(mesh.parts, mesh.materials, strict=True)):
-        unused = "m" if material.roughness_map is not None else "roughness_factor"
-        names = (factor.name for factor in fields(Material) if factor.name not in (*MAPS, unused))
-        shared_names = shared if number in skin else ()
-        factors = {name: getattr(material, name) for name in names if name not in shared_names}
-        if factors and part.name:
-            tables[part.name] = {
-                name: "none" if value is None else value for name, value in factors.items()
-            }
+        omitted = shared if number in skin else ()
+        names = [name for name in _factor_names(material) if name not in omitted]
+        if names and part.name:
+            values = {name: getattr(material, name) for name in names}
+            tables[part.name] = {n: "none" if v is None else v for n, v in values.items()}
     return tables
 
 
@@ -466,15 +452,11 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
     ------
     InputError : the value is no table, a key is unknown or missing, or a value is out of range
     """
-    names = [attribute.name for attribute in fields(kind) if attribute.name not in without]
+    names = [member.name for member in fields(kind) if member.name not in without]
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in names]):
         bad = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
         raise InputError(f"unknown {bad} in {key}; known: {', '.join(names)}")
-    needed = [
-        attribute.name
-        for attribute in fields(kind)
-        if attribute.default is MISSING and attribute.default_factory is MISSING
-    ]
+    needed = [f.name for f in fields(kind) if f.default is f.default_factory is MISSING]
     if lacking := [name for name in needed if name not in table]:
         raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}: add it")
     return kind(**table)

@@ -24,16 +24,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
-from weakref import WeakKeyDictionary
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import check_type
 from facerender.scenes.camera import Frame
-from facerender.scenes.mesh import Mesh, Region, ShapeKey, in_space
-from facerender.scenes.repair import used
+from facerender.scenes.mesh import Mesh, Part, Region, in_space
+from facerender.scenes.repair import double_areas, used
 
 Float = NDArray[np.float64]
 
@@ -85,7 +85,9 @@ _OTHER_WORDS = {
 _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
 _HAIR_WORDS = {"braid", "braids", "hair", "ponytail"}
 
-_known: WeakKeyDictionary[ShapeKey, Mapping[str, Region | None]] = WeakKeyDictionary()
+# Keyed by the first part, then by all parts, which copies with other materials share.
+_known: WeakKeyDictionary[Part, dict[tuple[Any, ...], Mapping[str, Region | None]]]
+_known = WeakKeyDictionary()
 
 
 class _Head(NamedTuple):
@@ -116,20 +118,16 @@ def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
     if mesh.regions is not None:
         return mesh.regions
     if mesh.rest is not None:
-        return _scaled(find_regions(mesh.rest), mesh.rest.radius / mesh.radius)
-    key = mesh.shape_key  # read once: two threads may set it
-    if (regions := _known.get(key)) is None:
-        regions = _known[key] = _found(mesh)
-    return regions
-
-
-def _scaled(regions: Mapping[str, Region | None], scale: float) -> Mapping[str, Region | None]:
-    if scale == 1.0:
-        return regions
-    return {
-        name: region and Region(region.center * scale, region.radius * scale, region.height * scale)
-        for name, region in regions.items()
-    }
+        scale = mesh.rest.radius / mesh.radius
+        return {
+            name: r and Region(r.center * scale, r.radius * scale, r.height * scale)
+            for name, r in find_regions(mesh.rest).items()
+        }
+    regions_by_parts = _known.setdefault(mesh.parts[0], {})
+    key = tuple(map(ref, mesh.parts))
+    if key not in regions_by_parts:
+        regions_by_parts[key] = _found(mesh)
+    return regions_by_parts[key]
 
 
 def tracked(mesh: Mesh) -> Mesh:
@@ -218,7 +216,7 @@ class _Surface:
         self.mesh = mesh
         self.corners = np.concatenate([part.positions[part.faces] for part in mesh.parts])
         a, b, c = np.moveaxis(self.corners, 1, 0)
-        self.areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        self.areas = double_areas(self.corners)
         self.areas /= self.areas.max() or 1.0  # all are 0 in a mesh without height
         self.low = mesh.normalised(np.minimum(np.minimum(a, b), c))
         self.high = mesh.normalised(np.maximum(np.maximum(a, b), c))

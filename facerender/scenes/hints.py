@@ -15,6 +15,7 @@ from facerender.errors import InputError, clipped, note, warn
 from facerender.scenes.framing import find_regions
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part, blends_only, coordinates, largest_opacity
+from facerender.scenes.repair import double_areas
 from facerender.scenes.texture import Texture
 from facerender.terms.ranges import range_of
 
@@ -308,21 +309,16 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     """
     skin = Material()
     threshold = _FAINT * skin.ks * skin.f0 / skin.m**2
-    pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
-    slopes = [_least_slope(part, material, decode) for part, material in pairs]
-    dull = [
-        0.0 < material.ks * material.f0 < threshold * m**2
-        for (_, material), m in zip(pairs, slopes, strict=True)
-    ]
-    if not any(dull):
+    parts = [mesh.parts[i] for i in mesh.skin]
+    dull = []
+    for part, material in zip(parts, [mesh.materials[i] for i in mesh.skin], strict=True):
+        m = _least_slope(part, material, decode)
+        if 0.0 < material.ks * material.f0 < threshold * m**2:
+            dull.append((part, material.ks, m))
+    if not dull:
         return None
-    areas = [_area(part) for part, _ in pairs]
-    weak = [
-        (area, material.ks, m)
-        for area, (_, material), m, is_dull in zip(areas, pairs, slopes, dull, strict=True)
-        if is_dull
-    ]
-    if sum(area for area, *_ in weak) < 0.5 * sum(areas):
+    weak = [(_area(part), ks, m) for part, ks, m in dull]
+    if sum(area for area, *_ in weak) < 0.5 * sum(map(_area, parts)):
         return None
     _, ks, m = max(weak)
     remedies = [f"--ks {skin.ks:g}"] * (ks < 0.5) + [f"--m {skin.m:g}"] * (m > 2.0 * skin.m)
@@ -359,8 +355,7 @@ def _least_slope(part: Part, material: Material, decode: bool) -> float:
 
 
 def _area(part: Part) -> float:
-    a, b, c = np.moveaxis(part.positions[part.faces], 1, 0)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return float(double_areas(part.positions[part.faces]).sum())
 
 
 # --- opacity ------------------------------------------------------------------------------------

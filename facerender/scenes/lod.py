@@ -16,6 +16,7 @@ from facerender.errors import InputError, check_type, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import TRIANGLES, Mesh, Part, moved, reference_of
+from facerender.scenes.repair import VERTEX_ARRAYS, double_areas
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 from facerender.system import meshoptimizer
 from facerender.terms.ranges import IntegerRange, check_fields, ranged
@@ -113,28 +114,25 @@ def _simplify(mesh: Mesh, triangles: int) -> Level:
     # In some files, triangles do not share vertices, so equal vertices are merged.
     rows, first_indices, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     corners = numbers.reshape(-1)[np.concatenate(faces)]
-    columns = rows.astype(np.float32)
+    attributes = rows.astype(np.float32)
     weights = np.array(_WEIGHTS[: rows.shape[1] - 4], dtype=np.float32)
     collapsed = meshoptimizer.collapsed(
-        corners.astype(np.uint32), columns[:, 1:4], columns[:, 4:], weights, triangles
+        corners.astype(np.uint32), attributes[:, 1:4], attributes[:, 4:], weights, triangles
     )
     parts, remaining = [], []
     for number, part in enumerate(mesh.parts):
         chosen = collapsed[rows[collapsed[:, 0], 0] == number]
         if not len(chosen):
             all_faces = corners[rows[corners[:, 0], 0] == number]
-            chosen = all_faces[[np.argmax(_double_areas(rows[all_faces, 1:4]))]]
+            chosen = all_faces[[np.argmax(double_areas(rows[all_faces, 1:4]))]]
         vertices, inverse = np.unique(chosen, return_inverse=True)
-        remaining_vertices = first_indices[vertices] - starts[number]
-        arrays = {
-            name: attribute[remaining_vertices]
-            for name in ("positions", "normals", "uv", "colors", "occlusion", "uv2")
-            if (attribute := getattr(part, name)) is not None
-        }
+        kept = first_indices[vertices] - starts[number]
+        columns = ((name, getattr(part, name)) for name in (*VERTEX_ARRAYS, "occlusion"))
+        arrays = {name: values[kept] for name, values in columns if values is not None}
         corners_of_part = inverse.reshape(chosen.shape).astype(np.uint32)
         ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
-        remaining.append(remaining_vertices)
+        remaining.append(kept)
     return replace(mesh, parts=tuple(parts), regions=find_regions(mesh)), remaining
 
 
@@ -167,16 +165,10 @@ def _on_surface(mesh: Mesh, part: Part, uv: Float | None) -> Float:
     if uv is None:
         return np.zeros((len(part.positions), 2))
     flat = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
-    on_map = float(_double_areas(flat[part.faces]).sum())
-    on_surface = float(_double_areas(part.positions[part.faces]).sum())
+    on_map = float(double_areas(flat[part.faces]).sum())
+    on_surface = float(double_areas(part.positions[part.faces]).sum())
     scale = math.sqrt(on_surface / on_map) if on_map > 0.0 else 1.0
     return uv * (scale / mesh.radius)
-
-
-def _double_areas(corners: Float) -> Float:
-    """Return the doubled areas (F,) of triangles (F, 3, 3)."""
-    sides = corners[:, 1:] - corners[:, :1]
-    return np.asarray(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_known, check_switch, shown
+from facerender.errors import InputError, check_known, check_type, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import COLORS, MOST_RADIANCE, Vector
 from facerender.shading import WEIGHTS
@@ -116,17 +116,12 @@ class Material:
         if not isinstance(names, tuple | list) or any(name not in MAPS for name in names):
             raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
         object.__setattr__(self, "second_uv", tuple(names))
+        remedy = "facerender.Texture.open(FILE) or None"
         for name in MAPS:
-            texture = getattr(self, name)
-            if texture is not None and not isinstance(texture, Texture):
-                raise InputError(
-                    f"{name} = {shown(texture)}: give facerender.Texture.open(FILE) or None"
-                )
+            check_type(name, getattr(self, name), Texture | None, remedy)
         for name in ("albedo_map", "emissive_map"):
             if (texture := getattr(self, name)) is not None:
                 object.__setattr__(self, name, texture.in_srgb())
-        if self.double_sided is not None:
-            check_switch("double_sided", self.double_sided)
         if self.scattering is not None:
             from facerender.terms.scattering import profile_of
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import (
     InputError,
     check_range,
-    check_switch,
     check_type,
     each_of,
     shown,
@@ -27,9 +25,8 @@ from facerender.scenes.arrays import piece_of
 from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
 from facerender.scenes.presets import changed, without_effect
-from facerender.scenes.presets import preset as check_preset
 from facerender.scenes.repair import Piece, are_closed, clean, unique, used
-from facerender.scenes.vectors import MOST_RADII, check_array, rows_of
+from facerender.scenes.vectors import MOST_RADII, check_array, rows_of, unit
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
 if TYPE_CHECKING:
@@ -89,33 +86,9 @@ class Part:
     preset: str = ""
     ks_ignored: bool = False
 
-    def __post_init__(self) -> None:
-        check_type("name of a part", self.name, str, "text")
-        check_switch("skin of a part", self.skin)
-        if not isinstance(self.preset, str) or self.preset:
-            check_preset(self.preset)
-        check_switch("ks_ignored of a part", self.ks_ignored)
-        check_type("rest of a part", self.rest, Part | None, "a Part or None")
-        if self.rig is not None:
-            from facerender.scenes.rig import Rig  # most meshes have none: this saves 5 ms
-
-            check_type("rig of a part", self.rig, Rig, "a facerender.scenes.rig.Rig or None")
-        IntegerRange(0, math.inf).check("source_count of a part", self.source_count)
-        for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
-            check_array(name, getattr(self, name), columns)
-        for name, columns in (
-            *(("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2), ("head", 3)),
-            ("sources", 0),
-        ):
-            if (array := getattr(self, name)) is not None:
-                check_array(name, array, columns)
-        if self.uv is None and self.uv2 is not None:
-            raise InputError("uv2 without uv: give the first texture coordinates as uv")
-
     def __repr__(self) -> str:
-        has = [
-            name for name in ("uv", "uv2", "colors", "occlusion") if vars(self)[name] is not None
-        ]
+        names = ("uv", "uv2", "colors", "occlusion")
+        has = [name for name in names if getattr(self, name) is not None]
         counts = f"{len(self.positions)} vertices, {len(self.faces)} triangles"
         return f"<Part {', '.join([repr(self.name), counts, *has])}>"
 
@@ -123,11 +96,17 @@ class Part:
     def root(self) -> Part:
         """The part in the reference pose. All poses of a part have one root, under which caches
         store what does not depend on the pose."""
-        rest_part = self.rest
-        shared = rest_part is not None and all(
-            getattr(self, n) is getattr(rest_part, n) for n in _OF_ROOT
-        )
-        return rest_part if shared and rest_part is not None else self
+        if self.rest is None or any(
+            getattr(self, name) is not getattr(self.rest, name) for name in _OF_ROOT
+        ):
+            return self
+        return self.rest
+
+    @cached_property
+    def drawn(self) -> NDArray[np.bool_] | None:
+        """Mask (N, 1) of the vertices that faces use; None if faces use all vertices."""
+        mask = used(self.positions, self.faces)[:, None]
+        return None if mask.all() else mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,10 +127,6 @@ class Region:
     def profile(self) -> NDArray[np.float64]:
         """Outline of the cylinder: distance from its axis, and height, like ``Mesh.profile``."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])
-
-
-class ShapeKey:
-    """Weakly referenced key of cached values that depend on the shape of a mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,15 +177,16 @@ class Mesh:
         check_array("profile", self.profile, 2)
         check_range("radius", self.radius, 0.0, sys.float_info.max)
         check_fields(self)
-        if self.regions is not None:
-            check_type("regions", self.regions, Mapping, "auto, head and face, or None")
-            if set(self.regions) != {"auto", "head", "face"}:
-                raise InputError(
-                    f"regions = {shown(self.regions)}: give auto, head and face, or None"
-                )
-            for name, region in self.regions.items():
-                kinds = Region | None if name == "auto" else Region
-                check_type(f"regions {name}", region, kinds, "a facerender.scenes.mesh.Region")
+        regions = self.regions
+        if regions is not None and not (
+            isinstance(regions, Mapping)
+            and set(regions) == {"auto", "head", "face"}
+            and all(
+                isinstance(region, Region) or (name == "auto" and region is None)
+                for name, region in regions.items()
+            )
+        ):
+            raise InputError(f"regions = {shown(regions)}: give auto, head and face, or None")
         check_maps(self.name, self.materials)
 
     def __repr__(self) -> str:
@@ -244,25 +220,12 @@ class Mesh:
         piece without a name is numbered, unless it is the only one: the third is ``part3``."""
         several = len(pieces) > 1
         names = (piece.name or f"part{i}" * several for i, piece in enumerate(pieces, 1))
-        parts = [
-            Part(
-                piece.positions,
-                np.asarray(piece.normals),
-                np.ascontiguousarray(piece.faces, dtype=np.uint32),
-                piece.uv,
-                piece.colors,
-                name=part_name,
-                uv2=piece.uv2,
-                head=piece.head,
-                skin=piece.skin,
-                sources=piece.sources,
-                source_count=piece.source_count,
-                rig=piece.rig,
-                preset=piece.preset,
-                ks_ignored=piece.ks_ignored,
-            )
-            for piece, part_name in zip(pieces, unique(names), strict=True)
-        ]
+        shared = {field.name for field in fields(Part)} & {field.name for field in fields(Piece)}
+        parts = []
+        for piece, part_name in zip(pieces, unique(names), strict=True):
+            values = {name: getattr(piece, name) for name in shared}
+            faces = np.ascontiguousarray(piece.faces, dtype=np.uint32)
+            parts.append(Part(**values | {"faces": faces, "name": part_name}))
         return cls.of(name, parts, [piece.material for piece in pieces], millimetres)
 
     @classmethod
@@ -339,12 +302,9 @@ class Mesh:
 
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
-        pairs = enumerate(part.name for part in self.parts)
-        if not (
-            matches := [
-                i for i, part_name in pairs if part_name == name or fnmatchcase(part_name, name)
-            ]
-        ):
+        names = enumerate(part.name for part in self.parts)
+        matches = [i for i, other in names if other == name or fnmatchcase(other, name)]
+        if not matches:
             raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
         return matches
 
@@ -354,9 +314,15 @@ class Mesh:
         return f"its parts are {', '.join(part.name for part in self.parts)}"
 
     @cached_property
-    def shape_key(self) -> ShapeKey:
-        """Key of the cached regions. Copies with other materials share it."""
-        return ShapeKey()
+    def corners(self) -> Corners:
+        """Corners of the faces, from which a pose computes its normals."""
+        arrays = ((part.positions, part.normals, part.faces) for part in self.parts)
+        return Corners.of(*zip(*arrays, strict=True))
+
+    @cached_property
+    def mean_normals(self) -> list[Floats]:
+        """Mean face normals around each vertex as unit vectors, (N, 3) for each part."""
+        return [*map(unit, self.corners.normal_sums([part.positions for part in self.parts]))]
 
     @property
     def skin(self) -> tuple[int, ...]:
@@ -445,15 +411,16 @@ class Mesh:
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
         updates = {i: changed(self.materials[i], changes) for i in chosen}
-        _warn_of_lobes(self.name, changes, updates.values())
+        unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
+        asked = [key for key, value in unused.items() if changes.get(key, value) != value]
+        if asked and not any(material.two_lobes for material in updates.values()):
+            warn_of_one_lobe(self.name, asked[0])
         for fault in without_effect(
             changes, [self.materials[i] for i in updates], [*updates.values()]
         ):
             warn(f"{fault}: give both for a part of {self.name}")
         materials = tuple(updates.get(i, material) for i, material in enumerate(self.materials))
-        copy = replace(self, materials=materials)
-        vars(copy)["shape_key"] = self.shape_key  # sets the cached property
-        return copy
+        return replace(self, materials=materials)
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -498,13 +465,11 @@ class Mesh:
         from facerender.scenes.rig_pose import posed  # only for poses, as above
 
         rest_mesh = reference_of(self)
-        places, normals = posed(rest_mesh, lambda: _corners_of(rest_mesh), weights, clip, time)
-        stored = (
-            self
-            if rest_mesh is self
-            else replace(self, parts=rest_mesh.parts, bounds=rest_mesh.bounds)
-        )
-        return moved(stored, places, normals)
+        positions, normals = posed(rest_mesh, weights, clip, time)
+        stored = self
+        if rest_mesh is not self:
+            stored = replace(self, parts=rest_mesh.parts, bounds=rest_mesh.bounds)
+        return moved(stored, positions, normals)
 
 
 def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
@@ -553,14 +518,6 @@ def slope_range(part: Part, material: Material) -> tuple[float, float]:
     if coordinates(part, material, "roughness_map") is None:
         return material.with_second(material.m, material.m)
     return material.slopes
-
-
-def _warn_of_lobes(name: str, changes: Mapping[str, Any], materials: Iterable[Material]) -> None:
-    """Warn if changes ask for a second lobe, but none of the changed materials has one."""
-    unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
-    asked = [key for key, value in unused.items() if changes.get(key, value) != value]
-    if asked and not any(material.two_lobes for material in materials):
-        warn_of_one_lobe(name, asked[0])
 
 
 def warn_of_one_lobe(name: str, field: str) -> None:
@@ -622,17 +579,14 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
     """Return the rows (N, 3) of each part; None for a part without rows. For the accepted values
     and the errors see :meth:`Mesh.with_positions`."""
     parts = mesh.parts
-    if isinstance(values, Mapping):
-        chosen: dict[int, Any] = {}
-        for key, array in values.items():
-            chosen |= dict.fromkeys(mesh.called(str(key)), array)
-        values = [chosen.get(number) for number in range(len(parts))]
     if values is None:
-        values = [None] * len(parts)
-    each_part = isinstance(values, list | tuple) and all(
+        return [None] * len(parts)
+    if isinstance(values, Mapping):
+        by_index = {i: array for key, array in values.items() for i in mesh.called(str(key))}
+        values = [by_index.get(i) for i in range(len(parts))]
+    if isinstance(values, list | tuple) and all(
         array is None or np.ndim(array) == 2 for array in values
-    )
-    if each_part:
+    ):
         if len(values) != len(parts):
             raise InputError(
                 f"{name} has {len(values)} arrays: give {len(parts)}, one for each part of "
@@ -671,14 +625,14 @@ def _of_part(name: str, array: Any, part: Part) -> NDArray[np.float64]:
 
 def moved(
     mesh: Mesh,
-    places: Sequence[NDArray[np.float64] | None],
-    normals: Sequence[NDArray[np.float64] | None],
+    positions: Sequence[Floats | None],
+    normals: Sequence[Floats | None],
 ) -> Mesh:
     """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
 
     Parameters
     ----------
-    places : finite positions (N, 3) of each part; None for a part that stays as it is
+    positions : finite positions (N, 3) of each part; None for a part that stays as it is
     normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
         replaced by the normal of the reference pose
     """
@@ -688,23 +642,19 @@ def moved(
             f"the baked occlusion of {rest_mesh.name} remains that of the reference pose: bake it "
             "for each pose with facerender.with_occlusion, or leave it out"
         )
-    if any(place is not None and n is None for place, n in zip(places, normals, strict=True)):
-        pairs = zip(mesh.parts, places, strict=True)
-        sums = _corners_of(rest_mesh).normal_sums(
-            [p.positions if place is None else place for p, place in pairs]
-        )
+    pairs = zip(mesh.parts, positions, strict=True)
+    filled = [part.positions if rows is None else rows for part, rows in pairs]
+    pairs = zip(positions, normals, strict=True)
+    if any(rows is not None and normal is None for rows, normal in pairs):
+        sums = rest_mesh.corners.normal_sums(filled)
     parts = []
-    for number, (part, place, normal) in enumerate(zip(mesh.parts, places, normals, strict=True)):
-        if place is not None or normal is not None:
+    for i, part in enumerate(mesh.parts):
+        normal = normals[i]
+        if positions[i] is not None or normal is not None:
             root = part.root
-            positions = part.positions if place is None else place
-            positions = (
-                positions
-                if (drawn := _drawn_of(root)) is None
-                else np.where(drawn, positions, mesh.center)
-            )
-            turned = unit_or(sums[number] if normal is None else normal, root.normals)
-            part = replace(root, positions=positions, normals=turned, rest=root)
+            rows = filled[i] if root.drawn is None else np.where(root.drawn, filled[i], mesh.center)
+            turned = unit_or(sums[i] if normal is None else normal, root.normals)
+            part = replace(root, positions=rows, normals=turned, rest=root)
         parts.append(part)
     return in_space(replace(mesh, parts=tuple(parts), regions=None, rest=rest_mesh))
 
@@ -725,39 +675,13 @@ def in_space(mesh: Mesh) -> Mesh:
     The profile, which is relative to the radius, shrinks accordingly."""
     rest_mesh = mesh.rest
     assert rest_mesh is not None
-    away = (part.positions - mesh.center for part in mesh.parts)
-    reach = (
-        math.sqrt(max(np.einsum("ij,ij->i", offsets, offsets).max() for offsets in away))
-        / rest_mesh.radius
-    )
+    offsets = (part.positions - mesh.center for part in mesh.parts)
+    squares = max(np.einsum("ij,ij->i", vectors, vectors).max() for vectors in offsets)
+    reach = math.sqrt(squares) / rest_mesh.radius
     if reach > MOST_RADII:
         raise InputError(
             f"a vertex of {mesh.name} is {reach:.3g} mesh radii from the mesh's centre: give "
             f"positions within {MOST_RADII:g}"
         )
-    steps = max(math.ceil(math.log(reach * (1.0 - 1e-9), _GROWTH)), 0) if reach > 0.0 else 0
-    growth = _GROWTH**steps
+    growth = _GROWTH ** math.ceil(math.log(max(reach, 1.0) * (1.0 - 1e-9), _GROWTH))
     return replace(mesh, radius=rest_mesh.radius * growth, profile=rest_mesh.profile / growth)
-
-
-_drawn: WeakKeyDictionary[Part, NDArray[np.bool_] | None] = WeakKeyDictionary()
-
-
-def _drawn_of(root: Part) -> NDArray[np.bool_] | None:
-    """Return a mask (N, 1) of the vertices that faces use; None if faces use all vertices."""
-    if root not in _drawn:
-        mask = used(root.positions, root.faces)[:, None]
-        _drawn[root] = None if mask.all() else mask
-    return _drawn[root]
-
-
-_corners: WeakKeyDictionary[Mesh, Corners] = WeakKeyDictionary()
-
-
-def _corners_of(rest_mesh: Mesh) -> Corners:
-    if rest_mesh not in _corners:
-        columns = zip(
-            *((part.positions, part.normals, part.faces) for part in rest_mesh.parts), strict=True
-        )
-        _corners[rest_mesh] = Corners.of(*columns)
-    return _corners[rest_mesh]

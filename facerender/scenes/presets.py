@@ -92,7 +92,12 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
             f"m = {shown(values['m'])} and roughness_map exclude each other: leave one out"
         )
     if (name := values.pop("preset", None)) is not None:
-        values = _fields_for(material, preset(name)) | values
+        preset_fields = dict(preset(name))
+        if material.albedo_map is not None:
+            preset_fields.pop("albedo", None)
+        if material.opacity_map is not None and material.alpha != "opaque":
+            del preset_fields["alpha"], preset_fields["opacity"]
+        values = preset_fields | values
     if "m" in values:
         values = {"roughness_map": None, **values}
     return material.with_values(**values)
@@ -109,12 +114,3 @@ def without_effect(
         differs = name in table and any(table[name] != getattr(material, name) for material in old)
         if differs and not any(map(has, new)):
             yield f"{name} = {shown(table[name])} has no effect without {needed}"
-
-
-def _fields_for(material: Material, preset_fields: Mapping[str, Any]) -> dict[str, Any]:
-    values = dict(preset_fields)
-    if material.albedo_map is not None:
-        values.pop("albedo", None)
-    if material.opacity_map is not None and material.alpha != "opaque":
-        del values["alpha"], values["opacity"]
-    return values

@@ -25,6 +25,8 @@ _MOST_PIECES = 1024  # limit, because every part needs a draw call in each pass
 # Distance from the median position: minimum for an outlier / 90 % quantile over all vertices.
 _FAR = 32.0
 
+VERTEX_ARRAYS = ("positions", "normals", "uv", "uv2", "colors")
+
 
 @dataclass
 class Piece:
@@ -127,12 +129,8 @@ def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Pie
     faces : (F, 3), indices into ``vertices``
     vertices : (N,), indices of vertices of the piece; an index may occur more than once
     """
-    attributes = ("positions", "normals", "uv", "uv2", "colors")
-    arrays = {
-        name: values[vertices]
-        for name in attributes
-        if (values := getattr(piece, name)) is not None
-    }
+    columns = ((name, getattr(piece, name)) for name in VERTEX_ARRAYS)
+    arrays = {name: values[vertices] for name, values in columns if values is not None}
     sources = vertices if piece.sources is None else piece.sources[vertices]
     count = piece.source_count or len(piece.positions)
     return replace(piece, **arrays, faces=faces, sources=sources, source_count=count)
@@ -240,15 +238,9 @@ def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the triangles (F, 3, 3) whose computed area is above 0 in both windings.
-
-    Both windings are tested because rounding of large coordinates (1e25) can give a cross product
-    of 0 at one corner and not at another.
-    """
-    wound = corners, corners[:, ::-1]
-    lengths = [np.linalg.norm(_face_normals(winding), axis=1) for winding in wound]
-    return np.asarray(np.minimum(*lengths) > 0.0)
+def double_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the doubled areas (F,) of triangles (F, 3, 3)."""
+    return np.asarray(np.linalg.norm(_face_normals(corners), axis=1))
 
 
 def _outwardness(corners: NDArray[np.float64]) -> float:
@@ -278,7 +270,11 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
             huge_faces += _keep_faces(piece, small[piece.faces])
     _check_extent([piece for piece in pieces if len(piece.faces)], name)
     for piece in pieces:
-        flat_faces += _keep_faces(piece, _has_area(_corners(piece))[:, None])
+        # Rounding of large coordinates (1e25) can give a cross product of 0 at one corner and not
+        # at another, so both windings are tested.
+        corners = _corners(piece)
+        areas = np.minimum(double_areas(corners), double_areas(corners[:, ::-1]))
+        flat_faces += _keep_faces(piece, areas[:, None] > 0.0)
     for count, problem in (
         (out_of_range, "faces with invalid vertex indices: dropped"),
         (infinite, f"non-finite vertices: {bad_faces} faces dropped"),
@@ -304,9 +300,7 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     the camera frames outliers, the rest of the mesh is only a dot in the image."""
     if not pieces:
         return
-    drawn = np.concatenate(
-        [piece.positions[used(piece.positions, piece.faces)] for piece in pieces]
-    )
+    drawn = np.concatenate([p.positions[used(p.positions, p.faces)] for p in pieces])
     extent = float(np.ptp(drawn, axis=0).max())
     if 0.0 < extent < _TINY:
         raise InputError(f"{name} is {extent:g} units wide, below {_TINY:g}: scale it up")
@@ -381,10 +375,9 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
         a = corners[:, (corner + 1) % 3] - corners[:, corner]
         b = corners[:, (corner + 2) % 3] - corners[:, corner]
         angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+        vertices = welded[faces[:, corner]]
         for axis in range(3):
-            normals[:, axis] += np.bincount(
-                welded[faces[:, corner]], angle * unit[:, axis], len(normals)
-            )
+            normals[:, axis] += np.bincount(vertices, angle * unit[:, axis], len(normals))
     length = np.linalg.norm(normals, axis=1)
     # If the normals of opposite faces cancel out, an arbitrary unit vector replaces the sum.
     normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))

@@ -244,9 +244,7 @@ class Skin:
         total = fractions.sum(axis=1, keepdims=True)
         fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
         fractions[:, 0] += total[:, 0] <= 0.0
-        columns = np.ascontiguousarray(
-            indices.T, dtype=np.uint16 if len(joints) < 1 << 16 else "u4"
-        )
+        columns = indices.T.astype(np.uint16 if len(joints) < 1 << 16 else np.uint32, order="C")
         return cls(joints, inverse, columns, np.ascontiguousarray(fractions.T))
 
     def matrices(self, worlds: Mapping[int, Float]) -> Float:
@@ -289,17 +287,12 @@ class Rig:
     @property
     def stored_weights(self) -> list[float]:
         """A weight for each shape."""
-        count = len(self.shapes)
-        return [*self.weights[:count], *[0.0] * (count - len(self.weights))]
+        return [*self.weights, *[0.0] * len(self.shapes)][: len(self.shapes)]
 
     def lagging(self, weights: Sequence[float]) -> list[float]:
         """Return weights in which the shapes without own normals have their stored weights."""
-        stored = self.stored_weights
-        follows = [shape.normal_rows is None for shape in self.shapes]
-        return [
-            stored_weight if follow else weight
-            for follow, stored_weight, weight in zip(follows, stored, weights, strict=True)
-        ]
+        rows = zip(self.shapes, self.stored_weights, weights, strict=True)
+        return [stored if shape.normal_rows is None else weight for shape, stored, weight in rows]
 
     def posed(
         self, worlds: Mapping[int, Float], weights: Sequence[float]

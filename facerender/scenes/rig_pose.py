@@ -3,16 +3,14 @@ and complete the normals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from facerender.errors import InputError, check_range, check_type, clipped, shown, warn
-from facerender.scenes.normals import Corners
-from facerender.scenes.repair import used
 from facerender.scenes.rig import Clip, Float, Moves, Rig
 from facerender.scenes.vectors import MOST_RADII, SHAPE_WEIGHTS, unit
 
@@ -21,12 +19,9 @@ if TYPE_CHECKING:
 
 _Rows = list[Float | None]
 
-_MOST_NAMES = 300  # characters of the names in a message
-
 
 def posed(
     rest: Mesh,
-    corners: Callable[[], Corners],
     weights: Mapping[str, float] | None,
     clip: str | None,
     time: float | None,
@@ -37,7 +32,6 @@ def posed(
     Parameters
     ----------
     rest : the mesh in the reference pose
-    corners : returns the corners of the mesh
     weights, clip, time : see :meth:`Mesh.with_pose`
     """
     skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
@@ -47,17 +41,15 @@ def posed(
             "the pose"
         )
     overrides = _checked(rest, weights)
-    chosen = _chosen(rest, skeleton.clips, clip, time)
+    selected = _clip(rest, skeleton.clips, clip, time)
     moves: Moves = {}
-    if chosen is not None:
-        moves = chosen.at(0.0 if time is None else float(time))
-        if chosen.ignored:
-            warn(
-                f"clip {shown(chosen.name)} of {rest.name} has channels of {chosen.ignored}: "
-                "ignored"
-            )
+    if selected is not None:
+        moves = selected.at(0.0 if time is None else float(time))
+        if selected.ignored:
+            name, ignored = shown(selected.name), selected.ignored
+            warn(f"clip {name} of {rest.name} has channels of {ignored}: ignored")
     with np.errstate(all="ignore"):
-        return _evaluated(rest, corners, skeleton.worlds(moves), overrides, moves)
+        return _evaluated(rest, skeleton.worlds(moves), overrides, moves)
 
 
 def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float]:
@@ -71,12 +63,10 @@ def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float
 
 
 def _known(kind: str, names: Sequence[str]) -> str:
-    return (
-        f"its {kind} are {clipped(', '.join(names), _MOST_NAMES)}" if names else f"it has no {kind}"
-    )
+    return f"its {kind} are {clipped(', '.join(names), 300)}" if names else f"it has no {kind}"
 
 
-def _chosen(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | None) -> Clip | None:
+def _clip(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | None) -> Clip | None:
     """Return the clip of a name, or the first clip if only a time is given."""
     if name is None and time is None:
         return None
@@ -87,22 +77,17 @@ def _chosen(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | N
         raise InputError(
             f"{problem}, which {mesh.name} lacks: {_known('clips', [clip.name for clip in clips])}"
         )
-    if matches[0].fault:
-        raise InputError(
-            f"clip {shown(matches[0].name)} of {mesh.name} is damaged ({matches[0].fault}); export "
-            "it again"
-        )
+    clip = matches[0]
+    label = f"clip {shown(clip.name)}"
+    if clip.fault:
+        raise InputError(f"{label} of {mesh.name} is damaged ({clip.fault}); export it again")
     if time is not None:
-        check_range(f"time of clip {shown(matches[0].name)}", time, 0.0, matches[0].duration)
-    return matches[0]
+        check_range(f"time of {label}", time, 0.0, clip.duration)
+    return clip
 
 
 def _evaluated(
-    rest_mesh: Mesh,
-    corners: Callable[[], Corners],
-    worlds: Mapping[int, Float],
-    overrides: Mapping[str, float],
-    moves: Moves,
+    rest_mesh: Mesh, worlds: Mapping[int, Float], overrides: Mapping[str, float], moves: Moves
 ) -> tuple[_Rows, _Rows]:
     positions: _Rows = []
     normals: _Rows = []
@@ -121,18 +106,15 @@ def _evaluated(
         positions.append(places)
         normals.append(turned)
     if behind:
-        normals = _following(rest_mesh, corners(), positions, behind, normals)
+        normals = _following(rest_mesh, positions, behind, normals)
     return positions, normals
 
 
 def _weights(rig: Rig, overrides: Mapping[str, float], moves: Moves) -> list[float]:
     """Return a weight for each shape: given, or of the clip, or stored."""
-    weights = list(moves.get(rig.node, {}).get("weights", rig.weights))
-    weights += [0.0] * (len(rig.shapes) - len(weights))
-    return [
-        overrides.get(shape.name, weight)
-        for shape, weight in zip(rig.shapes, weights, strict=False)
-    ]
+    stored = moves.get(rig.node, {}).get("weights", rig.weights)
+    pairs = zip_longest(rig.shapes, stored[: len(rig.shapes)], fillvalue=0.0)
+    return [overrides.get(shape.name, weight) for shape, weight in pairs]
 
 
 def _posed(
@@ -142,16 +124,15 @@ def _posed(
     try:
         places, normals = rig.posed(worlds, weights)
     except ValueError as error:
+        name = rest_mesh.name
+        raise InputError(f"a shape of {name} is damaged ({error}); export it again") from None
+    drawn = places if part.drawn is None else places[part.drawn[:, 0]]
+    reach = float(np.abs(drawn - rest_mesh.center).max()) / rest_mesh.radius
+    if not reach <= MOST_RADII:
         raise InputError(
-            f"a shape of {rest_mesh.name} is damaged ({error}); export it again"
-        ) from None
-    if not _reach(rest_mesh, places) <= MOST_RADII:
-        far = _reach(rest_mesh, places[used(places, part.faces)])
-        if not far <= MOST_RADII:
-            raise InputError(
-                f"the pose moves vertices of {rest_mesh.name} to {far:.3g} mesh radii from its "
-                f"centre: give weights, a clip or a time within {MOST_RADII:g} radii"
-            )
+            f"the pose moves vertices of {rest_mesh.name} to {reach:.3g} mesh radii from its "
+            f"centre: give weights, a clip or a time within {MOST_RADII:g} radii"
+        )
     if normals is None:
         return places, part.normals
     if not np.isfinite(normals).all():
@@ -159,12 +140,8 @@ def _posed(
     return places, normals
 
 
-def _reach(rest_mesh: Mesh, places: Float) -> float:
-    return float(np.abs(places - rest_mesh.center).max()) / rest_mesh.radius
-
-
 def _following(
-    rest_mesh: Mesh, corners: Corners, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
+    rest_mesh: Mesh, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
 ) -> _Rows:
     """Return normals that follow shapes without own normals. A normal changes by the difference of
     the face normals around its position with and without these shapes.
@@ -178,12 +155,10 @@ def _following(
     stored = [part.positions for part in rest_mesh.parts]
     moved = [a if b is None else b for a, b in zip(stored, positions, strict=True)]
     lagging = [behind.get(number, places) for number, places in enumerate(moved)]
-    pairs = zip(
-        *(_face_normals(rest_mesh, corners, pose) for pose in (moved, lagging)), strict=True
-    )
-    steps = [moved_normals - lagging_normals for moved_normals, lagging_normals in pairs]
+    means = (_mean_normals(rest_mesh, pose) for pose in (moved, lagging))
     new_normals: _Rows = []
-    for part, normal, step in zip(rest_mesh.parts, normals, steps, strict=True):
+    for part, normal, after, before in zip(rest_mesh.parts, normals, *means, strict=True):
+        step = after - before
         moves = normal is not None or step.any()
         new_normals.append(
             unit(part.normals if normal is None else normal) + step if moves else None
@@ -191,18 +166,9 @@ def _following(
     return new_normals
 
 
-# Keyed by the corners of a mesh: result of _face_normals in the stored pose.
-_stored: WeakKeyDictionary[Corners, list[Float]] = WeakKeyDictionary()
-
-
-def _face_normals(rest_mesh: Mesh, corners: Corners, positions: Sequence[Float]) -> list[Float]:
+def _mean_normals(rest_mesh: Mesh, positions: Sequence[Float]) -> list[Float]:
     """Return the mean face normals around each vertex as unit vectors."""
-    is_stored = all(
-        places is part.positions for places, part in zip(positions, rest_mesh.parts, strict=True)
-    )
-    if is_stored and corners in _stored:
-        return _stored[corners]
-    normals = [unit(sums) for sums in corners.normal_sums(positions)]
-    if is_stored:
-        _stored[corners] = normals
-    return normals
+    pairs = zip(positions, rest_mesh.parts, strict=True)
+    if all(rows is part.positions for rows, part in pairs):
+        return rest_mesh.mean_normals
+    return [*map(unit, rest_mesh.corners.normal_sums(positions))]

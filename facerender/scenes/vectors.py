@@ -42,14 +42,11 @@ def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def check_array(name: str, value: Any, columns: int) -> None:
-    """Raise InputError if a value is not a numeric array of shape (N, columns). If columns is 0,
-    the shape must be (N,)."""
-    shape = (columns,) if columns else ()
+    """Raise InputError if a value is not a numeric array of shape (N, columns)."""
     if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
         raise InputError(f"{name} = {shown(value)}: give an array of numbers")
-    if value.ndim != 1 + len(shape) or value.shape[1:] != shape:
-        expected = f"(N, {columns})" if columns else "(N,)"
-        raise InputError(f"{name} has the shape {value.shape}: give {expected}")
+    if value.shape[1:] != (columns,):
+        raise InputError(f"{name} has the shape {value.shape}: give (N, {columns})")
 
 
 def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:

@@ -48,11 +48,9 @@ class View:
     distortion: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
-        places = (
-            ", ".join(f"{component:.4g}" for component in vector)
-            for vector in (self.position, self.forward)
-        )
-        return "<View from ({}) along ({})>".format(*places)
+        vectors = self.position, self.forward
+        start, direction = (", ".join(f"{value:.4g}" for value in vector) for vector in vectors)
+        return f"<View from ({start}) along ({direction})>"
 
     def project(
         self, mesh: Mesh, points: NDArray[np.float64], size: int | tuple[int, int]
@@ -75,8 +73,7 @@ class View:
         size = SIZES.check("size", size)
         points = np.asarray(points)
         check_array("points", points, 3)
-        places = np.column_stack([mesh.normalised(points), np.ones(len(points))])
-        clip = places @ self.matrix[:, _XYW]
+        clip = self._clip(mesh, points)
         depth = clip[:, 2]
         with np.errstate(all="ignore"):
             flat = np.where(depth[:, None] > 0.0, clip[:, :2] / depth[:, None], np.nan)
@@ -85,6 +82,11 @@ class View:
             focal, middle = lens[[0, 1], [0, 1]], lens[:2, 2]
             flat = distort((flat - middle) / focal, self.distortion) * focal + middle
         return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
+
+    def _clip(self, mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return clip x, y and w, (N, 3), of points (N, 3) of mesh space."""
+        rows = np.column_stack([mesh.normalised(points), np.ones(len(points))])
+        return np.asarray(rows @ self.matrix[:, _XYW])
 
     def shifted(self, pixels: tuple[float, float], size: int | tuple[int, int]) -> View:
         """Return the view with its image moved right by x pixels and down by y pixels.
@@ -338,8 +340,7 @@ def levels_to_spare(
     size : width and height of the image
     anisotropy : degree of anisotropic filtering, at least 1 (isotropic)
     """
-    clip = np.column_stack([mesh.normalised(part.positions), np.ones(len(part.positions))])
-    x, y, w = (clip @ view.matrix[:, [0, 1, 3]]).T
+    x, y, w = view._clip(mesh, part.positions).T
     in_front = w[part.faces] > 1e-6
     crossing = in_front.any(axis=1) & ~in_front.all(axis=1)
     faces = part.faces[in_front.all(axis=1)]
