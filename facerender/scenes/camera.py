@@ -237,9 +237,7 @@ def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:
 
     known : text of the accepted values, for the message
 
-    Raises
-    ------
-    InputError : the name is unknown, or the text has another form
+    Raises InputError if the name is unknown, or the text has another form.
     """
     if text in AZIMUTHS_BY_NAME:
         return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}

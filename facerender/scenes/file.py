@@ -134,12 +134,8 @@ class Pose:
 
 
 def parse_environment(text: str) -> EnvironmentFile:
-    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``.
-
-    Raises
-    ------
-    InputError : the text has another form, or a value is outside its range
-    """
+    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
+    text has another form, or a value is outside its range."""
     file, *numbers = text.split(",")
     try:
         if len(numbers) > 2:
@@ -156,12 +152,8 @@ def parse_environment(text: str) -> EnvironmentFile:
 
 def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:
     """Return the file of an environment map, given as an :class:`EnvironmentFile`, as a path, or as
-    a text that :func:`parse_environment` parses.
-
-    Raises
-    ------
-    InputError : a value of another type, or an error of :func:`parse_environment`
-    """
+    a text that :func:`parse_environment` parses. Raises InputError for a value of another type, and
+    the errors of :func:`parse_environment`."""
     if isinstance(value, str):
         return parse_environment(value)
     if isinstance(value, os.PathLike):
@@ -204,11 +196,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def scene_value(key: str, value: Any) -> Any:
     """Convert the TOML value of a key to the type that :func:`load_scene` returns for the key.
-
-    Raises
-    ------
-    InputError : an unknown key or a value outside its range
-    """
+    Raises InputError if the key is unknown, or a value is outside its range."""
     if key in _TABLES:
         return from_table(_TABLES[key], key, value)
     if key in _TEXTS:
@@ -240,12 +228,8 @@ def _parsed(key: str, value: Any) -> Any:
 
 
 def parse_vertices(text: str) -> tuple[str, int | None]:
-    """Parse a path and the index of a frame from ``FILE[,FRAME]``; without FRAME, None.
-
-    Raises
-    ------
-    InputError : the path is empty
-    """
+    """Parse a path and the index of a frame from ``FILE[,FRAME]``; without FRAME, None. Raises
+    InputError if the path is empty."""
     file, comma, frame = text.rpartition(",")
     if not comma or not frame.isdecimal():
         file, frame = text, ""
@@ -255,12 +239,8 @@ def parse_vertices(text: str) -> tuple[str, int | None]:
 
 
 def parse_weight(text: str) -> tuple[str, float]:
-    """Parse the name of a shape and its weight from ``NAME=WEIGHT``.
-
-    Raises
-    ------
-    InputError : the text has another form, or the weight is outside its range
-    """
+    """Parse the name of a shape and its weight from ``NAME=WEIGHT``. Raises InputError if the text
+    has another form, or the weight is outside its range."""
     name, _, number = text.rpartition("=")
     try:
         weight = float(number)
@@ -280,9 +260,8 @@ def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
     tables : for each name of parts, which may have wildcards, a table of fields of
         :class:`Material` except its maps, and ``preset``
 
-    Raises
-    ------
-    InputError : a value of a wrong type, an unknown key or preset, or a value outside its range
+    Raises InputError for a value of a wrong type, an unknown key or preset, or a value outside its
+    range.
     """
     check_type(name, tables, Mapping, "a table of parts, such as {'lash*': {'preset': 'lashes'}}")
     materials = {}
@@ -303,12 +282,8 @@ def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
 
 def parse_part(text: str) -> tuple[str, dict[str, Any]]:
     """Parse the material of parts from the text ``NAME=PRESET``, ``NAME,FIELD=VALUE,...`` or
-    ``NAME=PRESET,FIELD=VALUE,...``. A colour is three numbers with commas.
-
-    Raises
-    ------
-    InputError : the text has another form, or a value is outside its range
-    """
+    ``NAME=PRESET,FIELD=VALUE,...``. A colour is three numbers with commas. Raises InputError if the
+    text has another form, or a value is outside its range."""
     first, *words = text.split(",")
     pattern, _, preset = first.partition("=")
     values: dict[str, list[str]] = {}
@@ -448,9 +423,8 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
     ----------
     without : fields that the table must not contain
 
-    Raises
-    ------
-    InputError : the value is no table, a key is unknown or missing, or a value is out of range
+    Raises InputError if the value is no table, a key is unknown or missing, or a value is out of
+    range.
     """
     names = [member.name for member in fields(kind) if member.name not in without]
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in names]):

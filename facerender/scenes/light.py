@@ -131,10 +131,7 @@ def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
     """Return a point light's position and intensity in the renderer's space, (3,) each.
 
     The intensity is the irradiance at the mesh's centre times the squared distance to that centre.
-
-    Raises
-    ------
-    InputError : the light is at the mesh's centre, or more than 1e6 mesh radii away
+    Raises InputError if the light is at the mesh's centre, or more than 1e6 mesh radii away.
     """
     assert light.position is not None
     position = within_reach(f"point light {light.position}", mesh.normalised(light.position))
@@ -161,12 +158,8 @@ def _sine(light: Light) -> Float:
 
 
 def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
-    """Return position, intensity and radius of a sphere light in the renderer's space.
-
-    Raises
-    ------
-    InputError : the angular radius may exceed MAX_RADIUS somewhere on the mesh
-    """
+    """Return position, intensity and radius of a sphere light in the renderer's space. Raises
+    InputError if the angular radius may exceed MAX_RADIUS somewhere on the mesh."""
     position, intensity = _point(light, mesh)
     distance = float(np.linalg.norm(position))
     size = distance * _sine(light)
@@ -281,12 +274,8 @@ class LightSpace:
 
 
 def light_space(light: Light, mesh: Mesh) -> LightSpace:
-    """Return the shadow projection of a light.
-
-    Raises
-    ------
-    InputError : a point light is less than NEAREST or more than 1e6 mesh radii from the centre
-    """
+    """Return the shadow projection of a light. Raises InputError if a point light is less than
+    NEAREST or more than 1e6 mesh radii from the centre."""
     tan_radius = math.tan(math.radians(light.radius))
     if light.position is None:
         matrix = np.eye(4)
@@ -331,9 +320,7 @@ def lights_of(lights: Any) -> tuple[Light, ...]:
 
     lights : several lights, or one
 
-    Raises
-    ------
-    InputError : a value is neither a light nor the text of one
+    Raises InputError for any other value.
     """
     several = [lights] if isinstance(lights, str | Light) else lights
     if isinstance(several, Iterable):
@@ -345,12 +332,8 @@ def lights_of(lights: Any) -> tuple[Light, ...]:
 def parse_light(text: str) -> Light:
     """Parse a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
     ``point:X,Y,Z[,IRRADIANCE]``. IRRADIANCE is one number or R,G,B. Each form may end with
-    ``,radius=DEGREES`` and ``,no-shadow``.
-
-    Raises
-    ------
-    InputError : the name is unknown, or the text has another form
-    """
+    ``,radius=DEGREES`` and ``,no-shadow``. Raises InputError if the name is unknown, or the text
+    has another form."""
     form, *options = re.split(r",(?=radius=|no-shadow\b)", text)
     kind, _, arguments = form.rpartition(":")
     try:

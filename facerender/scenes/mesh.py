@@ -529,12 +529,8 @@ def warn_of_one_lobe(name: str, field: str) -> None:
 
 
 def names_of(option: str, names: Any) -> tuple[str, ...]:
-    """Return part names from one text with commas or from several texts.
-
-    Raises
-    ------
-    InputError : a value that is not text
-    """
+    """Return part names from one text with commas or from several texts. Raises InputError for a
+    value that is not text."""
     names = names.split(",") if isinstance(names, str) else names
     texts = each_of(option, names, str, "names of parts")
     return tuple(name for text in texts if (name := text.strip()))

@@ -232,12 +232,7 @@ class Skin:
         weights: NDArray[Any],
     ) -> Skin:
         """Return a skin of the indices and weights (N, K) of a file. Vertices without weights
-        follow their first joint.
-
-        Raises
-        ------
-        ValueError : a joint index is out of range
-        """
+        follow their first joint. Raises ValueError if a joint index is out of range."""
         if indices.size and indices.max() >= len(joints):
             raise ValueError(f"a vertex uses joint {indices.max()}, the skin has {len(joints)}")
         fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
@@ -384,12 +379,8 @@ def morphed(
     weights: Sequence[float],
 ) -> tuple[Float, NDArray[Any] | None]:
     """Return positions (N, 3) and normals (N, 3) with weighted morph targets added; the normals
-    have any length. The arguments do not change.
-
-    Raises
-    ------
-    ValueError : a target whose weight is not 0 is damaged
-    """
+    have any length. The arguments do not change. Raises ValueError if a target whose weight is not
+    0 is damaged."""
     active = [(s, w) for s, w in zip(shapes, weights, strict=False) if w]
     places = np.array(positions, dtype=np.float64)
     if normals is not None and any(shape.normal_rows is not None for shape, _ in active):

@@ -37,10 +37,7 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     """Return the scattering profiles of a scene for an image size.
 
     Return None if nothing scatters over more than half a pixel at the camera target's distance.
-
-    Raises
-    ------
-    InputError : the size of the mesh in millimetres is unknown
+    Raises InputError if the size of the mesh in millimetres is unknown.
     """
     mesh = scene.mesh
     profiles_of_parts = [

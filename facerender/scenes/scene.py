@@ -58,12 +58,8 @@ def check_shading_rate(name: str, value: object) -> None:
 
 
 def background_of(value: Any) -> Vector | None:
-    """Return a background colour, which may be given as text: ``R,G,B``, or ``none``.
-
-    Raises
-    ------
-    InputError : the text has another form, or a value is outside its range
-    """
+    """Return a background colour, which may be given as text: ``R,G,B``, or ``none``. Raises
+    InputError if the text has another form, or a value is outside its range."""
     if value is None or (isinstance(value, str) and value == "none"):
         return None
     try:

@@ -169,13 +169,7 @@ class Texture:
         """
         pixels = _bytes_of(texels, name)
         check_pixels(name, pixels.shape[1], pixels.shape[0], 4, math.inf)
-
-        def decode() -> Image:
-            from PIL import Image
-
-            return Image.fromarray(pixels)
-
-        return cls(decode, name)
+        return cls(lambda: _image_of(pixels), name)
 
     @classmethod
     def from_image(cls, image: Image, name: str = "an image") -> Texture:
@@ -205,13 +199,7 @@ class Texture:
 
         texels : (H, W) or (H, W, 3), row 0 at the bottom
         """
-
-        def decode() -> Image:
-            from PIL import Image
-
-            return Image.fromarray(texels).convert("RGB")
-
-        texture = cls(decode, name, texels.shape[1::-1])
+        texture = cls(lambda: _image_of(texels).convert("RGB"), name, texels.shape[1::-1])
         texture._derived = True
         for kind, kind_levels in levels.items():
             texture._levels[kind] = Future()
@@ -270,12 +258,10 @@ class Texture:
         if self._source:
             return self._source.band(index)
         if self._fine:
-            from PIL import Image
-
             fine, levels = self._fine
             with fine._rows() as rows:
                 band = coarse_data(lambda *span: rows(*span).getchannel(index), fine.size, levels)
-            return Image.fromarray(band)
+            return _image_of(band)
         return self.rgb().getchannel(index)
 
     def _repr_png_(self) -> bytes:
@@ -324,25 +310,24 @@ class Texture:
         if self._fine:
             fine, omitted = self._fine
             return fine.coarser(omitted + levels)
-        texture = self._coarser.get(levels)
-        if texture is None:
-            if self._source:
-                texture = self._source.coarser(levels).sampled(*self.sampling)
-            elif self._make_coarser:
-                texture = self._make_coarser(levels)
-            else:
-                width, height = (max(side >> levels, 1) for side in self.size)
-                texture = Texture(lambda: self._coarse_image(levels), self.name, (width, height))
-                texture._fine, texture._derived = (self, levels), True
-            texture.coarse = True
-            self._coarser[levels] = texture
+        if (cached := self._coarser.get(levels)) is not None:
+            return cached
+
+        def decode() -> Image:
+            with self._rows() as rows:
+                return _image_of(coarse_data(rows, self.size, levels))
+
+        if self._source:
+            texture = self._source.coarser(levels).sampled(*self.sampling)
+        elif self._make_coarser:
+            texture = self._make_coarser(levels)
+        else:
+            width, height = (max(side >> levels, 1) for side in self.size)
+            texture = Texture(decode, self.name, (width, height))
+            texture._fine, texture._derived = (self, levels), True
+        texture.coarse = True
+        self._coarser[levels] = texture
         return texture
-
-    def _coarse_image(self, levels: int) -> Image:
-        from PIL import Image
-
-        with self._rows() as rows:
-            return Image.fromarray(coarse_data(rows, self.size, levels))
 
     @contextmanager
     def _rows(self) -> Iterator[Rows]:
@@ -401,25 +386,25 @@ class Texture:
     def in_srgb(self) -> Texture:
         """Return this texture converted from its ICC profile to sRGB, or itself without a profile.
         Data maps do not use it: their values are no colours."""
-        if self.profile is None:
+        if (profile := self.profile) is None:
             return self
-        if not self.profile:
+        if not profile:
             warn(f"{self.name} has an ICC profile that does not fit its channels: ignored")
             self.profile = None
             return self
+
+        def decode() -> Image:
+            with self._lock:
+                decode_file = self._decode
+            image = decode_file() if decode_file else _flipped(self.rgb())
+            return _srgb_of(_loaded(image, self.name), profile, self.name)
+
         if self._in_srgb is None:
             if self._source:
                 self._in_srgb = self._source.in_srgb().sampled(*self.sampling)
             else:
-                self._in_srgb = Texture(self._decode_srgb, self.name, self._size)
+                self._in_srgb = Texture(decode, self.name, self._size)
         return self._in_srgb
-
-    def _decode_srgb(self) -> Image:
-        with self._lock:
-            decode = self._decode
-        assert self.profile is not None
-        image = _loaded(decode() if decode else _flipped(self.rgb()), self.name)
-        return _srgb_of(image, self.profile, self.name)
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Return the future of a mip chain. A thread computes each chain once.
@@ -491,13 +476,9 @@ class Texture:
 
     def _finest(self) -> Image:
         """Return the image from the finest level of a mip chain that is already computed."""
-        from PIL import Image
-
-        chains = (
-            self._levels[kind] for kind in ("normal", "data", "color") if kind in self._levels
-        )
-        texels = next(chain.result()[0] for chain in chains if chain.done())
-        return Image.fromarray(np.ascontiguousarray(texels[..., :3]))
+        chains = (self._levels.get(kind) for kind in ("normal", "data", "color"))
+        texels = next(chain.result()[0] for chain in chains if chain and chain.done())
+        return _image_of(np.ascontiguousarray(texels[..., :3]))
 
 
 _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
@@ -539,6 +520,12 @@ def pack(
     packed.coarse = any(texture.coarse for texture in present)
     _packed[red, green, blue] = packed
     return packed
+
+
+def _image_of(texels: NDArray[np.uint8]) -> Image:
+    from PIL import Image
+
+    return Image.fromarray(texels)
 
 
 def _opened(content: bytes | BinaryIO, name: str) -> Image:
@@ -598,18 +585,19 @@ def _loaded(image: Image, name: str) -> Image:
     return image
 
 
-_SPACES = {**dict.fromkeys(("1", "L", "LA"), b"GRAY"), "CMYK": b"CMYK"}  # else RGB, of a mode
-_RGB = ("RGB", "RGBA", "RGBX", "P", "PA")
+_SPACES = {  # color spaces of ICC profiles, by the mode of a Pillow image
+    **dict.fromkeys(("1", "L", "LA"), b"GRAY"),
+    **dict.fromkeys(("RGB", "RGBA", "RGBX", "P", "PA"), b"RGB "),
+    "CMYK": b"CMYK",
+}
 
 
 def profile_of(image: Image) -> bytes | None:
     """Return the ICC profile of an image; None without a profile, and b"" for a profile that is no
     profile of these channels (ICC.1:2022, section 7.2)."""
-    profile = image.info.get("icc_profile")
-    space = _SPACES.get(image.mode, b"RGB " if image.mode in _RGB else b"")
-    if not profile:
+    if not (profile := image.info.get("icc_profile")):
         return None
-    fits = profile[36:40] == b"acsp" and profile[16:20] == space
+    fits = profile[36:40] == b"acsp" and profile[16:20] == _SPACES.get(image.mode)
     return bytes(profile) if fits else b""
 
 
@@ -633,11 +621,9 @@ def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
 
 
 def _upright_rgb(image: Image, name: str) -> Image:
-    from PIL import Image as images
-
     try:
         if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
-            image = images.fromarray((np.clip(np.asarray(image), 0, 65535) // 257).astype(np.uint8))
+            image = _image_of((np.clip(np.asarray(image), 0, 65535) // 257).astype(np.uint8))
         return _flipped(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
         raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None

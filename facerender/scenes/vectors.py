@@ -27,12 +27,8 @@ ELEVATIONS = Range(-90.0, 90.0, "degrees")
 
 
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Check that float32 can resolve a position (3,) in the renderer's space, and return it.
-
-    Raises
-    ------
-    InputError : the absolute value of a coordinate exceeds MOST_RADII
-    """
+    """Check that float32 can resolve a position (3,) in the renderer's space, and return it. Raises
+    InputError if the absolute value of a coordinate exceeds MOST_RADII."""
     if not (np.abs(place) <= MOST_RADII).all():
         raise InputError(
             f"{name} is {np.abs(place).max():.3g} mesh radii from the mesh's centre: give at most "
