@@ -21,11 +21,13 @@ from facerender.scenes.repair import used
 from facerender.scenes.vectors import rows_of
 from facerender.scenes.view import View
 from facerender.system.files import read_file
+from facerender.terms.ranges import IntegerRange, Range
 
 Float = NDArray[np.float64]
 
 MOST_LANDMARKS = 100_000
-_HIGHEST = 1 << 31  # limit of vertex numbers
+_VERTICES = IntegerRange(0, (1 << 31) - 1)
+_WEIGHTS = Range(-2.0, 2.0)  # wider than the valid range, which Landmarks checks with a tolerance
 _ROUNDED = 0.02  # tolerance of weights and of their sum: files may have weights of two digits
 _KEYS = ("name", "vertices", "weights", "part")
 # Error bounds of a depth image: float32 resolves 2^-24 of a depth; a driver interpolates positions
@@ -67,7 +69,7 @@ class Landmarks:
             raise InputError(f"two landmarks are called {shown(twice)}: give different names")
         weights = rows_of("landmark weights", self.weights, (3,), count=len(names))
         vertices = rows_of("landmark vertices", self.vertices, (3,), count=len(names))
-        wrong = (vertices != np.floor(vertices)) | (vertices < 0) | (vertices >= _HIGHEST)
+        wrong = (vertices != np.floor(vertices)) | (vertices < 0) | (vertices > _VERTICES.high)
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
             raise InputError(
@@ -84,9 +86,8 @@ class Landmarks:
         weights = np.maximum(weights, 0.0)
         parts = each_of("landmark parts", self.parts, str, "a list of texts")
         if parts and len(parts) != len(names):
-            raise InputError(
-                f"{len(parts)} landmark parts: give {len(names)}, one for each landmark"
-            )
+            remedy = f"give {len(names)}, one for each landmark"
+            raise InputError(f"{len(parts)} landmark parts: {remedy}")
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "vertices", vertices.astype(np.int64))
         object.__setattr__(self, "weights", weights / weights.sum(axis=1, keepdims=True))
@@ -115,16 +116,13 @@ class Landmarks:
             rows[chosen] = table[np.where(beyond, 0, numbers)]
             if (bad := beyond | (rows[chosen] < 0)).any():
                 row, column = np.argwhere(bad)[0]
-                number = numbers[row, column]
                 owner = f"part {shown(name)} of {mesh.name}" if name else mesh.name
-                why = (
-                    f"{owner} has {len(table)} vertices"
-                    if beyond[row, column]
-                    else f"no triangle of {owner} uses it"
-                )
+                why = f"no triangle of {owner} uses it"
+                if beyond[row, column]:
+                    why = f"{owner} has {len(table)} vertices"
                 raise InputError(
-                    f"landmark {shown(self.names[chosen[row]])}: vertex {number}, but {why}: give "
-                    "the number of a vertex of a triangle"
+                    f"landmark {shown(self.names[chosen[row]])}: vertex {numbers[row, column]}, "
+                    f"but {why}: give the number of a vertex of a triangle"
                 )
         return np.asarray(np.einsum("nkj,nk->nj", places[rows], self.weights))
 
@@ -183,12 +181,9 @@ def _landmarks(content: bytes) -> Landmarks:
     check_type("content", landmarks, list | dict, "a list of landmarks, or a table by name")
     if not 0 < len(landmarks) <= MOST_LANDMARKS:
         raise InputError(f"{len(landmarks)} landmarks: give 1 to {MOST_LANDMARKS}")
-    pairs = (
-        landmarks.items()
-        if isinstance(landmarks, dict)
-        else ((str(i), e) for i, e in enumerate(landmarks))
-    )
-    rows = [_item(name, landmark, isinstance(landmarks, list)) for name, landmark in pairs]
+    is_list = isinstance(landmarks, list)
+    pairs = enumerate(landmarks) if is_list else landmarks.items()
+    rows = [_item(str(name), landmark, is_list) for name, landmark in pairs]
     names, vertices, weights, parts = zip(*rows, strict=True)
     return Landmarks(names, np.array(vertices), np.array(weights), parts)
 
@@ -207,28 +202,15 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
     for key in ("name", "part"):
         check_type(f"{place}: {key}", table.get(key, ""), str, "text")
     vertices = table.get("vertices")
-    numbers: list[Any] = [vertices]
-    if isinstance(landmark, Mapping) and isinstance(vertices, list):
-        numbers = vertices
-    integral = all(isinstance(number, int) and not isinstance(number, bool) for number in numbers)
-    if not (
-        integral and 0 < len(numbers) <= 3 and all(0 <= number < _HIGHEST for number in numbers)
-    ):
+    listed = isinstance(landmark, Mapping) and isinstance(vertices, list)
+    numbers: list[Any] = vertices if listed else [vertices]
+    if not 0 < len(numbers) <= 3 or not all(number in _VERTICES for number in numbers):
         raise InputError(f"{place}: vertices = {shown(vertices)}: give one to three vertex numbers")
     weights = table.get("weights", [1.0] if len(numbers) == 1 else None)
     weights = weights if isinstance(weights, list) else [weights]
-    numeric = all(
-        isinstance(weight, int | float) and not isinstance(weight, bool) for weight in weights
-    )
-    if (
-        not numeric
-        or len(weights) != len(numbers)
-        or not all(abs(weight) < 2 for weight in weights)
-    ):
-        raise InputError(
-            f"{place}: weights = {shown(table.get('weights'))}: give {len(numbers)} numbers in "
-            "[0, 1]"
-        )
+    if len(weights) != len(numbers) or not all(weight in _WEIGHTS for weight in weights):
+        given = shown(table.get("weights"))
+        raise InputError(f"{place}: weights = {given}: give {len(numbers)} numbers in [0, 1]")
     spare = 3 - len(numbers)
     full = [*numbers, *numbers[:1] * spare], [*map(float, weights), *[0.0] * spare]
     return table.get("name") or name, *full, table.get("part", "")

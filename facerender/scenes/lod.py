@@ -37,7 +37,6 @@ _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 # Keyed by the first part, all parts and the triangle limit: the simplified parts, and for each part
 # the indices of the remaining vertices. Poses and copies with other materials share these levels.
 _levels: WeakKeyDictionary[Part, dict[tuple[Any, ...], Level]] = WeakKeyDictionary()
-_single_sided: WeakKeyDictionary[Mesh, Mesh] = WeakKeyDictionary()
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
@@ -199,9 +198,7 @@ class LevelOfDetail:
         if self.triangles is not None:
             mesh = simplified(mesh, self.triangles)
         if self.cull_back_faces:
-            if mesh not in _single_sided:
-                _single_sided[mesh] = mesh.with_material(double_sided=False)
-            mesh = _single_sided[mesh]
+            mesh = mesh.single_sided
         if mesh is scene.mesh:
             return scene
         return replace(scene, mesh=mesh, before=scene.before and self.of(scene.before))

@@ -324,6 +324,11 @@ class Mesh:
         """Mean face normals around each vertex as unit vectors, (N, 3) for each part."""
         return [*map(unit, self.corners.normal_sums([part.positions for part in self.parts]))]
 
+    @cached_property
+    def single_sided(self) -> Mesh:
+        """The mesh without back faces."""
+        return self.with_material(double_sided=False)
+
     @property
     def skin(self) -> tuple[int, ...]:
         """Indices of the parts that are skin: their ``Part.skin`` is true, and their materials have

@@ -24,12 +24,6 @@ Rows = Callable[[int, int], "Image"]  # returns rows [low, high); row 0 is the b
 _STRIP = 32  # number of rows that are reduced at once
 
 
-def chain(kind: Kind, image: Image) -> Levels:
-    """Return all mip levels of an image, which has mode RGB and row 0 at the bottom. See
-    :meth:`facerender.Texture.levels` for the kinds."""
-    return _CHAINS[kind](image)
-
-
 def coarse_base(
     kind: Literal["color", "normal", "data"], rows: Rows, size: tuple[int, int], drop: int
 ) -> NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -48,11 +42,16 @@ def coarse_base(
     finest = np.empty((height, width, 4), dtype=np.uint8)
     if kind == "color":
         for top, strip in _coarse_strips(rows, height, drop):
-            finest[top : top + (strip.height >> drop)] = _halved_srgb(strip, drop)
+            pixels = texels(strip, "RGBA")
+            for _ in range(drop):
+                pixels = _halve_srgb(_even(pixels))
+            finest[top : top + len(pixels)] = pixels
         return finest
     means = np.empty((3, height // 2, width // 2), dtype=np.float32)
     for top, strip in _coarse_strips(rows, height, drop):
-        normals = _halved_normals(strip, drop)
+        normals = _halve_planes(_unit_planes(_even(texels(strip, "RGB"))))
+        for _ in range(drop - 1):
+            normals = _halve_planes(_even_planes(normals))
         bottom = top + normals.shape[1]
         finest[top:bottom] = _with_deviation(normals)
         even = normals[:, : normals.shape[1] & -2, : width & -2]
@@ -62,7 +61,7 @@ def coarse_base(
 
 def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]) -> Levels:
     """Return the mip chain of a base from :func:`coarse_base`. The chain equals the result of
-    :func:`chain` without the skipped levels, except that Pillow may round a value of kind "data" to
+    ``CHAIN`` without the skipped levels, except that Pillow may round a value of kind "data" to
     the next 8-bit level."""
     if isinstance(base, tuple):
         return [base[0], *_normal_chain(base[1])]
@@ -142,13 +141,6 @@ def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return halved
 
 
-def _halved_srgb(image: Image, times: int) -> NDArray[np.uint8]:
-    pixels = texels(image, "RGBA")
-    for _ in range(times):
-        pixels = _halve_srgb(_even(pixels))
-    return pixels
-
-
 def _color_chain(finest: NDArray[np.uint8]) -> Levels:
     levels = [finest]
     while max(levels[-1].shape[:2]) > 1:
@@ -166,15 +158,12 @@ def _linear_color_levels(image: Image) -> Levels:
     decoded = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
     finest = texels(image, "RGBA")
     levels = [decoded.astype(np.float16)[finest]]
-    if max(image.size) == 1:
-        return levels
     halved = [_halve_linear(decoded[strip]) for _, strip in _strips(_even(finest))]
     means = np.concatenate(halved)
-    while True:
+    while max(levels[-1].shape[:2]) > 1:
         levels.append(means.astype(np.float16))
-        if max(means.shape[:2]) == 1:
-            return levels
         means = _halve_linear(_even(means))
+    return levels
 
 
 def _strips(rows: NDArray[Any]) -> list[tuple[int, NDArray[Any]]]:
@@ -211,14 +200,6 @@ def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
     return texels
 
 
-def _halved_normals(image: Image, times: int) -> NDArray[np.float32]:
-    """Return the mean normals (3, H, W) of a normal map whose sides are halved ``times`` times."""
-    means = _halve_planes(_unit_planes(_even(texels(image, "RGB"))))
-    for _ in range(times - 1):
-        means = _halve_planes(_even_planes(means))
-    return means
-
-
 def _even_planes(planes: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.moveaxis(_even(np.moveaxis(planes, 0, -1)), -1, 0)
 
@@ -247,7 +228,9 @@ def _normal_chain(means: NDArray[np.float32]) -> Levels:
         means = _halve_planes(_even_planes(means))
 
 
-_CHAINS: dict[Kind, Callable[[Image], Levels]] = {
+# Functions that return all mip levels of an image, which has mode RGB and row 0 at the bottom. See
+# Texture.levels for the kinds.
+CHAIN: dict[Kind, Callable[[Image], Levels]] = {
     "color": lambda image: _color_chain(texels(image, "RGBA")),
     "linear-color": _linear_color_levels,
     "normal": _normal_levels,

@@ -115,14 +115,12 @@ def _open_fraction(
         ) from None
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
-    starts = vertices[:, :3] + np.float32(_OFFSET) * _off_surface(
-        positions, faces, vertices, corners
-    )
+    offsets = _off_surface(positions, faces, vertices, corners)
+    starts = vertices[:, :3] + np.float32(_OFFSET) * offsets
     fractions = []
     for first in range(0, len(vertices), _AT_ONCE):
-        origins, normals = (
-            vectors[first : first + _AT_ONCE] for vectors in (starts, vertices[:, 3:])
-        )
+        rows = slice(first, first + _AT_ONCE)
+        origins, normals = starts[rows], vertices[rows, 3:]
         through, total = np.zeros((2, len(origins)))
         for direction in _directions():
             cosines = normals @ direction

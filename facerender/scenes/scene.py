@@ -89,7 +89,7 @@ def refuse_keyword(
     from facerender.shading import Shading
 
     arguments = [*signature(function).parameters][:-1]
-    places = {argument: f"{argument}=..." for argument in arguments}
+    forms = {argument: f"{argument}=..." for argument in arguments}
     homes: dict[str, Callable[..., Any]] = {
         "camera=fr.Camera({}=...)": Camera,
         "lights=[fr.Light({}=...)]": Light,
@@ -97,12 +97,10 @@ def refuse_keyword(
         "fr.Shading({}=...) to fr.Renderer.render": Shading,
         **others,
     }
-    for place, kind in homes.items():
-        places = {
-            argument: place.format(argument) for argument in signature(kind).parameters
-        } | places
-    similar = near({"roughness": "m"}.get(name, name), places)
-    remedy = f"give {places[similar]}" if similar else f"known: {', '.join(arguments)}"
+    for form, kind in homes.items():
+        forms = {key: form.format(key) for key in signature(kind).parameters} | forms
+    similar = near({"roughness": "m"}.get(name, name), forms)
+    remedy = f"give {forms[similar]}" if similar else f"known: {', '.join(arguments)}"
     remedy += ", the square of glTF's roughness" if name == "roughness" else ""
     raise InputError(f"fr.{function.__name__} has no argument {name}: {remedy}")
 

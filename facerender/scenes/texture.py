@@ -30,7 +30,7 @@ from facerender.errors import (
 from facerender.images.decode import check_pixels, in_srgb, open_image
 from facerender.images.srgb import linear_to_srgb
 from facerender.images.write import png_bytes
-from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
+from facerender.scenes.mips import CHAIN, Kind, Levels, Rows, coarse_base, coarse_chain, coarse_data
 from facerender.system.files import open_file
 from facerender.system.memory import give_back
 
@@ -376,12 +376,12 @@ class Texture:
         """Return this normal map, whose green points down, converted to green pointing up."""
         if self._source:
             return self._source.turned_green().sampled(*self.sampling)
+        return Texture(lambda: with_green_turned(self._unflipped()), self.name, self.size)
 
-        def decode() -> Image:
-            raw = None if self._derived else self._decode
-            return with_green_turned(raw() if raw else _flipped(self.rgb()))
-
-        return Texture(decode, self.name, self.size)
+    def _unflipped(self) -> Image:
+        """Return the image with row 0 at the top."""
+        decode = None if self._derived else self._decode
+        return decode() if decode else _flipped(self.rgb())
 
     def in_srgb(self) -> Texture:
         """Return this texture converted from its ICC profile to sRGB, or itself without a profile.
@@ -394,10 +394,7 @@ class Texture:
             return self
 
         def decode() -> Image:
-            with self._lock:
-                decode_file = self._decode
-            image = decode_file() if decode_file else _flipped(self.rgb())
-            return _srgb_of(_loaded(image, self.name), profile, self.name)
+            return _srgb_of(_loaded(self._unflipped(), self.name), profile, self.name)
 
         if self._in_srgb is None:
             if self._source:
@@ -461,7 +458,7 @@ class Texture:
                 with fine._rows() as rows:
                     base = coarse_base(kind, rows, fine.size, levels)
                 return coarse_chain(base)
-            return chain(kind, self.rgb())
+            return CHAIN[kind](self.rgb())
         except MemoryError:
             width, height = self.size
             raise InputError(

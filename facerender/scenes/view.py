@@ -280,10 +280,8 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
         if max(extents) < 2.0:
             return f"it is {max(extents):.2g} pixels large; move the camera nearer, or zoom in"
-        causes = [
-            _not_drawn(scene.mesh, number, view, threshold)
-            for number in range(len(scene.mesh.parts))
-        ]
+        indices = range(len(scene.mesh.parts))
+        causes = [_not_drawn(scene.mesh, i, view, threshold) for i in indices]
         if all(causes):
             return "; ".join(dict.fromkeys(causes))
         return (
