@@ -57,8 +57,6 @@ def _indices(
 ) -> NDArray[np.int64]:
     """Return indices (F, 3) in [0, count) from an array or nested lists.
 
-    Parameters
-    ----------
     kind, uses : kind of the indices, and beginning of the message about an invalid one
     """
     rows = rows_of(name, indices, (3,), hint)

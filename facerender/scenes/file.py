@@ -254,8 +254,6 @@ def parse_weight(text: str) -> tuple[str, float]:
 def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
     """Check the materials of parts.
 
-    Parameters
-    ----------
     name : name of the value, for messages
     tables : for each name of parts, which may have wildcards, a table of fields of
         :class:`Material` except its maps, and ``preset``
@@ -419,8 +417,6 @@ def _toml(value: Any) -> str:
 def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
     """Create an instance of a dataclass from the values of a TOML table.
 
-    Parameters
-    ----------
     without : fields that the table must not contain
 
     Raises InputError if the value is no table, a key is unknown or missing, or a value is out of

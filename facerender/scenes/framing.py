@@ -93,8 +93,6 @@ _known = WeakKeyDictionary()
 class _Head(NamedTuple):
     """A head in the renderer's space.
 
-    Attributes
-    ----------
     points : (N, 3), its surface
     chin : height of the chin
     face : region of the face
@@ -204,8 +202,6 @@ def _is_clear(mesh: Mesh) -> bool:
 class _Surface:
     """The triangles of a mesh.
 
-    Attributes
-    ----------
     corners : (F, 3, 3), in mesh space
     low, high : (F, 3), bounds of each triangle in the renderer's space
     owners : (F,), index of each triangle's part
@@ -263,8 +259,6 @@ class _Surface:
 def _head(surface: _Surface, chosen: NDArray[np.bool_], points: Float) -> _Head | None:
     """Return the head that triangles contain; None if the triangles are flat.
 
-    Parameters
-    ----------
     chosen : mask of the triangles, (F,)
     points : points on these triangles, (N, 3)
     """
@@ -399,8 +393,6 @@ def _neck(wide: Float, size: Float, step: float) -> int:
 def _face(head: Float, body: Float, neck: float, middle: float) -> tuple[Region, float, bool]:
     """Return the region of a head's face, the height of the chin, and whether a nose was found.
 
-    Parameters
-    ----------
     head : points of the head
     body : more points in the middle of the head and below
     neck : height of the lower end of the head

@@ -87,8 +87,6 @@ class LightKind:
     The file ``host/light/NAME.glsl`` of the kind NAME declares uniform arrays of NAME_LIGHTS
     elements and the function ``Light NAME_light(int i, vec3 position)``.
 
-    Attributes
-    ----------
     name : name of the kind and of its file, such as "point"
     example : light that cost measurements use
     matches : function that returns whether a light can be of this kind; the first kind in
@@ -258,8 +256,6 @@ def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
 class LightSpace:
     """Projection from the renderer's space, with the mesh in the unit sphere, to a shadow map.
 
-    Attributes
-    ----------
     matrix : (4, 4) float64, for row vectors; the result must be divided by w
     tan_radius : tangent of the light's angular radius, seen from the mesh's centre
     top : largest projected z of the unit sphere

@@ -174,8 +174,6 @@ def _on_surface(mesh: Mesh, part: Part, uv: Float | None) -> Float:
 class LevelOfDetail:
     """Settings that determine a frame's samples and triangles.
 
-    Attributes
-    ----------
     samples, shading_rate : see :meth:`facerender.Renderer.render`
     triangles : triangle limit of the simplified mesh; None for all triangles
     cull_back_faces : whether all parts are drawn without back faces

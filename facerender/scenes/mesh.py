@@ -45,8 +45,6 @@ _OF_ROOT = ("faces", "uv", "colors", "occlusion", "uv2")  # arrays that all pose
 class Part:
     """Triangles of one material, in mesh space.
 
-    Attributes
-    ----------
     positions : (N, 3) float64
     normals : (N, 3) float64, unit vectors
     faces : (F, 3) uint32, counter-clockwise seen from outside
@@ -113,8 +111,6 @@ class Part:
 class Region:
     """An upright cylinder around the head or face of a mesh, in the renderer's space.
 
-    Attributes
-    ----------
     center : (3,) float64
     radius, height : half the width and half the height of the cylinder
     """
@@ -631,8 +627,6 @@ def moved(
 ) -> Mesh:
     """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
 
-    Parameters
-    ----------
     positions : finite positions (N, 3) of each part; None for a part that stays as it is
     normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
         replaced by the normal of the reference pose

@@ -31,8 +31,6 @@ def coarse_base(
 
     The function needs memory only for one strip and the result.
 
-    Parameters
-    ----------
     size : width and height of the full image
     drop : number of finest levels to skip, >= 1; the base level must have at least 2 x 2 texels
     """

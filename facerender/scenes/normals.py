@@ -22,8 +22,6 @@ _SAME_NORMAL = 0.999  # minimum: cosine between two normals of one vertex that i
 class Corners:
     """The corners of a mesh's faces, sorted by vertex.
 
-    Attributes
-    ----------
     faces : (3, F) vertex indices; the vertices of all parts are numbered consecutively
     order : (3 F,) index of each corner's face
     starts : (G,) first corner of each group of vertices that share a normal
@@ -72,8 +70,6 @@ def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Column
     """Return the first corner and the normal of each triangle as columns x, y and z, (F,) each.
     The length of a normal is twice the triangle's area.
 
-    Parameters
-    ----------
     columns : x, y and z of the vertices, (N,) each
     faces : (3, F)
     """

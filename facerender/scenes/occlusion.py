@@ -100,8 +100,6 @@ def _open_fraction(
 ) -> NDArray[np.float64]:
     """Return the fraction of ambient light that reaches each vertex, in [0, 1].
 
-    Parameters
-    ----------
     positions, faces : triangles that block the light
     vertices : rows (N, 6) of position and normal
     corners : (F, 3), the index into ``vertices`` for each corner of ``faces``

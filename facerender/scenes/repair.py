@@ -124,8 +124,6 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
 def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Piece:
     """Return a piece with other faces and copies of its vertices.
 
-    Parameters
-    ----------
     faces : (F, 3), indices into ``vertices``
     vertices : (N,), indices of vertices of the piece; an index may occur more than once
     """
@@ -201,8 +199,6 @@ def are_closed(
     These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
     surface may have several parts.
 
-    Parameters
-    ----------
     positions : (N, 3) for each part
     faces : (F, 3) for each part
     """

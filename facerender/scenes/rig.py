@@ -31,8 +31,6 @@ _AT_ONCE = 1 << 13  # vertices skinned at a time, so that their matrices stay in
 class Node:
     """A node of a scene in its stored pose.
 
-    Attributes
-    ----------
     number : index of the node in the file
     parent : number of the parent; None for a root
     matrix, translation, rotation, scale : arguments of :func:`local_matrix`
@@ -60,8 +58,6 @@ class Node:
 class Track:
     """Keys of one property of a node.
 
-    Attributes
-    ----------
     node : number of the node
     path : name of the property
     times : (K,) float64, in seconds, in increasing order
@@ -124,8 +120,6 @@ def _slerp(a: list[float], b: list[float], u: float) -> list[float]:
 class Clip:
     """An animation.
 
-    Attributes
-    ----------
     name : name from the file, unique among the clips of the file
     tracks : tracks of different properties
     fault : description of the damage if the clip is damaged, which then has no tracks
@@ -190,8 +184,6 @@ class Skeleton:
 class Shape:
     """A morph target of a part. Vertices that do not move are left out.
 
-    Attributes
-    ----------
     name : name from the file, or shape1, shape2...
     rows, moves : indices (M,) of the vertices that move, and their displacements (M, 3)
     normal_rows, normal_moves : the same for the normals; None if the file has none for this target
@@ -210,8 +202,6 @@ class Shape:
 class Skin:
     """The joints that move a part.
 
-    Attributes
-    ----------
     joints : numbers of the nodes
     inverse : (J, 4, 4), inverse bind matrices; None: unit matrices
     indices, fractions : (K, N), K joints of each vertex as indices into ``joints``, and weights,
@@ -253,8 +243,6 @@ class Skin:
 class Rig:
     """The data that move the vertices of a part.
 
-    Attributes
-    ----------
     skeleton : nodes and clips, shared by the parts of a file
     node : number of the node whose mesh the part belongs to
     positions : (N, 3), in the node's space, before morph targets
@@ -295,8 +283,6 @@ class Rig:
         """Return positions (N, 3) and normals (N, 3) in mesh space. The normals have any length;
         they are None if the part has none or a matrix is singular.
 
-        Parameters
-        ----------
         worlds : world matrices of the nodes, see :meth:`Skeleton.worlds`
         weights : a weight for each shape
         """
@@ -342,8 +328,6 @@ def local_matrix(
 ) -> Float:
     """Return the local matrix of a node, (4, 4), for column vectors.
 
-    Parameters
-    ----------
     matrix : 16 numbers in column-major order, applied after the other transforms
     rotation : quaternion x, y, z, w of any length
     """

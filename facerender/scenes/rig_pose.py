@@ -29,8 +29,6 @@ def posed(
     """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
     pose. The normals have any length.
 
-    Parameters
-    ----------
     rest : the mesh in the reference pose
     weights, clip, time : see :meth:`Mesh.with_pose`
     """
@@ -146,8 +144,6 @@ def _following(
     """Return normals that follow shapes without own normals. A normal changes by the difference of
     the face normals around its position with and without these shapes.
 
-    Parameters
-    ----------
     positions, normals : (N, 3) for each part; None for a part in its stored pose
     behind : positions of the same pose in which these shapes have their stored weights, keyed by
         the part's index; other parts have the same positions

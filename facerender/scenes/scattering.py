@@ -18,8 +18,6 @@ from facerender.terms.scattering import Gaussians, wide_gaussians
 class Scattering:
     """Scattering profiles of the parts of a scene.
 
-    Attributes
-    ----------
     profiles : distinct profiles of the parts, without Gaussians narrower than half a pixel
     numbers : for each part the index of its profile, counted from 1; -1 for no scattering
     millimetres : millimetres per unit of the renderer's space

@@ -331,8 +331,6 @@ def levels_to_spare(
     anisotropy (EXT_texture_filter_anisotropic). Triangles that the part itself hides, such as the
     inside of a closed mouth, do not count.
 
-    Parameters
-    ----------
     part, uv : part of the mesh, and its texture coordinates
     texels : width and height of the map
     size : width and height of the image
@@ -373,8 +371,6 @@ def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[
     A vertex is hidden if it is behind the nearest vertices of its cell and of all eight cells
     around it. A cell without vertices hides nothing.
 
-    Parameters
-    ----------
     places, depth : x and y from -1 to 1 in the image, and distance from the camera, per vertex
     """
     shown = np.clip(places, -1.0, 1.0)
