@@ -13,7 +13,7 @@ import facerender as fr
 from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced
 from facerender.images.srgb import linear_to_srgb
-from facerender.scenes.mips import chain, coarse_base, coarse_chain
+from facerender.scenes.mips import CHAIN, coarse_base, coarse_chain
 from facerender.scenes.texture import Texture, pack
 from facerender.scenes.view import levels_to_spare, view_of
 
@@ -46,7 +46,7 @@ def small_is_large(monkeypatch):
 @pytest.mark.parametrize("drop", [1, 2, 3])
 def test_coarse_mip_chains_equal_the_end_of_whole_ones(kind, size, drop):
     image = noise(*size)
-    whole = chain(kind, image)[drop:]
+    whole = CHAIN[kind](image)[drop:]
     base = coarse_base(kind, lambda low, high: image.crop((0, low, size[0], high)), size, drop)
     coarse = coarse_chain(base)
     assert [each.shape for each in coarse] == [each.shape for each in whole]

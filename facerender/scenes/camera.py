@@ -151,10 +151,7 @@ class Camera:
     def _check_intrinsics(self) -> None:
         if self.extrinsics is None:
             raise InputError("camera intrinsics need extrinsics: give [R|t] as well")
-        if self.fov != Camera.fov:
-            raise InputError(
-                f"camera fov = {self.fov} and intrinsics exclude each other: leave one out"
-            )
+        self._check_unused(("fov",), "intrinsics")
         assert self.size is not None
         width, height = self.size
         k = np.array(self.intrinsics)

@@ -79,9 +79,8 @@ class Panorama:
     def coefficients(self) -> Float:
         """Irradiance for each normal, as nine RGB coefficients of spherical harmonics, (9, 3)."""
         radiance, directions, solid_angle = self._resampled
-        received = np.tensordot(
-            harmonics(directions) * solid_angle[..., None], radiance, ((0, 1), (0, 1))
-        )
+        weights = harmonics(directions) * solid_angle[..., None]
+        received = np.tensordot(weights, radiance, ((0, 1), (0, 1)))
         return np.array([16, 32, 32, 32, 60, 60, 5, 60, 15])[:, None] / 64.0 * received
 
     @cached_property
@@ -103,13 +102,10 @@ class Panorama:
     def _resampled(self) -> tuple[Float, Float, Float]:
         """Radiance reduced to at most 2 SIDE rows, with direction and solid angle of each pixel."""
         height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
-        edges, target_edges = (
-            -np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows)
-        )
+        edges, target_edges = (-np.cos(np.pi * np.arange(n + 1) / n) for n in (height, rows))
         radiance = _means(self.radiance, edges, target_edges).swapaxes(0, 1)
         columns = np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1)
-        radiance = _means(radiance, *columns)
-        radiance = radiance.swapaxes(0, 1)
+        radiance = _means(radiance, *columns).swapaxes(0, 1)
         solid_angle = np.diff(target_edges)[:, None] * (np.pi / rows)
         return radiance, _directions(rows), solid_angle
 
@@ -185,12 +181,10 @@ def studio() -> Panorama:
         right = np.cross([0.0, 1.0, 0.0], center)
         right /= np.linalg.norm(right)
         depth = directions @ center
-        places = (
-            directions @ axis / np.maximum(depth, 1e-3) for axis in (right, np.cross(center, right))
-        )
         box = (depth > 0.0).astype(np.float64)
-        for place, half in zip(places, (width, height), strict=True):
-            box *= np.clip((half - np.abs(place)) / 0.08 + 0.5, 0.0, 1.0)
+        for axis, half in ((right, width), (np.cross(center, right), height)):
+            offset = directions @ axis / np.maximum(depth, 1e-3)
+            box *= np.clip((half - np.abs(offset)) / 0.08 + 0.5, 0.0, 1.0)
         room = room + box[..., None] * color
     return Panorama("studio", room.astype(np.float32))
 

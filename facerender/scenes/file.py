@@ -114,10 +114,8 @@ class Pose:
 
     def __post_init__(self) -> None:
         check_type("pose weights", self.weights, Mapping, "a table of numbers by shape name")
-        weights = {
-            str(name): SHAPE_WEIGHTS.check(f"weight {name}", weight)
-            for name, weight in self.weights.items()
-        }
+        pairs = self.weights.items()
+        weights = {str(name): SHAPE_WEIGHTS.check(f"weight {name}", w) for name, w in pairs}
         object.__setattr__(self, "weights", weights)
         check_type("pose clip", self.clip, str | None, "the name of a clip")
         if self.vertices is not None:
@@ -268,9 +266,7 @@ def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
             raise InputError(f"{name} has the key {shown(pattern)}: give the name of a part")
         place = f"{name}.{pattern}"
         check_type(place, table, Mapping, "a table of factors, or a preset, such as {'m': 0.3}")
-        factors = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
-        }
+        factors = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
         overrides = {key: value for key, value in factors.items() if key != "preset"}
         base = preset(factors["preset"]) if "preset" in factors else {}
         from_table(Material, place, {**base, **overrides}, without=MAPS)  # only checks the values

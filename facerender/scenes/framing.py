@@ -180,11 +180,8 @@ def _found(mesh: Mesh) -> dict[str, Region | None]:
         if clear:
             break
     if not heads:
-        radius, height = map(float, np.abs(mesh.profile).max(axis=0))
-        return {
-            "auto": None,
-            **dict.fromkeys(("head", "face"), Region(np.zeros(3), radius, height)),
-        }
+        whole = Region(np.zeros(3), *map(float, np.abs(mesh.profile).max(axis=0)))
+        return {"auto": None, "head": whole, "face": whole}
     region = _region(_with_hair(np.concatenate([points, heads[0].points]), heads[0].points))
     wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
     larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height
@@ -434,12 +431,9 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
         column = np.full(count, -np.inf)
         inside = (away >= near * side) & (away <= far * side) & (rows >= 0) & (rows < count)
         np.maximum.at(column, rows[inside], body[inside, 2])
-        filled = np.isfinite(column)
-        columns.append(
-            np.interp(every, every[filled], column[filled])
-            if filled.any()
-            else np.full(count, body[:, 2].max())
-        )
+        if not (filled := np.isfinite(column)).any():
+            column, filled = np.full(count, body[:, 2].max()), np.full(count, True)
+        columns.append(np.interp(every, every[filled], column[filled]))
     front, sides = columns
     min_rows = int(_NOSE[1] * _FACE_ROWS)
     return front[: max(rows.max() + 1, min_rows)], (front - sides) / side

@@ -60,9 +60,7 @@ def _gloss(material: Material) -> tuple[Any, ...]:
 def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
-    maps = [
-        (material.albedo_map, material.normal_map, material.alpha) for material in mesh.materials
-    ]
+    maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
     examined, results = _of_maps.get(mesh.parts[0].root, (None, []))
     if maps != examined:
         results = [(hint, hint(mesh)) for hint in (upside_down, green_down)]
@@ -86,16 +84,8 @@ def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
 
 def of_mesh(mesh: Mesh) -> list[str]:
     """Return all hints on a mesh. Decodes the maps."""
-    hints = (
-        *(hint(mesh, True) for hint in (upside_down, green_down)),
-        no_ks(mesh),
-        faint(mesh, True),
-        wrong_unit(mesh),
-    )
-    return [hint for hint in hints if hint]
-
-
-# --- texture coordinates ------------------------------------------------------------------------
+    of_maps = upside_down(mesh, True), green_down(mesh, True)
+    return [hint for hint in (*of_maps, no_ks(mesh), faint(mesh, True), wrong_unit(mesh)) if hint]
 
 
 def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
@@ -207,9 +197,8 @@ def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> 
     keys = (image >> 3).astype(np.int64) @ (1024, 32, 1)
     colour = np.median(image[keys == np.bincount(keys.ravel()).argmax()], axis=0)
     uniform = (np.abs(image - colour).max(axis=-1) <= 6.0) & (_contrast(image) <= 12.0)
-    original, reverse = (
-        float(areas @ _texels(uniform, uv) / (areas.sum() or 1.0)) for uv in _both(centers)
-    )
+    shares = areas / (areas.sum() or 1.0)
+    original, reverse = (float(shares @ _texels(uniform, uv)) for uv in _both(centers))
     return original, reverse
 
 
@@ -262,9 +251,6 @@ def _correlation(a: Float, b: Float) -> float:
     return float((a * b).sum()) / norm if norm > 0.0 else 0.0
 
 
-# --- normal maps --------------------------------------------------------------------------------
-
-
 def green_down(mesh: Mesh, decode: bool = False) -> str | None:
     """Return a hint if the green of a normal map probably points down.
 
@@ -298,9 +284,6 @@ def _preview(texture: Texture, side: int, decode: bool) -> NDArray[np.uint8] | N
         return None
 
 
-# --- highlights ---------------------------------------------------------------------------------
-
-
 def faint(mesh: Mesh, decode: bool = False) -> str | None:
     """Return a hint if at least half of the skin has a specular weight above 0, but no visible
     highlight. The peak of a highlight is proportional to ks f0 / m^2.
@@ -331,10 +314,7 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
 def no_ks(mesh: Mesh) -> str | None:
     """Return a hint if a part whose file has Ks 0 is drawn with highlights nevertheless."""
     pairs = zip(mesh.parts, mesh.materials, strict=True)
-    if not any(
-        part.ks_ignored and not part.preset and material.ks == Material.ks
-        for part, material in pairs
-    ):
+    if not any(p.ks_ignored and not p.preset and m.ks == Material.ks for p, m in pairs):
         return None
     return (
         f"{mesh.name} has Ks 0 in its MTL, which many exporters write by default: drawn with the "
@@ -358,9 +338,6 @@ def _area(part: Part) -> float:
     return float(double_areas(part.positions[part.faces]).sum())
 
 
-# --- opacity ------------------------------------------------------------------------------------
-
-
 def too_clear(mesh: Mesh, threshold: float) -> str | None:
     """Return a hint if data images lack a part, because its opacity is below a threshold
     everywhere. Decodes the opacity maps of blended parts."""
@@ -376,9 +353,6 @@ def too_clear(mesh: Mesh, threshold: float) -> str | None:
         f"{threshold:g} everywhere: {clipped(', '.join(names), 200)}; give a lower "
         "--alpha-threshold to include them"
     )
-
-
-# --- size ---------------------------------------------------------------------------------------
 
 
 def millimetres_of(mesh: Mesh) -> float | None:
@@ -405,9 +379,7 @@ def option(length: float) -> str:
 
 def wrong_unit(mesh: Mesh) -> str | None:
     """Return a hint if the mesh has a unit with which it cannot be a head or a person."""
-    if mesh.millimetres is None:
-        return None
-    if _RADII[0] <= mesh.radius * mesh.millimetres <= _RADII[1]:
+    if mesh.millimetres is None or _RADII[0] <= mesh.radius * mesh.millimetres <= _RADII[1]:
         return None
     height = float(f"{_head(mesh) * mesh.millimetres:.3g}")
     if _HEADS[0] <= height <= _HEADS[1]:
@@ -424,9 +396,6 @@ def _head(mesh: Mesh) -> float:
     head = find_regions(mesh)["head"]
     assert head is not None
     return 2.0 * head.height * mesh.radius
-
-
-# --- shadows ------------------------------------------------------------------------------------
 
 
 def no_shadows(environment: bool) -> str:

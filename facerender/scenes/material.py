@@ -200,9 +200,7 @@ class Material:
         name : one of MAPS, or "property_map"
         """
         names = PROPERTY_MAPS if name == "property_map" else (name,)
-        return any(
-            map_name in self.second_uv and getattr(self, map_name) is not None for map_name in names
-        )
+        return any(n in self.second_uv and getattr(self, n) is not None for n in names)
 
     @property
     def thin(self) -> bool:

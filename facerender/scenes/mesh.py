@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import (
-    InputError,
-    check_range,
-    check_type,
-    each_of,
-    shown,
-    warn,
-)
+from facerender.errors import InputError, check_range, check_type, each_of, shown, warn
 from facerender.scenes.arrays import piece_of
 from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.normals import Corners, unit_or
@@ -585,10 +578,8 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
         array is None or np.ndim(array) == 2 for array in values
     ):
         if len(values) != len(parts):
-            raise InputError(
-                f"{name} has {len(values)} arrays: give {len(parts)}, one for each part of "
-                f"{mesh.name}"
-            )
+            remedy = f"give {len(parts)}, one for each part of {mesh.name}"
+            raise InputError(f"{name} has {len(values)} arrays: {remedy}")
         return [
             None if array is None else _of_part(f"{name} of {part.name or mesh.name}", array, part)
             for array, part in zip(values, parts, strict=True)
@@ -603,9 +594,8 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
         ]
     if len(rows) != sum(counts):
         expected = " or ".join(map(str, dict.fromkeys((*sources, sum(counts)))))
-        raise InputError(
-            f"{name} has {len(rows)} rows: give {expected}, one for each vertex of {mesh.name}"
-        )
+        remedy = f"give {expected}, one for each vertex of {mesh.name}"
+        raise InputError(f"{name} has {len(rows)} rows: {remedy}")
     return list(np.split(rows, np.cumsum(counts)[:-1]))
 
 
@@ -613,18 +603,12 @@ def _of_part(name: str, array: Any, part: Part) -> NDArray[np.float64]:
     rows: Floats = rows_of(name, array, (3,))
     if part.sources is not None and len(rows) == part.source_count:
         return np.asarray(rows[part.sources])
-    if len(rows) != len(part.positions):
-        raise InputError(
-            f"{name} has {len(rows)} rows: give {len(part.positions)}, one for each vertex"
-        )
+    if len(rows) != (count := len(part.positions)):
+        raise InputError(f"{name} has {len(rows)} rows: give {count}, one for each vertex")
     return rows
 
 
-def moved(
-    mesh: Mesh,
-    positions: Sequence[Floats | None],
-    normals: Sequence[Floats | None],
-) -> Mesh:
+def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floats | None]) -> Mesh:
     """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
 
     positions : finite positions (N, 3) of each part; None for a part that stays as it is

@@ -218,9 +218,8 @@ def _normal_chain(means: NDArray[np.float32]) -> Levels:
     levels = []
     while True:
         strips = _strips(np.moveaxis(means, 0, -1))
-        levels.append(
-            np.concatenate([_with_deviation(np.moveaxis(strip, -1, 0)) for _, strip in strips])
-        )
+        texels = [_with_deviation(np.moveaxis(strip, -1, 0)) for _, strip in strips]
+        levels.append(np.concatenate(texels))
         if max(means.shape[1:]) == 1:
             return levels
         means = _halve_planes(_even_planes(means))

@@ -35,10 +35,7 @@ class Corners:
 
     @classmethod
     def of(
-        cls,
-        positions: Sequence[Float],
-        normals: Sequence[Float],
-        faces: Sequence[NDArray[Any]],
+        cls, positions: Sequence[Float], normals: Sequence[Float], faces: Sequence[NDArray[Any]]
     ) -> Corners:
         """Return the corners of a mesh in the reference pose, from arrays for each part."""
         _, joint, welded, _ = stacked(positions, faces)
@@ -89,10 +86,8 @@ def _split_at_creases(welded: NDArray[np.int64], normals: Float) -> NDArray[np.i
     remaining, count = np.arange(len(welded)), 0
     while len(remaining):
         _, first, group = np.unique(welded[remaining], return_index=True, return_inverse=True)
-        like = (
-            np.einsum("ij,ij->i", normals[remaining], normals[remaining[first[group]]])
-            > _SAME_NORMAL
-        )
+        rows = normals[remaining]
+        like = np.einsum("ij,ij->i", rows, rows[first[group]]) > _SAME_NORMAL
         like[first] = True
         labels[remaining[like]] = count + group[like]
         remaining, count = remaining[~like], count + len(first)

@@ -28,7 +28,7 @@ COMMON: dict[str, Any] = {
     or field.name in ("transmission", "refraction", "emissive")
 }
 _LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
-_OWN: dict[str, dict[str, Any]] = {
+_SPECIFIC: dict[str, dict[str, Any]] = {
     "skin": {"m": 0.3, "f0": 0.028, **_LOBES},
     "lips": {"m": 0.2, "f0": 0.028, **_LOBES, "lobe_weight": 0.6},
     "cornea": {"m": 0.03, "f0": reflectance(CORNEA), "transmission": 1.0, "refraction": CORNEA},
@@ -46,9 +46,7 @@ _OWN: dict[str, dict[str, Any]] = {
     "teeth": {"albedo": (0.6, 0.54, 0.44), "m": 0.12, "f0": reflectance(_ENAMEL)},
     "hair-card": {"m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.5, "alpha": "mask"},
 }
-PRESETS: Mapping[str, Mapping[str, Any]] = {
-    name: {**COMMON, **preset_fields} for name, preset_fields in _OWN.items()
-}
+PRESETS: Mapping[str, Mapping[str, Any]] = {k: {**COMMON, **v} for k, v in _SPECIFIC.items()}
 
 
 # Fields that need another field: the other field, and whether a material has it.

@@ -144,9 +144,8 @@ def with_face_colors(piece: Piece, colors: NDArray[np.float64]) -> Piece:
     """Return a piece with a colour (F, 3) for each face: faces share a vertex only if they have the
     same colour."""
     palette, numbers = np.unique(colors, axis=0, return_inverse=True)
-    keys, inverse = np.unique(
-        piece.faces * len(palette) + numbers.reshape(-1, 1), return_inverse=True
-    )
+    corners = piece.faces * len(palette) + numbers.reshape(-1, 1)
+    keys, inverse = np.unique(corners, return_inverse=True)
     vertices, numbers = np.divmod(keys, len(palette))
     return replace(with_faces(piece, inverse.reshape(-1, 3), vertices), colors=palette[numbers])
 

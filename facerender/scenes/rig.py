@@ -43,15 +43,13 @@ class Node:
     rotation: Sequence[float] | None = None
     scale: Sequence[float] | None = None
 
-    def local(self, moves: Mapping[str, Sequence[float]]) -> Float | None:
-        """Return the local matrix (4, 4), or None for a node without a transform.
+    def local(self, moves: Mapping[str, Sequence[float]]) -> Float:
+        """Return the local matrix (4, 4).
 
         moves : values that replace the stored translation, rotation or scale
         """
         keys = ("matrix", "translation", "rotation", "scale")
-        transforms = {key: moves.get(key, getattr(self, key)) for key in keys}
-        arguments = {key: value for key, value in transforms.items() if value is not None}
-        return local_matrix(**arguments) if arguments else None
+        return local_matrix(*(moves.get(key, getattr(self, key)) for key in keys))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,15 +158,11 @@ class Skeleton:
         for node in self.nodes:
             node_moves = moves.get(node.number)
             local = node.local(node_moves) if node_moves else self._locals[node.number]
-            if node.parent is None:
-                worlds[node.number] = np.eye(4) if local is None else local
-            else:
-                world = worlds[node.parent]
-                worlds[node.number] = world if local is None else world @ local
+            worlds[node.number] = local if node.parent is None else worlds[node.parent] @ local
         return worlds
 
     @cached_property
-    def _locals(self) -> dict[int, Float | None]:
+    def _locals(self) -> dict[int, Float]:
         return {node.number: node.local({}) for node in self.nodes}
 
     def below(self, numbers: Iterable[int]) -> set[int]:

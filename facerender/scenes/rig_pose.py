@@ -21,10 +21,7 @@ _Rows = list[Float | None]
 
 
 def posed(
-    rest: Mesh,
-    weights: Mapping[str, float] | None,
-    clip: str | None,
-    time: float | None,
+    rest: Mesh, weights: Mapping[str, float] | None, clip: str | None, time: float | None
 ) -> tuple[_Rows, _Rows]:
     """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
     pose. The normals have any length.
@@ -72,9 +69,8 @@ def _clip(mesh: Mesh, clips: Sequence[Clip], name: str | None, time: float | Non
     matches = [clip for clip in clips if name in (None, clip.name)]
     if not matches:
         problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
-        raise InputError(
-            f"{problem}, which {mesh.name} lacks: {_known('clips', [clip.name for clip in clips])}"
-        )
+        known = _known("clips", [clip.name for clip in clips])
+        raise InputError(f"{problem}, which {mesh.name} lacks: {known}")
     clip = matches[0]
     label = f"clip {shown(clip.name)}"
     if clip.fault:
@@ -155,10 +151,8 @@ def _following(
     new_normals: _Rows = []
     for part, normal, after, before in zip(rest_mesh.parts, normals, *means, strict=True):
         step = after - before
-        moves = normal is not None or step.any()
-        new_normals.append(
-            unit(part.normals if normal is None else normal) + step if moves else None
-        )
+        base = part.normals if normal is None else normal
+        new_normals.append(None if normal is None and not step.any() else unit(base) + step)
     return new_normals
 
 

@@ -38,10 +38,7 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     Raises InputError if the size of the mesh in millimetres is unknown.
     """
     mesh = scene.mesh
-    profiles_of_parts = [
-        material.scattering if material.diffuse_weight > 0.0 else None
-        for material in mesh.materials
-    ]
+    profiles_of_parts = [m.scattering if m.diffuse_weight > 0.0 else None for m in mesh.materials]
     if not any(profiles_of_parts):
         return None
     if mesh.millimetres is None:

@@ -154,17 +154,15 @@ class Scene:
         check_type("mesh", mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
         check_type("before", before, Scene | None, "the facerender.Scene of the frame before")
         lights, ambient = default_light(lights, ambient, environment is not None)
-        values = {
-            "mesh": mesh,
-            "camera": camera_of(camera),
-            "lights": lights_of(lights),
-            "ambient": ambient,
-            "background": background_of(background),
-            "environment": None if environment is None else _environment(environment),
-            "before": before,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            mesh=mesh,
+            camera=camera_of(camera),
+            lights=lights_of(lights),
+            ambient=ambient,
+            background=background_of(background),
+            environment=None if environment is None else _environment(environment),
+            before=before,
+        )
         check_fields(self)
 
 
