@@ -4,7 +4,7 @@ units."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -141,11 +141,11 @@ class Camera:
         self._check_unused(_PLACED, "extrinsics")
 
     def _check_unused(self, names: Sequence[str], placement: str) -> None:
-        for member in fields(self):
-            if member.name in names and (value := getattr(self, member.name)) != member.default:
+        for name in names:
+            if (value := getattr(self, name)) != getattr(Camera, name):
                 raise InputError(
-                    f"camera {member.name} = {shown(value)} and {placement} exclude each other: "
-                    "leave one out"
+                    f"camera {name} = {shown(value)} and {placement} exclude each other: leave one "
+                    "out"
                 )
 
     def _check_intrinsics(self) -> None:

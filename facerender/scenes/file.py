@@ -6,9 +6,10 @@ import json
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.presets import PRESETS, preset
 from facerender.scenes.scene import Scene, background_of
 from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, SHAPE_WEIGHTS
@@ -33,9 +35,6 @@ from facerender.terms.ranges import (
     range_of,
     ranged,
 )
-
-if TYPE_CHECKING:
-    from facerender.scenes.mesh import Mesh
 
 KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "parts", "shading", "planned"),
@@ -134,18 +133,16 @@ class Pose:
 def parse_environment(text: str) -> EnvironmentFile:
     """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
     text has another form, or a value is outside its range."""
-    file, *numbers = text.split(",")
-    try:
-        if len(numbers) > 2:
-            raise ValueError
-        return EnvironmentFile(file, *map(float, numbers))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
+    file, *words = text.split(",")
+    numbers: list[float] | None = None
+    with suppress(ValueError):
+        numbers = [*map(float, words)]
+    if numbers is None or len(numbers) > 2:
         raise InputError(
             f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
             "and ROTATION is in degrees"
-        ) from None
+        )
+    return EnvironmentFile(file, *numbers)
 
 
 def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:

@@ -8,12 +8,13 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, each_of, shown
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.vectors import (
     AZIMUTHS,
     COLORS,
@@ -26,9 +27,6 @@ from facerender.scenes.vectors import (
 from facerender.system.reprs import short_repr
 from facerender.terms.ranges import Range, check_fields, ranged
 from facerender.terms.slope_variance import MAX_RADIUS
-
-if TYPE_CHECKING:
-    from facerender.scenes.mesh import Mesh
 
 Float = NDArray[np.float64]
 

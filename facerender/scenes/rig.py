@@ -220,9 +220,8 @@ class Skin:
         if indices.size and indices.max() >= len(joints):
             raise ValueError(f"a vertex uses joint {indices.max()}, the skin has {len(joints)}")
         fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
-        total = fractions.sum(axis=1, keepdims=True)
-        fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
-        fractions[:, 0] += total[:, 0] <= 0.0
+        fractions[:, 0] += fractions.sum(axis=1) == 0.0
+        fractions /= fractions.sum(axis=1, keepdims=True)
         columns = indices.T.astype(np.uint16 if len(joints) < 1 << 16 else np.uint32, order="C")
         return cls(joints, inverse, columns, np.ascontiguousarray(fractions.T))
 

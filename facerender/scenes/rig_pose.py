@@ -90,7 +90,9 @@ def _evaluated(
     for number, part in enumerate(rest_mesh.parts):
         places = turned = None
         if (rig := part.rig) is not None:
-            stored, weights = rig.stored_weights, _weights(rig, overrides, moves)
+            stored, given = rig.stored_weights, moves.get(rig.node, {}).get("weights", rig.weights)
+            pairs = zip_longest(rig.shapes, given[: len(stored)], fillvalue=0.0)
+            weights = [overrides.get(shape.name, weight) for shape, weight in pairs]
             if turned_nodes or weights != stored:
                 places, turned = _posed(rest_mesh, part, rig, worlds, weights)
             if (lagging := rig.lagging(weights)) != weights:
@@ -102,13 +104,6 @@ def _evaluated(
     if behind:
         normals = _following(rest_mesh, positions, behind, normals)
     return positions, normals
-
-
-def _weights(rig: Rig, overrides: Mapping[str, float], moves: Moves) -> list[float]:
-    """Return a weight for each shape: given, or of the clip, or stored."""
-    stored = moves.get(rig.node, {}).get("weights", rig.weights)
-    pairs = zip_longest(rig.shapes, stored[: len(rig.shapes)], fillvalue=0.0)
-    return [overrides.get(shape.name, weight) for shape, weight in pairs]
 
 
 def _posed(

@@ -20,27 +20,15 @@ if TYPE_CHECKING:
     from facerender.scenes.environment import Environment
     from facerender.scenes.sources import EnvironmentSource, MeshSource
 
-Only = Literal[
-    "specular",
-    "diffuse",
-    "albedo",
-    "normal",
-    "depth",
-    "cosines",
-    "visibility",
-    "mask",
-    "parts",
-    "motion",
-]
+# Images of one term or layer of a scene. Images in DATA have one sample per pixel.
+Data = Literal["albedo", "normal", "depth", "cosines", "visibility", "mask", "parts", "motion"]
+Only = Literal["specular", "diffuse", Data]
+DATA: tuple[Data, ...] = get_args(Data)
+ONLY: tuple[Only, ...] = get_args(Only)
 
 # A pixel is shaded at each of its samples ("sample"), or once for each part in it ("pixel").
 ShadingRate = Literal["sample", "pixel"]
 SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
-
-# Images of one term or layer of a scene. Images in DATA have one sample per pixel.
-ONLY: tuple[Only, ...] = get_args(Only)
-DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
-
 
 _BACKGROUND: Vector = (0.012, 0.013, 0.016)
 

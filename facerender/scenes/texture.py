@@ -245,8 +245,10 @@ class Texture:
         with self._lock:
             if self._rgb is not None:
                 return self._rgb
-            if self._decode is None:
-                return self._finest()
+            if self._decode is None:  # a mip chain is already computed
+                chains = (self._levels.get(kind) for kind in ("normal", "data", "color"))
+                texels = next(chain.result()[0] for chain in chains if chain and chain.done())
+                return _image_of(np.ascontiguousarray(texels[..., :3]))
             image = self._decode()
             if not self._derived:
                 self._rgb = image = _upright_rgb(_loaded(image, self.name), self.name)
@@ -255,13 +257,6 @@ class Texture:
 
     def band(self, index: int) -> Image:
         """Return one channel of the image from :meth:`rgb`, in mode L."""
-        if self._source:
-            return self._source.band(index)
-        if self._fine:
-            fine, levels = self._fine
-            with fine._rows() as rows:
-                band = coarse_data(lambda *span: rows(*span).getchannel(index), fine.size, levels)
-            return _image_of(band)
         return self.rgb().getchannel(index)
 
     def _repr_png_(self) -> bytes:
@@ -470,12 +465,6 @@ class Texture:
         if chain.exception() is None:
             with self._lock:
                 self._rgb = None
-
-    def _finest(self) -> Image:
-        """Return the image from the finest level of a mip chain that is already computed."""
-        chains = (self._levels.get(kind) for kind in ("normal", "data", "color"))
-        texels = next(chain.result()[0] for chain in chains if chain and chain.done())
-        return _image_of(np.ascontiguousarray(texels[..., :3]))
 
 
 _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
