@@ -103,12 +103,13 @@ class Camera:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        if isinstance(name := self.azimuth, str):
-            if name not in AZIMUTHS_BY_NAME:
+        azimuth: Any = self.azimuth
+        if isinstance(azimuth, str):
+            if azimuth not in AZIMUTHS_BY_NAME:
                 bounds = f"[{AZIMUTHS.low:g}, {AZIMUTHS.high:g}]"
                 remedy = f"give a number in {bounds}, or {', '.join(AZIMUTHS_BY_NAME)}"
-                raise InputError(f"camera azimuth = {shown(name)} is not a number: {remedy}")
-            object.__setattr__(self, "azimuth", AZIMUTHS_BY_NAME[name])
+                raise InputError(f"camera azimuth = {shown(azimuth)} is not a number: {remedy}")
+            object.__setattr__(self, "azimuth", AZIMUTHS_BY_NAME[azimuth])
         check_fields(self, "camera ")
         check_type("camera name", self.name, str, "text")
         for name in ("azimuth", "elevation", "fov", "zoom"):

@@ -201,7 +201,7 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
             raise InputError(f"{place}: unknown key {shown(key)}; known: {', '.join(keys)}")
     for key in ("name", "part"):
         check_type(f"{place}: {key}", table.get(key, ""), str, "text")
-    vertices = table.get("vertices")
+    vertices: Any = table.get("vertices")
     listed = isinstance(landmark, Mapping) and isinstance(vertices, list)
     numbers: list[Any] = vertices if listed else [vertices]
     if not 0 < len(numbers) <= 3 or not all(number in _VERTICES for number in numbers):

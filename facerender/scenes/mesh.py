@@ -623,8 +623,7 @@ def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floa
         )
     pairs = zip(mesh.parts, positions, strict=True)
     filled = [part.positions if rows is None else rows for part, rows in pairs]
-    pairs = zip(positions, normals, strict=True)
-    if any(rows is not None and normal is None for rows, normal in pairs):
+    if any(rows is not None and n is None for rows, n in zip(positions, normals, strict=True)):
         sums = rest_mesh.corners.normal_sums(filled)
     parts = []
     for i, part in enumerate(mesh.parts):

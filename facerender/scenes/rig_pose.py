@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,7 +90,7 @@ def _evaluated(
         places = turned = None
         if (rig := part.rig) is not None:
             stored, given = rig.stored_weights, moves.get(rig.node, {}).get("weights", rig.weights)
-            pairs = zip_longest(rig.shapes, given[: len(stored)], fillvalue=0.0)
+            pairs = zip(rig.shapes, [*given, *[0.0] * len(stored)], strict=False)
             weights = [overrides.get(shape.name, weight) for shape, weight in pairs]
             if turned_nodes or weights != stored:
                 places, turned = _posed(rest_mesh, part, rig, worlds, weights)
