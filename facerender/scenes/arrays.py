@@ -55,10 +55,8 @@ def piece_of(
 def _indices(
     name: str, indices: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
 ) -> NDArray[np.int64]:
-    """Return indices (F, 3) in [0, count) from an array or nested lists.
-
-    kind, uses : kind of the indices, and beginning of the message about an invalid one
-    """
+    """Return indices (F, 3) in [0, count) from an array or nested lists. ``kind`` names the indices
+    in messages, and ``uses`` begins the message about an invalid one."""
     rows = rows_of(name, indices, (3,), hint)
     if (rows != np.floor(rows)).any():
         raise InputError(f"{name} are not whole numbers: give {kind} indices")
@@ -71,9 +69,8 @@ def _indices(
 def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.int64]) -> Piece:
     """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses."""
     if len(uv_faces) != len(piece.faces):
-        raise InputError(
-            f"uv_faces has {len(uv_faces)} rows: give {len(piece.faces)}, one for each face"
-        )
+        remedy = f"give {len(piece.faces)}, one for each face"
+        raise InputError(f"uv_faces has {len(uv_faces)} rows: {remedy}")
     pairs, corners = np.unique(piece.faces * len(uv) + uv_faces, return_inverse=True)
     vertices, rows = np.divmod(pairs, len(uv))
     return replace(with_faces(piece, corners.reshape(-1, 3), vertices), uv=uv[rows])

@@ -90,12 +90,10 @@ class Panorama:
         level, solid_angle = self._octahedron()
         levels = [_bordered(level)]
         for _ in range(LEVELS - 1):
-            block_angle = _blocks(solid_angle)
-            level = _blocks(level * solid_angle) / block_angle
-            solid_angle = block_angle
+            light, solid_angle = _blocks(level * solid_angle), _blocks(solid_angle)
+            level = light / solid_angle
             levels.append(_bordered(level))
-        below = [((0, SIDE + 2 - len(mip)), (0, 0), (0, 0)) for mip in levels]
-        padded = [np.pad(*pair) for pair in zip(levels, below, strict=True)]
+        padded = [np.pad(mip, ((0, SIDE + 2 - len(mip)), (0, 0), (0, 0))) for mip in levels]
         return np.concatenate(padded, axis=1, dtype=np.float32, casting="same_kind")
 
     @cached_property

@@ -43,8 +43,6 @@ KEYS = (
 MAX_SAMPLES = 64
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
 STUDIO = "studio"  # name of the procedural environment map
-TIMES = Range(0.0, 1e6, "s")
-FRAMES = IntegerRange(0, 1 << 30)
 
 
 @dataclass(frozen=True)
@@ -104,9 +102,9 @@ class Pose:
 
     weights: Mapping[str, float] = field(default_factory=dict)
     clip: str | None = None
-    time: float | None = ranged(TIMES, None)
+    time: float | None = ranged(Range(0.0, 1e6, "s"), None)
     vertices: str | None = None
-    frame: int = ranged(FRAMES, 0)
+    frame: int = ranged(IntegerRange(0, 1 << 30), 0)
     track: bool = False
 
     __repr__ = short_repr
@@ -249,6 +247,8 @@ def parse_weight(text: str) -> tuple[str, float]:
 def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
     """Check the materials of parts.
 
+    Parameters
+    ----------
     name : name of the value, for messages
     tables : for each name of parts, which may have wildcards, a table of fields of
         :class:`Material` except its maps, and ``preset``
@@ -410,6 +410,8 @@ def _toml(value: Any) -> str:
 def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
     """Create an instance of a dataclass from the values of a TOML table.
 
+    Parameters
+    ----------
     without : fields that the table must not contain
 
     Raises InputError if the value is no table, a key is unknown or missing, or a value is out of

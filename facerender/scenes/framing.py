@@ -171,22 +171,22 @@ def _found(mesh: Mesh) -> dict[str, Region | None]:
     surface = _Surface(mesh)
     points = surface.points(surface.all, _SAMPLES)
     named, clear = surface.named(mesh), False
-    heads: list[_Head] = []
+    head: _Head | None = None
     for chosen in (named, surface.all) if named.any() else (surface.all,):
         chosen_points = points if chosen.all() else surface.points(chosen, _SAMPLES)
-        if (head := _head(surface, chosen, chosen_points)) is not None:
-            clear = head.has_nose or (chosen is named and _is_clear(mesh))
-            heads = [head] if clear else [*heads, head]
+        if (candidate := _head(surface, chosen, chosen_points)) is not None:
+            clear = candidate.has_nose or (chosen is named and _is_clear(mesh))
+            head = candidate if clear or head is None else head
         if clear:
             break
-    if not heads:
+    if head is None:
         whole = Region(np.zeros(3), *map(float, np.abs(mesh.profile).max(axis=0)))
         return {"auto": None, "head": whole, "face": whole}
-    region = _region(_with_hair(np.concatenate([points, heads[0].points]), heads[0].points))
+    region = _region(_with_hair(np.concatenate([points, head.points]), head.points))
     wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
     larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height
-    larger = larger and clear and not _has_second(surface, heads[0])
-    return {"auto": region if larger else None, "head": region, "face": heads[0].face}
+    larger = larger and clear and not _has_second(surface, head)
+    return {"auto": region if larger else None, "head": region, "face": head.face}
 
 
 def _is_clear(mesh: Mesh) -> bool:
@@ -197,13 +197,8 @@ def _is_clear(mesh: Mesh) -> bool:
 
 
 class _Surface:
-    """The triangles of a mesh.
-
-    corners : (F, 3, 3), in mesh space
-    low, high : (F, 3), bounds of each triangle in the renderer's space
-    owners : (F,), index of each triangle's part
-    all : (F,), mask of all triangles
-    """
+    """The triangles of a mesh: corners (F, 3, 3) in mesh space, bounds low and high (F, 3) in the
+    renderer's space, index of the part (F,), and a mask of all triangles (F,)."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -218,10 +213,8 @@ class _Surface:
         self.all = np.ones(len(self.corners), dtype=bool)
 
     def points(self, chosen: NDArray[np.bool_], count: int) -> Float:
-        """Return points of uniform density on triangles, (count, 3), in the renderer's space.
-
-        chosen : mask of the triangles, (F,)
-        """
+        """Return points of uniform density on the triangles in a mask (F,): (count, 3), in the
+        renderer's space."""
         steps = np.cumsum(np.where(chosen, self.areas, 0.0))
         index = np.arange(count) + 0.5
         triangle = np.searchsorted(steps, index * (steps[-1] / count))
@@ -254,11 +247,8 @@ class _Surface:
 
 
 def _head(surface: _Surface, chosen: NDArray[np.bool_], points: Float) -> _Head | None:
-    """Return the head that triangles contain; None if the triangles are flat.
-
-    chosen : mask of the triangles, (F,)
-    points : points on these triangles, (N, 3)
-    """
+    """Return the head that the triangles in a mask (F,), with points (N, 3) on them, contain; None
+    if they are flat."""
     middle = float(np.median(points[:, 0]))
     body = points[_connected(points[:, 0] - middle, _rows(points[:, 1], _ROWS)[0])]
     if len(body) < 3 or np.ptp(body[:, 1]) < 1e-6:
@@ -365,11 +355,8 @@ def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _neck(wide: Float, size: Float, step: float) -> int:
-    """Return the index of the row at which the head ends.
-
-    wide : width of each row, from the top down
-    size : geometric mean of each row's width and depth
-    """
+    """Return the index of the row at which the head ends. ``wide`` is the width of each row, from
+    the top down, and ``size`` the geometric mean of each row's width and depth."""
     largest, narrowest, neck = 0.0, np.inf, -1
     for row, row_size in enumerate(size):
         height = (row + 1) * step

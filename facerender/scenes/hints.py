@@ -292,16 +292,17 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     """
     skin = Material()
     threshold = _FAINT * skin.ks * skin.f0 / skin.m**2
-    parts = [mesh.parts[i] for i in mesh.skin]
+    parts, materials = ([column[i] for i in mesh.skin] for column in (mesh.parts, mesh.materials))
     dull = []
-    for part, material in zip(parts, [mesh.materials[i] for i in mesh.skin], strict=True):
+    for i, (part, material) in enumerate(zip(parts, materials, strict=True)):
         m = _least_slope(part, material, decode)
         if 0.0 < material.ks * material.f0 < threshold * m**2:
-            dull.append((part, material.ks, m))
+            dull.append((i, material.ks, m))
     if not dull:
         return None
-    weak = [(_area(part), ks, m) for part, ks, m in dull]
-    if sum(area for area, *_ in weak) < 0.5 * sum(map(_area, parts)):
+    areas = [float(double_areas(part.positions[part.faces]).sum()) for part in parts]
+    weak = [(areas[i], ks, m) for i, ks, m in dull]
+    if sum(area for area, *_ in weak) < 0.5 * sum(areas):
         return None
     _, ks, m = max(weak)
     remedies = [f"--ks {skin.ks:g}"] * (ks < 0.5) + [f"--m {skin.m:g}"] * (m > 2.0 * skin.m)
@@ -332,10 +333,6 @@ def _least_slope(part: Part, material: Material, decode: bool) -> float:
             return 0.0
         m = (material.roughness_factor * image[..., 1 if packed else 0].min() / 255.0) ** 2
     return float(material.with_second(m, m)[0])
-
-
-def _area(part: Part) -> float:
-    return float(double_areas(part.positions[part.faces]).sum())
 
 
 def too_clear(mesh: Mesh, threshold: float) -> str | None:

@@ -189,10 +189,8 @@ def _landmarks(content: bytes) -> Landmarks:
 
 
 def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[float], str]:
-    """Return name, three vertices, three weights and part of a landmark.
-
-    named : whether the landmark may have the key "name"
-    """
+    """Return name, three vertices, three weights and part of a landmark, which may have the key
+    "name" if ``named`` is true."""
     place = f"landmark {shown(name)}"
     table = landmark if isinstance(landmark, Mapping) else {"vertices": landmark}
     keys = _KEYS if named else _KEYS[1:]

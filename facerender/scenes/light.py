@@ -63,9 +63,8 @@ class Light:
         check_fields(self, "light ")
         for name in ("azimuth", "elevation"):
             if self.position is not None and (value := getattr(self, name)):
-                raise InputError(
-                    f"light {name} = {value:g} and position exclude each other: leave one out"
-                )
+                pair = f"light {name} = {value:g} and position"
+                raise InputError(f"{pair} exclude each other: leave one out")
 
     @property
     def direction(self) -> Float:

@@ -73,19 +73,15 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
         return mesh
     levels = _simplified.setdefault(mesh, {})
     if triangles not in levels:
-        levels[triangles] = _posed(mesh, *_level(reference_of(mesh), triangles))
+        rest_mesh = reference_of(mesh)
+        shared = _levels.setdefault(rest_mesh.parts[0], {})
+        key = triangles, *map(ref, rest_mesh.parts)
+        if key not in shared:
+            shared[key] = _simplify(rest_mesh, triangles)
+        levels[triangles] = _posed(mesh, *shared[key])
     if (remaining := sum(len(part.faces) for part in levels[triangles].parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {remaining} remain")
     return levels[triangles]
-
-
-def _level(rest_mesh: Mesh, triangles: int) -> Level:
-    """Return the simplified reference pose and its remaining vertices, from a cache."""
-    levels = _levels.setdefault(rest_mesh.parts[0], {})
-    key = triangles, *map(ref, rest_mesh.parts)
-    if key not in levels:
-        levels[key] = _simplify(rest_mesh, triangles)
-    return levels[key]
 
 
 def _posed(mesh: Mesh, level: Mesh, remaining: Sequence[NDArray[np.int64]]) -> Mesh:

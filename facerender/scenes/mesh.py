@@ -282,12 +282,9 @@ class Mesh:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(remaining) == len(self.parts):
             return self
-        return Mesh.of(
-            self.name,
-            [replace(self.parts[i]) for i in remaining],  # copies: renderers cache parts per mesh
-            [self.materials[i] for i in remaining],
-            self.millimetres,
-        )
+        parts_left = [replace(self.parts[i]) for i in remaining]  # copies: caches are per mesh
+        materials = [self.materials[i] for i in remaining]
+        return Mesh.of(self.name, parts_left, materials, self.millimetres)
 
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
@@ -611,6 +608,8 @@ def _of_part(name: str, array: Any, part: Part) -> NDArray[np.float64]:
 def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floats | None]) -> Mesh:
     """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
 
+    Parameters
+    ----------
     positions : finite positions (N, 3) of each part; None for a part that stays as it is
     normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
         replaced by the normal of the reference pose

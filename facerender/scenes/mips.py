@@ -31,6 +31,8 @@ def coarse_base(
 
     The function needs memory only for one strip and the result.
 
+    Parameters
+    ----------
     size : width and height of the full image
     drop : number of finest levels to skip, >= 1; the base level must have at least 2 x 2 texels
     """
@@ -76,10 +78,8 @@ def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint
 
 
 def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
-    """Yield strips of an image, each with the index of its first row in the base level.
-
-    height : height of the base level; the yielded indices are even
-    """
+    """Yield strips of an image, each with the index of its first row in the base level, which is
+    even. The base level has the given height."""
     step = max(_STRIP >> drop, 2)
     for top in range(0, height, step):
         yield top, rows(top << drop, min(top + step, height) << drop)

@@ -67,6 +67,8 @@ def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Column
     """Return the first corner and the normal of each triangle as columns x, y and z, (F,) each.
     The length of a normal is twice the triangle's area.
 
+    Parameters
+    ----------
     columns : x, y and z of the vertices, (N,) each
     faces : (3, F)
     """

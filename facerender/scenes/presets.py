@@ -86,9 +86,8 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """
     values = dict(table)
     if "m" in values and values.get("roughness_map") is not None:
-        raise InputError(
-            f"m = {shown(values['m'])} and roughness_map exclude each other: leave one out"
-        )
+        pair = f"m = {shown(values['m'])} and roughness_map"
+        raise InputError(f"{pair} exclude each other: leave one out")
     if (name := values.pop("preset", None)) is not None:
         preset_fields = dict(preset(name))
         if material.albedo_map is not None:

@@ -124,6 +124,8 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
 def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Piece:
     """Return a piece with other faces and copies of its vertices.
 
+    Parameters
+    ----------
     faces : (F, 3), indices into ``vertices``
     vertices : (N,), indices of vertices of the piece; an index may occur more than once
     """
@@ -198,6 +200,8 @@ def are_closed(
     These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
     surface may have several parts.
 
+    Parameters
+    ----------
     positions : (N, 3) for each part
     faces : (F, 3) for each part
     """
@@ -281,10 +285,8 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
-    """Drop faces with a bad corner; return the number of dropped faces.
-
-    good : mask of good corners, (F, 3), or of good faces, (F, 1)
-    """
+    """Drop faces with a bad corner; return their number. The mask is (F, 3) for corners, or (F, 1)
+    for faces."""
     keep = good.all(axis=1)
     piece.faces = piece.faces[keep]
     return int((~keep).sum())

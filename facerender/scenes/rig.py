@@ -75,8 +75,8 @@ class Track:
         next_key = int(np.searchsorted(self.times, time, "right"))
         first, last = max(next_key - 1, 0), min(next_key, len(self.times) - 1)
         cubic = self.interpolation == "CUBICSPLINE"
-        key_values = [self.values[i, 1] if cubic else self.values[i] for i in (first, last)]
-        a, b = (np.asarray(value, dtype=np.float64) for value in key_values)
+        keys = ((i, 1) if cubic else i for i in (first, last))
+        a, b = (np.asarray(self.values[key], dtype=np.float64) for key in keys)
         if first == last or self.interpolation == "STEP":
             mixed = a
         else:
@@ -276,6 +276,8 @@ class Rig:
         """Return positions (N, 3) and normals (N, 3) in mesh space. The normals have any length;
         they are None if the part has none or a matrix is singular.
 
+        Parameters
+        ----------
         worlds : world matrices of the nodes, see :meth:`Skeleton.worlds`
         weights : a weight for each shape
         """
@@ -321,6 +323,8 @@ def local_matrix(
 ) -> Float:
     """Return the local matrix of a node, (4, 4), for column vectors.
 
+    Parameters
+    ----------
     matrix : 16 numbers in column-major order, applied after the other transforms
     rotation : quaternion x, y, z, w of any length
     """

@@ -25,6 +25,8 @@ def posed(
     """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
     pose. The normals have any length.
 
+    Parameters
+    ----------
     rest : the mesh in the reference pose
     weights, clip, time : see :meth:`Mesh.with_pose`
     """

@@ -141,6 +141,13 @@ class Scene:
             mesh = sources.reader(mesh)
         check_type("mesh", mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
         check_type("before", before, Scene | None, "the facerender.Scene of the frame before")
+        if environment is not None:
+            from facerender.scenes.environment import Environment
+
+            if sources.environment_reader and not isinstance(environment, Environment):
+                environment = sources.environment_reader(environment)
+            remedy = "an Environment, as facerender.load_environment returns it"
+            check_type("environment", environment, Environment, remedy)
         lights, ambient = default_light(lights, ambient, environment is not None)
         vars(self).update(
             mesh=mesh,
@@ -148,7 +155,7 @@ class Scene:
             lights=lights_of(lights),
             ambient=ambient,
             background=background_of(background),
-            environment=None if environment is None else _environment(environment),
+            environment=environment,
             before=before,
         )
         check_fields(self)
@@ -161,13 +168,3 @@ def default_light(lights: Any, ambient: Any, has_environment: bool) -> tuple[Any
         (() if has_environment else Scene.lights) if lights is None else lights,
         (0.0 if has_environment else Scene.ambient) if ambient is None else ambient,
     )
-
-
-def _environment(environment: EnvironmentSource) -> Environment:
-    from facerender.scenes.environment import Environment
-
-    if sources.environment_reader and not isinstance(environment, Environment):
-        environment = sources.environment_reader(environment)
-    remedy = "an Environment, as facerender.load_environment returns it"
-    check_type("environment", environment, Environment, remedy)
-    return environment  # type: ignore[return-value]

@@ -222,9 +222,9 @@ class Texture:
             check_known("wrap", mode, modes)
         check_switch("nearest", nearest)
         source = self._source or self
-        texture = Texture(source.rgb, self.name, profile=source.profile)
-        texture._source, texture.wrap, texture.nearest = source, (wrap[0], wrap[1]), nearest
-        texture.coarse = source.coarse
+        texture = Texture(source.rgb, self.name, source._size, profile=source.profile)
+        texture._source, texture._derived = source, True
+        texture.wrap, texture.nearest, texture.coarse = (wrap[0], wrap[1]), nearest, source.coarse
         return texture
 
     @property
@@ -240,8 +240,6 @@ class Texture:
         InputError : the image is damaged, or too large for
             :func:`facerender.images.decode.check_pixels`
         """
-        if self._source:
-            return self._source.rgb()
         with self._lock:
             if self._rgb is not None:
                 return self._rgb

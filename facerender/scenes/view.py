@@ -174,14 +174,13 @@ def view_of(scene: Scene, aspect: float) -> View:
         raise InputError(f"camera position {camera.position} is at its target; move one of them")
     forward = gaze / distance
     up = np.array([0.0, 1.0, 0.0])
-    vertical = abs(forward[1]) > 0.9999
-    if camera.position is not None and camera.azimuth and not vertical:
+    if abs(forward[1]) > 0.9999:  # from above, the image's top shows the back of the head
+        up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
+    elif camera.position is not None and camera.azimuth:
         raise InputError(
             f"camera azimuth = {camera.azimuth:g} and position exclude each other, unless the "
             "camera looks straight up or down: leave one out"
         )
-    if vertical:  # from above, the image's top shows the back of the head
-        up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
     lens = _projection(camera.fov, aspect, eye, forward)
     return View(eye, forward, _look(eye, target, up) @ lens)
 
@@ -276,10 +275,10 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     if not len(pixels):
         return "all of it lies beyond the reach of the lens distortion; turn the camera"
     x, y = (2.0 * pixels / size - 1.0).T
-    extents = (x.max() - x.min()) * width / 2.0, (y.max() - y.min()) * height / 2.0
+    extent = float(np.ptp(pixels, axis=0).max())
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
-        if max(extents) < 2.0:
-            return f"it is {max(extents):.2g} pixels large; move the camera nearer, or zoom in"
+        if extent < 2.0:
+            return f"it is {extent:.2g} pixels large; move the camera nearer, or zoom in"
         indices = range(len(scene.mesh.parts))
         causes = [_not_drawn(scene.mesh, i, view, threshold) for i in indices]
         if all(causes):
@@ -294,10 +293,8 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
 
 
 def _not_drawn(mesh: Mesh, number: int, view: View, threshold: float | None) -> str:
-    """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn.
-
-    threshold : see :func:`hidden`
-    """
+    """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn. For
+    ``threshold`` see :func:`hidden`."""
     part, material = mesh.parts[number], mesh.materials[number]
     name = part.name or "it"
     if material.double_sided is False:
@@ -331,6 +328,8 @@ def levels_to_spare(
     anisotropy (EXT_texture_filter_anisotropic). Triangles that the part itself hides, such as the
     inside of a closed mouth, do not count.
 
+    Parameters
+    ----------
     part, uv : part of the mesh, and its texture coordinates
     texels : width and height of the map
     size : width and height of the image
