@@ -36,14 +36,9 @@ def piece_of(
         raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
     if uv is None and uv_faces is not None:
         raise InputError("uv_faces without uv: give uv as well")
-    piece = Piece(
-        places,
-        corners,
-        None if normals is None else rows_of("normals", normals, (3,), count=count),
-        None,
-        None if colors is None else _linear_colors(colors, count),
-        material,
-    )
+    vectors = None if normals is None else rows_of("normals", normals, (3,), count=count)
+    linear = None if colors is None else _linear_colors(colors, count)
+    piece = Piece(places, corners, vectors, None, linear, material)
     if uv_faces is not None and uv is not None:
         rows = rows_of("uv", uv, (2,))
         uv_corners = _indices("uv_faces", uv_faces, len(rows), "row", "uv_faces use row")

@@ -54,10 +54,8 @@ class Panorama:
             ) from None
         if radiance.ndim != 3 or radiance.shape[1:] != (2 * len(radiance), 3) or len(radiance) < 2:
             shape = " x ".join(map(str, radiance.shape[1::-1] + radiance.shape[2:]))
-            raise InputError(
-                f"environment {self.name} has {shape} values: give an RGB image, twice as wide as "
-                "high"
-            )
+            remedy = "give an RGB image, twice as wide as high"
+            raise InputError(f"environment {self.name} has {shape} values: {remedy}")
         inside = (radiance >= 0.0) & (radiance <= MOST_RADIANCE)
         if not inside.all():
             row, column, _ = np.unravel_index(int(inside.argmin()), radiance.shape)

@@ -91,16 +91,10 @@ _known = WeakKeyDictionary()
 
 
 class _Head(NamedTuple):
-    """A head in the renderer's space.
+    """A head in the renderer's space."""
 
-    points : (N, 3), its surface
-    chin : height of the chin
-    face : region of the face
-    has_nose : whether a nose was found
-    """
-
-    points: Float
-    chin: float
+    points: Float  # (N, 3), on the surface
+    chin: float  # height of the chin
     face: Region
     has_nose: bool
 
@@ -377,10 +371,8 @@ def _neck(wide: Float, size: Float, step: float) -> int:
 def _face(head: Float, body: Float, neck: float, middle: float) -> tuple[Region, float, bool]:
     """Return the region of a head's face, the height of the chin, and whether a nose was found.
 
-    head : points of the head
-    body : more points in the middle of the head and below
-    neck : height of the lower end of the head
-    middle : x of the head's middle
+    head, body : points of the head, and more points in the middle of the head and below
+    neck, middle : height of the lower end of the head, and x of its middle
     """
     high = float(head[:, 1].max())
     step = (high - neck) / _FACE_ROWS

@@ -292,15 +292,15 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     """
     skin = Material()
     threshold = _FAINT * skin.ks * skin.f0 / skin.m**2
-    parts, materials = ([column[i] for i in mesh.skin] for column in (mesh.parts, mesh.materials))
+    pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
     dull = []
-    for i, (part, material) in enumerate(zip(parts, materials, strict=True)):
+    for i, (part, material) in enumerate(pairs):
         m = _least_slope(part, material, decode)
         if 0.0 < material.ks * material.f0 < threshold * m**2:
             dull.append((i, material.ks, m))
     if not dull:
         return None
-    areas = [float(double_areas(part.positions[part.faces]).sum()) for part in parts]
+    areas = [float(double_areas(part.positions[part.faces]).sum()) for part, _ in pairs]
     weak = [(areas[i], ks, m) for i, ks, m in dull]
     if sum(area for area, *_ in weak) < 0.5 * sum(areas):
         return None

@@ -100,9 +100,8 @@ def _simplify(mesh: Mesh, triangles: int) -> Level:
     try:
         meshoptimizer.library()
     except ImportError:
-        raise InputError(
-            "levels of detail need the package meshoptimizer; pip install 'facerender[lod]'"
-        ) from None
+        need = "levels of detail need the package meshoptimizer"
+        raise InputError(f"{need}; pip install 'facerender[lod]'") from None
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
     rows = np.concatenate([_vertices(mesh, number) for number in range(len(mesh.parts))])

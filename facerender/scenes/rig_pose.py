@@ -32,10 +32,8 @@ def posed(
     """
     skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
     if skeleton is None:
-        raise InputError(
-            f"{rest.name} has no shapes and no clips: give a glTF file with a rig, or leave out "
-            "the pose"
-        )
+        remedy = "give a glTF file with a rig, or leave out the pose"
+        raise InputError(f"{rest.name} has no shapes and no clips: {remedy}")
     overrides = _checked(rest, weights)
     selected = _clip(rest, skeleton.clips, clip, time)
     moves: Moves = {}

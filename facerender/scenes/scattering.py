@@ -46,9 +46,8 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
         if (length := millimetres_of(mesh)) is not None:
             remedy = f"give {option(length)} for a head of {HEAD:g} mm "
             remedy += f"(load_mesh(..., millimetres={length:g}))"
-        raise InputError(
-            f"scattering needs the size of {mesh.name}, which does not specify its unit: {remedy}"
-        )
+        cause = f"scattering needs the size of {mesh.name}, which does not specify its unit"
+        raise InputError(f"{cause}: {remedy}")
     emit(mesh, wrong_unit, wrong_unit(mesh))
     millimetres = mesh.radius * mesh.millimetres
     camera, view = scene.camera, view_of(scene, size[0] / size[1])

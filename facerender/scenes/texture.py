@@ -453,10 +453,8 @@ class Texture:
                 return coarse_chain(base)
             return CHAIN[kind](self.rgb())
         except MemoryError:
-            width, height = self.size
-            raise InputError(
-                f"not enough memory for {self.name} of {width} x {height} texels: make it smaller"
-            ) from None
+            lacking = "not enough memory for {} of {} x {} texels".format(self.name, *self.size)
+            raise InputError(f"{lacking}: make it smaller") from None
 
     def _drop_image(self, chain: Future[Levels]) -> None:
         """Drop the decoded image, since an 8-bit mip chain also contains the image's texels."""
@@ -525,26 +523,21 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[..., 0]
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
-        raise InputError(
-            f"{name} has the shape {array.shape}: give (H, W), (H, W, 3) or (H, W, 4) texels"
-        )
+        remedy = "give (H, W), (H, W, 3) or (H, W, 4) texels"
+        raise InputError(f"{name} has the shape {array.shape}: {remedy}")
     if array.dtype.kind == "f":
         array = array.astype(np.float64)
         if not ((array >= 0.0) & (array <= 1.0)).all():
-            low, high = array.min(), array.max()
-            raise InputError(
-                f"{name} has floats from {low:.4g} to {high:.4g}: scale them to [0, 1], or give "
-                "uint8"
-            )
+            ends = f"{array.min():.4g} to {array.max():.4g}"
+            raise InputError(f"{name} has floats from {ends}: scale them to [0, 1], or give uint8")
         return np.round(array * 255.0).astype(np.uint8)
     if array.dtype == np.uint16:
         return (array // 257).astype(np.uint8)
     if array.dtype == np.bool_:
         return array * np.uint8(255)
     if array.dtype != np.uint8:
-        raise InputError(
-            f"{name} has values of type {array.dtype}: give uint8, uint16, or floats in [0, 1]"
-        )
+        remedy = "give uint8, uint16, or floats in [0, 1]"
+        raise InputError(f"{name} has values of type {array.dtype}: {remedy}")
     return array.copy()
 
 
