@@ -229,6 +229,12 @@ class Context:
         return max(int(self.gl.info["GL_MAX_SAMPLES"]), 1)
 
     @property
+    def max_side(self) -> int:
+        """Largest width and height of an image that the driver supports, in pixels."""
+        info = self.gl.info
+        return int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
+
+    @property
     def software(self) -> bool:
         """Whether the driver is a software driver, which draws on the CPU."""
         return is_software(self.renderer)
@@ -379,9 +385,7 @@ def probe() -> list[Finding]:
         except ContextError as error:
             findings.append(Finding(name, error=str(error)))
             continue
-        with context.drawing() as gl:
-            size = min(gl.info["GL_MAX_TEXTURE_SIZE"], *gl.info["GL_MAX_VIEWPORT_DIMS"])
-            samples = gl.max_samples
-        findings.append(Finding(name, context.renderer, context.version, samples, size))
+        limits = context.most_samples, context.max_side
+        findings.append(Finding(name, context.renderer, context.version, *limits))
         context.release()
     return findings

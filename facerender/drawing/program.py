@@ -60,6 +60,10 @@ class Program:
     call: str = ""
     environment: str = ""
 
+    def having(self, *features: str) -> Program:
+        """Return the program with further features."""
+        return replace(self, features=self.features + features)
+
     def sources(self, version: str) -> dict[str, str]:
         """Return the GLSL of the stages "vert" and "frag" with the line ``#version VERSION``."""
         head = "".join(f"#define {name}\n" for name in self.features)
@@ -176,15 +180,6 @@ def shade_program(
         return program
     head = prelude(term, own.smallest_m, material.two_lobes)
     return replace(program, prelude=head, call=call(term, second))
-
-
-def light_visibility_program(
-    part: Part, material: Material, shading: Shading, lighting: Lighting
-) -> Program:
-    """Return the program that draws each light's visible fraction on a part of a simplified
-    scene."""
-    features = surface_features(part, material, shading) + shadow_features(lighting)
-    return Program("light_visibility.frag", features=features, lights=lighting.groups)
 
 
 def shadow_features(lighting: Lighting) -> tuple[str, ...]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.program import Program, Uniforms
+from facerender.drawing.program import Program, Uniforms, part_uniforms
 from facerender.drawing.triangle_setup import Area as Area
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
@@ -70,6 +70,12 @@ class Draw:
     depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
     order: NDArray[np.int64] | None = None
     double_sided: bool | None = True
+
+    @classmethod
+    def of_part(cls, program: Program, part: Part, material: Material, **uniforms: Any) -> Draw:
+        """Return the draw of a part, with the uniforms of the part and further uniforms."""
+        values = {**part_uniforms(part, material), **uniforms}
+        return cls(program, values, part, material, double_sided=material.double_sided)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,16 +11,15 @@ from weakref import ref
 import numpy as np
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
-from facerender.drawing.passes.transparency import BlendedPart, mask_features, unblended
-from facerender.drawing.passes.visibility import Visibility
+from facerender.drawing.passes.transparency import BlendedPart, mask_features, visible_draws
 from facerender.drawing.program import (
     SHADOW_CONES,
     SHADOW_MAP,
     SHADOW_TOPS,
     Program,
-    light_visibility_program,
     part_uniforms,
     scene_uniforms,
+    shadow_features,
     surface_features,
 )
 from facerender.drawing.resolve import ResolvedScene
@@ -186,30 +185,19 @@ def _cut(material: Material) -> Hashable:
 
 
 def light_visibility_pass(
-    resolved: ResolvedScene,
-    view: View,
-    visibility: Visibility | None = None,
-    blended_part: BlendedPart | None = None,
+    resolved: ResolvedScene, view: View, blended_part: BlendedPart | None
 ) -> Pass:
     """Return the pass that draws the visible fraction of each light that casts shadows.
 
     The lights are in the order of ``Lighting.lights``.
 
-    visibility : see :func:`shade_pass`
     blended_part : see :func:`surface_pass`
     """
-    scene, lighting = resolved.scene, resolved.lighting
-    draws = [
-        Draw(
-            light_visibility_program(part, material, resolved.shading, lighting),
-            part_uniforms(part, material),
-            part,
-            material,
-            double_sided=material.double_sided,
-        )
-        for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    ]
+    scene, lighting, draws = resolved.scene, resolved.lighting, []
+    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+        features = surface_features(part, material, resolved.shading) + shadow_features(lighting)
+        program = Program("light_visibility.frag", features=features, lights=lighting.groups)
+        draws.append(Draw.of_part(program, part, material))
     uniforms = scene_uniforms(scene, view, lighting)
-    shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
-    drawn = Pass("light_visibility", Target(colors=MOST // 4), shown, uniforms=uniforms)
-    return visibility.shaded(drawn) if visibility else drawn
+    visible = visible_draws(scene, draws, blended_part)
+    return Pass("light_visibility", Target(colors=MOST // 4), visible, uniforms=uniforms)

@@ -169,26 +169,24 @@ class Visibility:
 
         depth : depth value in [0, 1] that is different for each part
         """
-        samples = f"SAMPLES {self.samples}"
+        samples, rate = f"SAMPLES {self.samples}", ("PIXEL_RATE",) * (self.shading_rate == "pixel")
         uniforms = {"first": part.first, "triangle_count": len(part.part.faces), "depth": depth}
         visible = Program("visible.frag", "screen.vert", (samples,))
-        features = (
-            *draw.program.features,
-            "VISIBLE",
-            *(("PIXEL_RATE",) * (self.shading_rate == "pixel")),
-            samples,
-            *table_features(part.part),
-        )
-        program = replace(draw.program, vertex="screen.vert", features=features)
+        program = replace(draw.program, vertex="screen.vert")
         shaded = replace(
             draw,
-            program=program,
+            program=program.having("VISIBLE", *rate, samples, *table_features(part.part)),
             uniforms={**draw.uniforms, **uniforms},
             area=part.area,
             depth="marked",
             double_sided=True,
         )
         return Draw(visible, uniforms, area=part.area, depth="mark"), shaded
+
+
+def deferred(visibility: Visibility | None, forward: Pass) -> list[Pass]:
+    """Return the passes that replace a forward pass: deferred shading if there is a visibility."""
+    return [visibility.drawn(), visibility.shaded(forward)] if visibility else [forward]
 
 
 def _rays(view: View, size: tuple[int, int]) -> Uniforms:
