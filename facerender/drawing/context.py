@@ -10,7 +10,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from functools import partial
+from typing import Any, Literal
 
 import glcontext
 import moderngl
@@ -49,7 +50,6 @@ _GL_VERSION = 330
 # driver's threads, so _lost has the drivers opened before the last fork.
 _opened: set[str] = set()
 _lost: set[str] = set()
-_FORKED = "this driver was in use before this process was forked"
 
 
 def _lose() -> None:
@@ -62,12 +62,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_lose)
 if os.getpid() != IMPORTER:
     _lose()
-
-
-class _Loader(Protocol):
-    """Protocol of the context objects that moderngl uses."""
-
-    def load(self, name: str) -> int: ...
 
 
 class ForeignContext:
@@ -107,7 +101,6 @@ class _OSMesaContext(ForeignContext):
     )
 
     def __init__(self) -> None:
-        _check_not_lost("osmesa")
         self._library = _open_library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
         super().__init__(self._library.OSMesaGetProcAddress)
         flat = [value for pair in self._ATTRIBUTES for value in pair]
@@ -150,11 +143,6 @@ def check_process(process: int) -> None:
         )
 
 
-def _check_not_lost(driver: str) -> None:
-    if driver in _lost:
-        raise ContextError(_FORKED)
-
-
 def _open_library(*names: str) -> ctypes.CDLL:
     for name in names:
         try:
@@ -164,31 +152,17 @@ def _open_library(*names: str) -> ctypes.CDLL:
     raise ContextError(f"{names[0]} is not installed")
 
 
-def _egl() -> _Loader:
-    _check_not_lost("egl")
-    for library in ("libEGL.so.1", "libGL.so.1"):
-        _open_library(library)
-    # With these names, glcontext does not start ldconfig or a compiler to find the libraries.
-    loader: _Loader = glcontext.get_backend_by_name("egl")(
-        mode="standalone", glversion=_GL_VERSION, libegl="libEGL.so.1", libgl="libGL.so.1"
-    )
-    return loader
-
-
-def _native() -> _Loader:
-    _check_not_lost("native")
-    libraries = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
+def _standalone(backend: str, **libraries: str) -> Any:
     for library in libraries.values():
         _open_library(library)
-    if libraries and not os.environ.get("DISPLAY"):
+    if "libx11" in libraries and not os.environ.get("DISPLAY"):
         raise ContextError("DISPLAY is not set: start an X server, such as Xvfb with xvfb-run")
-    loader: _Loader = glcontext.default_backend()(
-        mode="standalone", glversion=_GL_VERSION, **libraries
-    )
-    return loader
+    native = backend == "native"
+    make = glcontext.default_backend() if native else glcontext.get_backend_by_name(backend)
+    return make(mode="standalone", glversion=_GL_VERSION, **libraries)
 
 
-def _current() -> _Loader:
+def _current() -> ForeignContext:
     host = current_context()
     if host is None:
         raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
@@ -216,7 +190,7 @@ class Context:
 
     backend: str
     gl: moderngl.Context
-    loader: _Loader
+    loader: Any
     handle: int
     renderer: str
     version: str
@@ -296,10 +270,12 @@ class Context:
             self.gl.release()
 
 
+# With these names, glcontext does not start ldconfig or a compiler to find the libraries.
+_LIBRARIES = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
 _OPENERS: dict[str, Callable[[], Any]] = {
-    "egl": _egl,
+    "egl": partial(_standalone, "egl", libegl="libEGL.so.1", libgl="libGL.so.1"),
     "osmesa": _OSMesaContext,
-    "native": _native,
+    "native": partial(_standalone, "native", **_LIBRARIES),
     "current": _current,
 }
 
@@ -333,6 +309,8 @@ def create_context(backend: Backend = "auto") -> Context:
 
 
 def _open(name: str, host: HostContext | None) -> Context:
+    if name in _lost:
+        raise ContextError("this driver was in use before this process was forked")
     loader = _OPENERS[name]()
     guest = host if name == "current" else None
     restore = save_state(loader.load) if guest else None
@@ -348,9 +326,8 @@ def _open(name: str, host: HostContext | None) -> Context:
     if not guest:
         with gl:
             pass  # leaving the block unbinds the new context
-    handle = guest.handle if guest else 0
-    if not guest:
         _opened.add(name)
+    handle = guest.handle if guest else 0
     return Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
 
 

@@ -114,37 +114,30 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
     """Return the feature macros for a part's geometry and material, without macros for lights."""
     alpha = drawn_alpha(part, material)
     maps = part_maps(part, material, "color", shading.slope_filter)
-    names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
-    second = [name for name in names if material.by_second(name.lower())]
-    names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
-    names += ["CONSTANT_SLOPE"] * (shading.term.m is not None)
-    if part.uv is not None:
-        names.append("UV")
-    if "PROPERTY_MAP" in names:
-        names += [name.upper() for name in PROPERTY_MAPS if getattr(material, name) is not None]
-    elif not {name.upper() for name in PROPERTY_MAPS}.isdisjoint(names):
-        names.append("PROPERTIES_APART")
-    if part.occlusion is not None:
-        names.append("VERTEX_OCCLUSION")
-    if part.colors is not None:
-        names.append("VERTEX_COLORS")
-    if material.albedo != (1.0, 1.0, 1.0):
-        names.append("ALBEDO_FACTOR")
-    if material.two_lobes:
-        names.append("TWO_LOBES")
-    if "NORMAL_MAP" in names and material.normal_strength != 1.0:
-        names.append("NORMAL_STRENGTH")
-    if "OCCLUSION_MAP" in names and material.occlusion_strength != 1.0:
-        names.append("OCCLUSION_STRENGTH")
-    if alpha != "opaque":
-        names.append(f"ALPHA_{alpha.upper()}")
-    if alpha == "blend" and material.alpha == "mask":
-        names.append("OPACITY_CUT")
-    if material.thin:
-        names.append("TRANSMISSION")
-    if second:
-        names += ["UV2", *(f"{name}_UV uv2" for name in second)]
-    return tuple(names)
+    names = [name for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
+    second = [name for name in names if material.by_second(name)]
+    packed = [name for name in PROPERTY_MAPS if getattr(material, name) is not None]
+    packed = packed if "property_map" in names else []
+    occlusion = "occlusion_map" in (*names, *packed)
+    features = {
+        "slope_filter": any(kind == "normal" for _, _, kind in maps),
+        "constant_slope": shading.term.m is not None,
+        "uv": part.uv is not None,
+        **dict.fromkeys(packed, True),
+        "properties_apart": not {*PROPERTY_MAPS}.isdisjoint(names),
+        "vertex_occlusion": part.occlusion is not None,
+        "vertex_colors": part.colors is not None,
+        "albedo_factor": material.albedo != (1.0, 1.0, 1.0),
+        "two_lobes": material.two_lobes,
+        "normal_strength": "normal_map" in names and material.normal_strength != 1.0,
+        "occlusion_strength": occlusion and material.occlusion_strength != 1.0,
+        f"alpha_{alpha}": alpha != "opaque",
+        "opacity_cut": alpha == "blend" and material.alpha == "mask",
+        "transmission": material.thin,
+        "uv2": bool(second),
+    }
+    names += [name for name, is_used in features.items() if is_used]
+    return (*map(str.upper, names), *(f"{name.upper()}_UV uv2" for name in second))
 
 
 def shade_program(
@@ -194,19 +187,19 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
 
 def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:
     """Return the uniforms that all parts of a scene share."""
-    around: dict[str, Any] = {}
-    if lighting is not None and scene.environment is not None:
-        around["environment_sh"] = scene.environment.panorama.coefficients
-        around["environment_turn"] = scene.environment.turn.T  # OpenGL stores matrices by column
-        around["environment_scale"] = scene.environment.scale
-        around["environment_size"] = len(scene.environment.panorama.map) - 2
-    return {
-        **around,
+    uniforms = {
         "view_projection": view.matrix,
         "camera_position": view.position,
         "ambient": np.asarray(scene.ambient),
-        **({} if lighting is None else lighting.uniforms(scene.mesh)),
     }
+    if lighting is None:
+        return uniforms
+    if environment := scene.environment:
+        uniforms["environment_sh"] = environment.panorama.coefficients
+        uniforms["environment_turn"] = environment.turn.T  # OpenGL stores matrices by column
+        uniforms["environment_scale"] = environment.scale
+        uniforms["environment_size"] = len(environment.panorama.map) - 2
+    return uniforms | lighting.uniforms(scene.mesh)
 
 
 def part_uniforms(part: Part, material: Material) -> Uniforms:

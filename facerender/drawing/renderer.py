@@ -20,13 +20,7 @@ from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
 from facerender.drawing.metadata import scene_metadata, shading_metadata
-from facerender.drawing.motion import (
-    Rays,
-    check_before,
-    motion_vectors,
-    pixel_centres,
-    triangle_pass,
-)
+from facerender.drawing.motion import check_before, motion_vectors, pixel_centres, triangle_pass
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
@@ -323,11 +317,11 @@ class Renderer:
             renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
         view = view_of(flat, renderer.size[0] / renderer.size[1])
         resolved = renderer._cut(renderer._resolved(flat, shading, view, 1))
-        drawn = triangle_pass(resolved, view)
-        (triangles,) = renderer._draw([drawn], resolved.scene)
+        render_pass = triangle_pass(resolved, view)
+        (triangles,) = renderer._draw([render_pass], resolved.scene)
         triangles = lens.nearest_values(triangles) if lens else triangles
-        rays = Rays(view, renderer.size, lens.places if lens else pixel_centres(self.size))
-        return motion_vectors(scene, before, views, drawn, triangles, rays)
+        rays = 2.0 * (lens.places if lens else pixel_centres(self.size)) / renderer.size - 1.0
+        return motion_vectors(scene, before, views, render_pass.draws, triangles, view, rays)
 
     def landmarks(
         self, scene: Scene, landmarks: Landmarks

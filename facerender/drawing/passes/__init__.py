@@ -72,7 +72,7 @@ class Draw:
     double_sided: bool | None = True
 
     @classmethod
-    def of_part(cls, program: Program, part: Part, material: Material, **uniforms: Any) -> Draw:
+    def of_part(cls, program: Program, part: Part, material: Material, /, **uniforms: Any) -> Draw:
         """Return the draw of a part, with the uniforms of the part and further uniforms."""
         values = {**part_uniforms(part, material), **uniforms}
         return cls(program, values, part, material, double_sided=material.double_sided)

@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
-from facerender.drawing.program import (
-    Program,
-    Uniforms,
-    part_uniforms,
-    scene_uniforms,
-    shade_program,
-)
+from facerender.drawing.program import Program, scene_uniforms, shade_program
 from facerender.drawing.resolve import ResolvedPart, ResolvedScene
 from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.scenes.mesh import Mesh, drawn_alpha
@@ -85,11 +79,6 @@ class Region:
         depth = np.diag([1.0, 1.0, -2.0 / (near - self.bottom), 1.0])
         depth[3, 2] = (near + self.bottom) / (near - self.bottom)
         return np.asarray(self.matrix @ depth)
-
-    @property
-    def camera(self) -> Floats:
-        """Position (3,) of a distant camera in front of the region, in the renderer's space."""
-        return np.asarray((np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(self.matrix))[:3])
 
     def within(self, setup: TriangleSetup) -> Numbers:
         """Return the indices of a part's triangles that may be within the map."""
@@ -188,12 +177,11 @@ class Refraction:
 
         draws : one draw for each part
         """
-        changed, first = [], 0
-        for draw, regions in zip(draws, self.parts, strict=True):
+        changed, first = [*draws], 0
+        for index, (draw, regions) in enumerate(zip(draws, self.parts, strict=True)):
             if not regions:
-                changed.append(draw)
                 continue
-            features = (*draw.program.features, f"REFRACTIONS {len(regions)}")
+            program = draw.program.having(f"REFRACTIONS {len(regions)}")
             uniforms = {
                 **draw.uniforms,
                 "refraction_first": first,
@@ -201,8 +189,7 @@ class Refraction:
                 "refraction_bottom": np.array([region.bottom for region in regions])[:, None],
                 "refraction_background": self.background,
             }
-            program = replace(draw.program, features=features)
-            changed.append(replace(draw, program=program, uniforms=uniforms))
+            changed[index] = replace(draw, program=program, uniforms=uniforms)
             first += len(regions)
         return changed
 
@@ -213,35 +200,28 @@ class Refraction:
         the emission of the foremost surface behind the refracting part.
         """
         key, mesh = _key(resolved, self.side), resolved.scene.mesh
-        if mesh not in _passes or _passes[mesh][0] != key:
-            _passes[mesh] = key, self._passes(resolved, key)
-        return _passes[mesh][1]
-
-    def _passes(self, resolved: ResolvedScene, key: tuple[Hashable, ...]) -> list[Pass]:
-        regions = [region for part_regions in self.parts for region in part_regions]
-        size = (len(regions) * self.side, self.side)
-        areas = [Area(i * self.side, 0, self.side, self.side) for i in range(len(regions))]
-        surface = Target(size=size, sampled=True, values="number", number=2)
-        map_target = Target(size=size, sampled=True, number=2)
-        uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
-        front = tuple(self._fronts(resolved.scene.mesh, areas))
-        behind = tuple(
-            draw
-            for region, area in zip(regions, areas, strict=True)
-            for draw in _behind(resolved, region, area)
-        )
-        return [
-            Pass(SURFACE, surface, front, key=(SURFACE, *key)),
-            Pass(MAP, map_target, behind, (0.0, 0.0, 0.0, _EMPTY), uniforms, key=(MAP, *key)),
-        ]
-
-    def _fronts(self, mesh: Mesh, areas: Sequence[Area]) -> Iterator[Draw]:
-        """Yield the draws of the regions themselves: z in map space."""
-        program, places = Program("refraction_surface.frag"), iter(areas)
+        if mesh in _passes and _passes[mesh][0] == key:
+            return _passes[mesh][1]
+        front: list[Draw] = []
+        behind: list[Draw] = []
+        program, side = Program("refraction_surface.frag"), self.side
         for part, regions in zip(mesh.parts, self.parts, strict=True):
             for region in regions:
+                area = Area(len(front) * side, 0, side, side)
                 uniforms = {"view_projection": region.clip, "to_map": region.matrix}
-                yield Draw(program, uniforms, part, area=next(places), order=region.faces)
+                front.append(Draw(program, uniforms, part, area=area, order=region.faces))
+                behind += _behind(resolved, region, area)
+        size = len(front) * side, side
+        surface = Target(size=size, sampled=True, values="number", number=2)
+        map_target = Target(size=size, sampled=True, number=2)
+        shared = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
+        clear = 0.0, 0.0, 0.0, _EMPTY
+        passes = [
+            Pass(SURFACE, surface, tuple(front), key=(SURFACE, *key)),
+            Pass(MAP, map_target, tuple(behind), clear, shared, key=(MAP, *key)),
+        ]
+        _passes[mesh] = key, passes
+        return passes
 
 
 _NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))
@@ -259,15 +239,11 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
         if not len(order):
             continue
         program = shade_program(resolved, ResolvedPart(part, material, 0.0, None))
-        program = replace(program, features=(*program.features, "BEHIND_REFRACTION"))
-        uniforms: Uniforms = {
-            **part_uniforms(part, material),
-            "view_projection": region.clip,
-            "to_map": region.matrix,
-            "camera_position": region.camera,
-        }
-        sides = material.double_sided
-        yield Draw(program, uniforms, part, material, area=area, order=order, double_sided=sides)
+        program = program.having("BEHIND_REFRACTION")
+        camera = np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(region.matrix)  # far in front
+        uniforms = {"view_projection": region.clip, "to_map": region.matrix}
+        draw = Draw.of_part(program, part, material, camera_position=camera[:3], **uniforms)
+        yield replace(draw, area=area, order=order)
 
 
 def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:

@@ -66,26 +66,23 @@ def with_shadows(
             f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
         )
     texels = _texels(view, size, len(spaces))
-    target = Target(size=(len(spaces) * texels, texels), sampled=True, values="number")
-    mesh = scene.mesh
+    target, mesh = _target((len(spaces) * texels, texels)), scene.mesh
     key = (
         *(ref(part) for part in mesh.parts),
         *(_cut(material) for material in mesh.materials),
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
-    drawn = Pass(
-        SHADOW_MAP, target, _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0), key=key
-    )
-    tiles = {"shadow_tiles": (texels, _BLOCKS)}
-    return [
-        drawn,
-        *_cones(spaces, texels, key),
-        *(
-            replace(step, uniforms={**step.uniforms, **tiles}, key=step.key and (step.key, texels))
-            for step in passes
-        ),
-    ]
+    draws, clear = _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0)
+    result = [Pass(SHADOW_MAP, target, draws, clear, key=key), *_cones(spaces, texels, key)]
+    for step in passes:
+        uniforms = {**step.uniforms, "shadow_tiles": (texels, _BLOCKS)}
+        result.append(replace(step, uniforms=uniforms, key=step.key and (step.key, texels)))
+    return result
+
+
+def _target(size: tuple[int, int], number: int = 0) -> Target:
+    return Target(size=size, sampled=True, values="number", number=number)
 
 
 def _texels(view: View, size: tuple[int, int], count: int) -> int:
@@ -119,22 +116,16 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
     steps: list[tuple[Draw, ...]] = [(blocks,)]
     program = Program("shadow_cones.frag", "screen.vert")
     for stride in [*((length, 0) for length in strides), *((0, length) for length in strides)]:
-        draws = []
-        for number, space in enumerate(spaces):
+        cones = []
+        for left, space in zip(range(0, size[0], _BLOCKS), spaces, strict=True):
             # The pyramid with this slope along the axes contains the cone.
             fall = math.sqrt(2.0) / _BLOCKS / max(space.tan_radius, 1e-3)
-            area = Area(number * _BLOCKS, 0, _BLOCKS, _BLOCKS)
-            uniforms = {"stride": stride, "left": area.left, "fall": fall}
-            draws.append(Draw(program, uniforms, area=area))
-        steps.append(tuple(draws))
+            uniforms = {"stride": stride, "left": left, "fall": fall}
+            cones.append(Draw(program, uniforms, area=Area(left, 0, _BLOCKS, _BLOCKS)))
+        steps.append(tuple(cones))
     passes = [
-        Pass(
-            SHADOW_CONES,
-            Target(size=size, sampled=True, values="number", number=1 + number),
-            step,
-            key=(key, number),
-        )
-        for number, step in enumerate(steps)
+        Pass(SHADOW_CONES, _target(size, 1 + number), draws, key=(key, number))
+        for number, draws in enumerate(steps)
     ]
     if any(space.tan_radius for space in spaces):  # hard shadows do not search for occluders
         passes.insert(1, _tops(len(spaces), (map_key, texels)))
@@ -153,8 +144,7 @@ def _tops(count: int, key: Hashable) -> Pass:
             uniforms = {"left": number * _BLOCKS, "column": column, "size": size}
             draws.append(Draw(program, uniforms, area=Area(column, 0, side, side)))
             column += side
-    target = Target(size=(column, _BLOCKS), sampled=True, values="number")
-    return Pass(SHADOW_TOPS, target, tuple(draws), key=key)
+    return Pass(SHADOW_TOPS, _target((column, _BLOCKS)), tuple(draws), key=key)
 
 
 def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, ...]:
@@ -165,12 +155,12 @@ def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, .
             continue
         features = mask_features(surface_features(part, material, shading))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
-        cut = alpha == "mask"
-        mask_uniforms = part_uniforms(part, material) if cut else {}
+        mask = material if alpha == "mask" else None
+        mask_uniforms = part_uniforms(part, mask) if mask else {}
         for number, space in enumerate(spaces):
             uniforms = {**mask_uniforms, "to_light": space.matrix, "top": space.top}
             area = Area(number * texels, 0, texels, texels)
-            draws.append(Draw(program, uniforms, part, material if cut else None, area=area))
+            draws.append(Draw(program, uniforms, part, mask, area=area))
     return tuple(draws)
 
 

@@ -185,7 +185,8 @@ class Visibility:
 
 
 def deferred(visibility: Visibility | None, forward: Pass) -> list[Pass]:
-    """Return the passes that replace a forward pass: deferred shading if there is a visibility."""
+    """Return the passes of deferred shading for a forward pass. Without a visibility, return the
+    forward pass."""
     return [visibility.drawn(), visibility.shaded(forward)] if visibility else [forward]
 
 
