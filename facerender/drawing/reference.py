@@ -17,11 +17,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import unit
 from facerender.shading import Shading, Term
-from facerender.terms.albedo import (
-    cook_torrance_albedo,
-    cook_torrance_albedo_mean,
-    diffuse_coupled,
-)
+from facerender.terms.albedo import cook_torrance_albedo, cook_torrance_albedo_mean, diffuse_coupled
 from facerender.terms.model import dot
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 

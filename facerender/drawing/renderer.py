@@ -42,14 +42,7 @@ from facerender.drawing.prepare import check_memory, cut_out, reduced, simplify,
 from facerender.drawing.program import ENVIRONMENT_MAP
 from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.drawing.resources import Resources, read
-from facerender.errors import (
-    ContextError,
-    InputError,
-    check_switch,
-    check_type,
-    clipped,
-    warn,
-)
+from facerender.errors import ContextError, InputError, check_switch, check_type, clipped, warn
 from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
@@ -358,11 +351,7 @@ class Renderer:
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(
-        self,
-        scene: Scene,
-        shading: Shading = Shading(),
-        blended: bool = True,
-        cut: bool = False,
+        self, scene: Scene, shading: Shading = Shading(), blended: bool = True, cut: bool = False
     ) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
 

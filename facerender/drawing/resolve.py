@@ -9,24 +9,20 @@ material's m if the shading's term has a constant m. ``Term.slope`` resolves m f
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
 
 from facerender.drawing.prepare import simplify
-from facerender.scenes.light import LIGHT_KINDS, Light, LightSpace, disc_of, light_space
+from facerender.scenes.light import Light, LightSpace, disc_of, light_space
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part, slope_range
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
-from facerender.terms.slope_variance import (
-    slope_filtered,
-    slope_variance_disc,
-    slope_variance_map,
-)
+from facerender.terms.slope_variance import slope_filtered, slope_variance_disc, slope_variance_map
 
 
 @dataclass(frozen=True)
@@ -68,17 +64,16 @@ class Lighting:
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
         """Sort the lights of a scene."""
-        sorted_: dict[tuple[str, bool, bool], list[int]] = {
-            key: [] for key in product(sorted(LIGHT_KINDS), (True, False), (False, True))
-        }
-        for index, light in enumerate(scene.lights):
-            sorted_[light.kind.name, shading.shines(index), light.shadow].append(index)
+        keys = [
+            (light.kind.name, not shading.shines(index), light.shadow)
+            for index, light in enumerate(scene.lights)
+        ]
         groups, maps = [], 0
-        for (kind, specular, shadow), indices in sorted_.items():
-            if indices:
-                groups.append(LightGroup(kind, specular, len(indices), maps if shadow else None))
-                maps += len(indices) * shadow
-        order = tuple(index for indices in sorted_.values() for index in indices)
+        for key, count in sorted(Counter(keys).items()):
+            kind, without_term, shadow = key
+            groups.append(LightGroup(kind, not without_term, count, maps if shadow else None))
+            maps += count * shadow
+        order = tuple(sorted(range(len(keys)), key=keys.__getitem__))
         return cls(order, tuple(scene.lights[index] for index in order), tuple(groups))
 
     @property
@@ -100,10 +95,8 @@ class Lighting:
     def uniforms(self, mesh: Mesh) -> dict[str, Any]:
         """Return the uniforms of all lights: arrays keyed by name."""
         arrays: dict[str, Any] = {}
-        for name in dict.fromkeys(group.kind for group in self.groups):
-            kind = LIGHT_KINDS[name]
-            lights = [light for light in self.lights if light.kind is kind]
-            arrays |= kind.uniforms(lights, mesh)
+        for kind in dict.fromkeys(light.kind for light in self.lights):
+            arrays |= kind.uniforms([light for light in self.lights if light.kind is kind], mesh)
         if spaces := self.spaces(mesh):
             arrays["shadow_view"] = np.array([space.matrix for space in spaces])
             arrays["shadow_size"] = np.array(
@@ -180,11 +173,10 @@ class ResolvedScene:
         specular : false to leave out the specular term and the check of m
         """
         mesh = self.scene.mesh
-        count = len(mesh.parts)
-        smallest = [low for low, _ in self.slopes] if specular else [0.0] * count
-        terms = self.terms if specular and self.lighting.shining else [None] * count
-        columns = mesh.parts, mesh.materials, smallest, terms
-        return [ResolvedPart(*row) for row in zip(*columns, strict=True)]
+        slopes = self.slopes if specular else [(0.0, 0.0)] * len(mesh.parts)
+        terms = self.terms if specular and self.lighting.shining else [None] * len(mesh.parts)
+        rows = zip(mesh.parts, mesh.materials, slopes, terms, strict=True)
+        return [ResolvedPart(part, material, low, term) for part, material, (low, _), term in rows]
 
 
 def resolve(scene: Scene, shading: Shading) -> ResolvedScene:

@@ -35,16 +35,15 @@ def can_defer(scene: Scene, rows: int) -> bool:
 
     rows : largest height of a texture, in texels
     """
-    bright = max(scene.background or (0.0,)) > _BRIGHTEST
     pairs = unblended(scene, [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)])
     counts = [len(part.faces) for part, _ in pairs]
-    if (
-        not pairs
-        or any(drawn_alpha(*pair) == "mask" for pair in pairs)
-        or any(part.uv2 is not None and material.second_uv for part, material in pairs)
-    ):
-        return False
-    return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW and not bright
+    return (
+        0 < sum(counts) < _MOST_TRIANGLES
+        and max(counts) <= rows * IN_ROW
+        and max(scene.background or (0.0,)) <= _BRIGHTEST
+        and not any(drawn_alpha(*pair) == "mask" for pair in pairs)
+        and not any(part.uv2 is not None and material.second_uv for part, material in pairs)
+    )
 
 
 def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
