@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -233,25 +233,19 @@ class Context:
         with self._lock:
             if self.released:
                 raise ContextError("this renderer was released: create a new one")
-            host = current_context()
-            if self.backend == "current":
-                if host is None or host.handle != self.handle:
-                    raise ContextError(
-                        "the context in which this renderer was created is not current in this "
-                        "thread: make it current first"
-                    )
-                restore = save_state(self.loader.load)
-                try:
-                    yield self.gl
-                finally:
-                    restore()
-                return
+            host, guest = current_context(), self.backend == "current"
+            if guest and (host is None or host.handle != self.handle):
+                raise ContextError(
+                    "the context in which this renderer was created is not current in this "
+                    "thread: make it current first"
+                )
+            restore = save_state(self.loader.load) if guest else host and host.rebind
             try:
-                with self.gl:
+                with nullcontext() if guest else self.gl:
                     yield self.gl
             finally:
-                if host is not None:
-                    host.rebind()
+                if restore:
+                    restore()
 
     @property
     def inherited(self) -> bool:

@@ -25,12 +25,7 @@ ATTRIBUTES = {
     **{"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3},
     "in_uv2": 2,
 }
-SHADOW_MAP = "shadow_map"  # name of the texture with the shadow maps of all lights
-SHADOW_CONES = "shadow_cones"
-SHADOW_TOPS = "shadow_tops"
 ENVIRONMENT_MAP = "environment_map"
-SELECTED_TRIANGLES = "selected_triangles"
-TRIANGLE_TABLE = "triangle_table"
 IN_ROW = 256  # vertices or triangles in a row of a texture
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)

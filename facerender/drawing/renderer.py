@@ -26,7 +26,6 @@ from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
 from facerender.drawing.passes.surface import surface_images, surface_pass
 from facerender.drawing.passes.transparency import (
-    PREVIOUS_LAYER,
     BlendedPart,
     blended_area,
     blended_parts,
@@ -426,7 +425,8 @@ class Renderer:
         textures: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             prior_target = self._sized(replace(surface.target, number=1 - surface.target.number))
-            textures[PREVIOUS_LAYER] = self._resources.targets[prior_target].color_attachments[-1]  # type: ignore[assignment]
+            attachments = self._resources.targets[prior_target].color_attachments
+            textures["previous_layer"] = attachments[-1]  # type: ignore[assignment]
         names = surface_images(scene, blended_part is not None)
         images = dict(zip(names, self._draw(passes, scene, textures), strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])

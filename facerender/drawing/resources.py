@@ -19,8 +19,6 @@ from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import (
     IN_ROW,
-    SELECTED_TRIANGLES,
-    TRIANGLE_TABLE,
     Program,
     fixed_attributes,
     table_attributes,
@@ -339,11 +337,12 @@ class Resources:
         if part is not None and draw.depth == "marked":
             table = self.geometries[part.root].table
             assert table is not None
-            textures[TRIANGLE_TABLE] = table.texels
-        if part is not None and draw.order is not None and program.get(SELECTED_TRIANGLES, None):
+            textures["triangle_table"] = table.texels
+        if draw.order is not None and program.get("selected_triangles", None):
+            assert part is not None
             if part.root not in self.selected:
                 self.selected[part.root] = _empty(self.context.gl, len(part.faces), 1, 1)
-            textures[SELECTED_TRIANGLES] = self.selected[part.root]
+            textures["selected_triangles"] = self.selected[part.root]
             _fill(self.selected[part.root], draw.order.astype(np.float32))
         _use(program, textures)
 

@@ -23,7 +23,6 @@ from facerender.scenes.view import View
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-SURFACE, MAP = "refraction_surface", "refraction_map"  # uniform names of the textures
 _EMPTY = -1e30  # z of texels without a surface
 _MOST = 8  # most maps of a part; with more regions, the part has one map
 _SIDES = (64, 1024)  # smallest and largest side of a map, in texels
@@ -217,8 +216,8 @@ class Refraction:
         shared = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
         clear = 0.0, 0.0, 0.0, _EMPTY
         passes = [
-            Pass(SURFACE, surface, tuple(front), key=(SURFACE, *key)),
-            Pass(MAP, map_target, tuple(behind), clear, shared, key=(MAP, *key)),
+            Pass("refraction_surface", surface, tuple(front), key=key),
+            Pass("refraction_map", map_target, tuple(behind), clear, shared, key=key),
         ]
         _passes[mesh] = key, passes
         return passes

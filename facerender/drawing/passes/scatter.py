@@ -12,9 +12,6 @@ from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View
 from facerender.terms.scattering import scatter_uniforms
 
-IMAGE, ALBEDO = "image", "albedo"
-LAYERS = ("light", "place")  # uniform names of shade.frag's further images
-
 
 def scatter_pass(
     view: View,

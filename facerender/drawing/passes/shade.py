@@ -59,15 +59,14 @@ def shade_pass(
         draws = refraction.refracted(draws)
     uniforms = scene_uniforms(scene, view, resolved.lighting)
     if scattering:
-        from facerender.drawing.passes.scatter import ALBEDO, IMAGE, LAYERS
-
         for index, (draw, number) in enumerate(zip(draws, scattering.numbers, strict=True)):
             program = draw.program.having("SCATTER", *("APART",) * apart)
             values = {**draw.uniforms, "profile": number}
             draws[index] = replace(draw, program=program, uniforms=values)
         target = Target(3 if apart else 4, samples, sampled=True)
-        name, others = (ALBEDO, LAYERS) if apart else (IMAGE, (*LAYERS, ALBEDO))
-        return Pass(name, target, unblended(scene, draws), uniforms=uniforms, others=others)
+        names = ("albedo", "light", "place") if apart else ("image", "light", "place", "albedo")
+        opaque = unblended(scene, draws)
+        return Pass(names[0], target, opaque, uniforms=uniforms, others=names[1:])
     background = (only is None and scene.background) or (0.0, 0.0, 0.0)
     blends = (
         replace(draws[blended.part], order=blended.order, depth="blend")

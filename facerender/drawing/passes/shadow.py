@@ -13,9 +13,6 @@ import numpy as np
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import BlendedPart, mask_features, visible_draws
 from facerender.drawing.program import (
-    SHADOW_CONES,
-    SHADOW_MAP,
-    SHADOW_TOPS,
     Program,
     part_uniforms,
     scene_uniforms,
@@ -74,7 +71,7 @@ def with_shadows(
         *(space.matrix.tobytes() for space in spaces),
     )
     draws, clear = _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0)
-    result = [Pass(SHADOW_MAP, target, draws, clear, key=key), *_cones(spaces, texels, key)]
+    result = [Pass("shadow_map", target, draws, clear, key=key), *_cones(spaces, texels, key)]
     for step in passes:
         uniforms = {**step.uniforms, "shadow_tiles": (texels, _BLOCKS)}
         result.append(replace(step, uniforms=uniforms, key=step.key and (step.key, texels)))
@@ -124,7 +121,7 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
             cones.append(Draw(program, uniforms, area=Area(left, 0, _BLOCKS, _BLOCKS)))
         steps.append(tuple(cones))
     passes = [
-        Pass(SHADOW_CONES, _target(size, 1 + number), draws, key=(key, number))
+        Pass("shadow_cones", _target(size, 1 + number), draws, key=(key, number))
         for number, draws in enumerate(steps)
     ]
     if any(space.tan_radius for space in spaces):  # hard shadows do not search for occluders
@@ -144,7 +141,7 @@ def _tops(count: int, key: Hashable) -> Pass:
             uniforms = {"left": number * _BLOCKS, "column": column, "size": size}
             draws.append(Draw(program, uniforms, area=Area(column, 0, side, side)))
             column += side
-    return Pass(SHADOW_TOPS, _target((column, _BLOCKS)), tuple(draws), key=key)
+    return Pass("shadow_tops", _target((column, _BLOCKS)), tuple(draws), key=key)
 
 
 def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, ...]:

@@ -19,7 +19,6 @@ from facerender.scenes.view import View
 
 T = TypeVar("T")
 
-PREVIOUS_LAYER = "previous_layer"  # name of the previous layer's texture
 _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features that alpha masks use
 
 
