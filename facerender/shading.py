@@ -233,9 +233,8 @@ class Shading:
     def as_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, as plain data for TOML and JSON."""
         values = asdict(self.term) | {name: getattr(self, name) for name in _FIELDS}
-        for name in ("specular_lights", "shadow_lights"):
-            values[name] = None if values[name] is None else [*values[name]]
-        return {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
+        changed = {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
+        return {key: [*v] if isinstance(v, tuple) else v for key, v in changed.items()}
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Shading:

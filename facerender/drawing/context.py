@@ -132,10 +132,8 @@ class _OSMesaContext(ForeignContext):
 
 
 def check_process(process: int) -> None:
-    """Raise ContextError if an object was created before a fork, in another process.
-
-    process : ID of the process that created the object
-    """
+    """Raise ContextError if the process with this ID is not the current process, so that an object
+    that it created was inherited by a fork."""
     if process != os.getpid():
         raise ContextError(
             "this renderer was created before a fork, in another process: create a new one in this "

@@ -222,15 +222,10 @@ _UNITS = 16
 
 
 def save_state(load: Callable[[str], int]) -> Callable[[], None]:
-    """Save the state of the current context, and set it to the values that drawing needs.
+    """Save the state of the current context, and set it to the values that drawing needs. Return
+    the function that restores the previous state.
 
-    Parameters
-    ----------
     load : function that returns the address of an OpenGL function, 0 if the driver lacks it
-
-    Returns
-    -------
-    A function that restores the previous state.
     """
 
     def function(name: str, *arguments: Any, result: Any = None) -> Any:

@@ -87,8 +87,6 @@ def motion_vectors(
 ) -> NDArray[np.float32]:
     """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
 
-    Parameters
-    ----------
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
     draws, triangles : the draws of :func:`triangle_pass`, and the values at the image's pixels,
@@ -140,8 +138,6 @@ def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) 
     (Olano and Greer 1997). A driver rounds corners to 1/256 pixel, so that the ray may miss the
     triangle: negative weights become 0.
 
-    Parameters
-    ----------
     corners : (T, 3, 3), corners of triangles in the renderer's space
     index : (N,), triangle of each pixel
     rays : (N, 2), positions of the pixels' rays; see :func:`motion_vectors`

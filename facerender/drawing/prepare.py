@@ -99,8 +99,6 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
     """Return a scene whose large maps (more than LARGE texels) begin with the finest mip level that
     the image reads. The mesh with these maps is cached.
 
-    Parameters
-    ----------
     scene : a simplified scene
     view : camera of the image
     size : width and height of the image in pixels
@@ -147,8 +145,6 @@ def part_maps(
 ) -> list[tuple[str, Texture, Kind]]:
     """Return the uniform name, the texture and the kind of mip chain for each map of a part.
 
-    Parameters
-    ----------
     albedo : kind of mip chain of colour maps: "color" or "linear-color"
     slope_filter : whether the normal map's mip chain stores the standard deviation of the slopes
     """
@@ -187,8 +183,6 @@ def check_memory(
 ) -> None:
     """Raise InputError if the estimated memory for drawing a scene exceeds a limit.
 
-    Parameters
-    ----------
     scene : simplified scene, with reduced maps
     size : width and height of the image in pixels
     samples : samples per pixel that the driver draws at once

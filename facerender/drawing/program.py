@@ -140,8 +140,6 @@ def shade_program(
 ) -> Program:
     """Return the program that shades a part of a scene.
 
-    Parameters
-    ----------
     diffuse : whether to include the diffuse term
     emits : whether to include emitted light
     """

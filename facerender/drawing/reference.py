@@ -127,10 +127,9 @@ class _Pixels:
     position : (N, 3) in the renderer's space
     n : (N, 3) unit normal
     v : (N, 3) unit vector to the camera
-    m : (N,) m of the first lobe; ignored by a light's term with a constant m
-    second_m : (N,) m of the second lobe, ignored by a light's term with a constant m; None for
+    m : (N,) m of the first lobe
+    second_m, lobe_weight : (N,) m of the second lobe and weight of the first lobe; None for
         materials with one lobe
-    lobe_weight : (N,) weight of the first lobe; None for materials with one lobe
     weight : (N,) specular weight
     occlusion : (N,) ambient occlusion
     albedo : (N, 3) diffuse BRDF, the ratio of diffuse radiance to irradiance

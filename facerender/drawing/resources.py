@@ -138,16 +138,14 @@ class TriangleTable:
 
     Attributes
     ----------
-    setup : vertices of the pose that the table holds
-    vertices, attributes, faces : textures that the shader reads
+    setup : vertices of the pose that the table holds; None for an empty table
+    inputs : textures that the shader reads: "vertices", "attributes" and "faces"
     texels : the table, IN_ROW triangles in a row
     target : framebuffer that draws the table
     """
 
     setup: TriangleSetup | None
-    vertices: moderngl.Texture
-    attributes: moderngl.Texture
-    faces: moderngl.Texture
+    inputs: Mapping[str, moderngl.Texture]
     texels: moderngl.Texture
     target: moderngl.Framebuffer
 
@@ -161,7 +159,8 @@ class TriangleTable:
         texels = _empty(gl, len(part.faces), table_texels(part), 4)
         _fill(fixed, attributes)
         _fill(faces, np.asarray(part.faces, dtype=np.int32))
-        return cls(None, vertices, fixed, faces, texels, gl.framebuffer([texels]))
+        inputs = {"vertices": vertices, "attributes": fixed, "faces": faces}
+        return cls(None, inputs, texels, gl.framebuffer([texels]))
 
 
 def _empty(
@@ -451,12 +450,11 @@ class Resources:
         table = geometry.table
         if table.setup is geometry.setup:
             return
-        _fill(table.vertices, geometry.setup.vertices)
-        columns = table.attributes.width // IN_ROW
+        _fill(table.inputs["vertices"], geometry.setup.vertices)
+        columns = table.inputs["attributes"].width // IN_ROW
         macros = *table_features(part), f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
-        inputs = {"vertices": table.vertices, "attributes": table.attributes, "faces": table.faces}
-        _use(program, inputs)
+        _use(program, table.inputs)
         table.target.use()
         gl.enable_only(moderngl.NOTHING)
         self._screen(program).render(vertices=3)

@@ -289,15 +289,8 @@ def exact(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     """Approximate E/c^k by c^n, n = 2/m² - k.
 
-    Parameters
-    ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
-    k : 4 for Cook-Torrance, 0 for Ward
-
-    Raises
-    ------
-    InputError : c or m is outside its domain
+    m is in [1e-4, sqrt(2/k)), at most 2. For the other parameters and the exceptions see
+    :func:`exact`.
 
     References: Romanyuk et al. (2020), section 3.
     """

@@ -133,9 +133,9 @@ def _labels(setup: TriangleSetup) -> Numbers:
     labels = joined(np.asarray(corners), int(corners.max()) + 1)[corners[:, 0]]
     names, labels = np.unique(labels, return_inverse=True)
     low, high = np.full((2, len(names), 3), np.inf)
-    for i in range(3):
-        np.minimum.at(low, labels, setup.positions[setup.faces[:, i]])
-        np.minimum.at(high, labels, -setup.positions[setup.faces[:, i]])
+    points = setup.positions[setup.faces]
+    np.minimum.at(low, labels, points.min(axis=1))
+    np.minimum.at(high, labels, -points.max(axis=1))
     if len(names) > 1000:
         return np.asarray(labels)
     overlap = (low[:, None] <= -high[None]).all(axis=-1)

@@ -23,8 +23,6 @@ def scatter_pass(
 ) -> Pass:
     """Return the pass that adds subsurface scattering to an image.
 
-    Parameters
-    ----------
     samples : subsurface samples per pixel
     background : linear RGB behind the image; None if the image already contains the background
     several : whether the image has several samples per pixel

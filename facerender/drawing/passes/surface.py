@@ -49,8 +49,6 @@ def surface_pass(
 ) -> Pass:
     """Return the pass that draws the G-buffer of a scene, see :func:`surface_images`.
 
-    Parameters
-    ----------
     scatters : whether to draw facing, the cosine between the mesh's normal and the direction to
         the camera
     blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn

@@ -96,8 +96,6 @@ def with_blended(shaded: Pass, image: Pass, area: Area, visible: Target | None) 
     """Return two passes. The first draws the blended parts of a shading pass into a texture. The
     second draws `image`, a pass of one sample per pixel, and composites that texture over it.
 
-    Parameters
-    ----------
     shaded : forward shading pass of all parts
     area : bounds of the blended parts in the image
     visible : target that holds the depth of the other parts; None to draw this depth

@@ -193,11 +193,6 @@ def _rays(view: View, size: tuple[int, int]) -> Uniforms:
     """Return the ray from the camera to the outer corner of pixel (0, 0), and the change of the ray
     per pixel in x and y."""
     back = np.linalg.inv(view.matrix)
-
-    def to_far_plane(x: float, y: float) -> NDArray[np.float64]:
-        point = np.array([x, y, 1.0, 1.0]) @ back
-        return np.asarray(point[:3] / point[3] - view.position)
-
-    corner = to_far_plane(-1.0, -1.0)
-    right, up = (to_far_plane(*xy) - corner for xy in ((1.0, -1.0), (-1.0, 1.0)))
-    return {"ray": corner, "ray_x": right / size[0], "ray_y": up / size[1]}
+    far_points = (np.array([x, y, 1.0, 1.0]) @ back for x, y in ((-1, -1), (1, -1), (-1, 1)))
+    corner, right, up = (point[:3] / point[3] - view.position for point in far_points)
+    return {"ray": corner, "ray_x": (right - corner) / size[0], "ray_y": (up - corner) / size[1]}
