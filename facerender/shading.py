@@ -214,8 +214,7 @@ class Shading:
 
     def replace(self, **changes: Any) -> Shading:
         """Return a copy with changed parameters."""
-        parameters = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Shading(**parameters | changes)
+        return replace(self, **changes)
 
     def shines(self, light: int) -> bool:
         """Return whether the light with this index has a specular term."""

@@ -12,19 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.prepare import part_maps
-from facerender.drawing.resolve import LightGroup, Lighting, ResolvedPart, ResolvedScene
+from facerender.drawing.resolve import LightGroup, Lighting, ResolvedScene
 from facerender.glsl.code import call, environment_call, prelude
 from facerender.glsl.library import resolve_includes
 from facerender.scenes.material import PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Part, base_slope, drawn_alpha
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import Only, Scene
 from facerender.scenes.view import View
-from facerender.shading import Shading
+from facerender.shading import Shading, Term
 
-ATTRIBUTES = {
-    **{"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3},
-    "in_uv2": 2,
-}
 ENVIRONMENT_MAP = "environment_map"
 IN_ROW = 256  # vertices or triangles in a row of a texture
 
@@ -136,27 +132,32 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
 
 
 def shade_program(
-    resolved: ResolvedScene, own: ResolvedPart, diffuse: bool = True, emits: bool = True
+    resolved: ResolvedScene,
+    part: Part,
+    material: Material,
+    term: Term | None,
+    smallest_m: float,
+    only: Only | None = None,
 ) -> Program:
     """Return the program that shades a part of a scene.
 
-    diffuse : whether to include the diffuse term
-    emits : whether to include emitted light
+    term : specular term of the lights; None to leave it out
+    smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
+    only : term to draw, "specular" or "diffuse"; None for the whole image
     """
     scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
-    part, material, term = own.part, own.material, own.term
     features = surface_features(part, material, shading)
     features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
-    features += ("DIFFUSE",) * (diffuse and material.diffuse_weight > 0.0)
+    features += ("DIFFUSE",) * (only != "specular" and material.diffuse_weight > 0.0)
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
         features += ("COUPLED",)
-    features += ("EMISSIVE",) * (emits and any(material.emissive))
+    features += ("EMISSIVE",) * (only is None and any(material.emissive))
     second = material.second_slope if material.two_lobes else None
     environment = ""
     if scene.environment is not None:
         features += ("ENVIRONMENT",)
-        if shading.environment_samples and material.ks > 0.0:
+        if shading.environment_samples and material.ks > 0.0 and only != "diffuse":
             features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
             environment = environment_call(shading.term, second)
     program = Program(
@@ -164,7 +165,7 @@ def shade_program(
     )
     if term is None or not material.ks:
         return program
-    head = prelude(term, own.smallest_m, material.two_lobes)
+    head = prelude(term, smallest_m, material.two_lobes)
     return replace(program, prelude=head, call=call(term, second))
 
 

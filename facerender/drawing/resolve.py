@@ -18,8 +18,7 @@ import numpy as np
 
 from facerender.drawing.prepare import simplify
 from facerender.scenes.light import Light, LightSpace, disc_of, light_space
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part, slope_range
+from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
 from facerender.terms.slope_variance import slope_filtered, slope_variance_disc, slope_variance_map
@@ -106,24 +105,6 @@ class Lighting:
 
 
 @dataclass(frozen=True, eq=False)
-class ResolvedPart:
-    """A part of a mesh with the specular term of the lights.
-
-    Attributes
-    ----------
-    part, material : part of the mesh and its material
-    smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
-    term : specular term of the lights. If m lies outside the domain of the lobe, the term has the
-        exact lobe instead. None if the specular term is left out
-    """
-
-    part: Part
-    material: Material
-    smallest_m: float
-    term: Term | None
-
-
-@dataclass(frozen=True, eq=False)
 class ResolvedScene:
     """A simplified scene with its shading and sorted lights; see :func:`resolve`."""
 
@@ -166,17 +147,6 @@ class ResolvedScene:
         """
         shading = self.shading
         return [shading.term.for_slopes(*limits, shading.outside) for limits in self.slopes]
-
-    def parts(self, specular: bool = True) -> list[ResolvedPart]:
-        """Return the parts with their terms. For errors see :attr:`terms`.
-
-        specular : false to leave out the specular term and the check of m
-        """
-        mesh = self.scene.mesh
-        slopes = self.slopes if specular else [(0.0, 0.0)] * len(mesh.parts)
-        terms = self.terms if specular and self.lighting.shining else [None] * len(mesh.parts)
-        rows = zip(mesh.parts, mesh.materials, slopes, terms, strict=True)
-        return [ResolvedPart(part, material, low, term) for part, material, (low, _), term in rows]
 
 
 def resolve(scene: Scene, shading: Shading) -> ResolvedScene:

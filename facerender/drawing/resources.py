@@ -41,22 +41,16 @@ _STEP = 64  # pixels by which a target grows
 
 _TEXTURE_2D = 0x0DE1
 _FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER = 0x8D40, 0x8D00, 0x8D41
-_SRGB8_ALPHA8 = 0x8C43
-_RGB8 = 0x8051
-_RGBA8 = 0x8058
-_RGBA16F = 0x881A
-_RGB, _RGBA = 0x1907, 0x1908
-_UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
 _WRAP_AXES = (0x2802, 0x2803)
 _WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
 # SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE, for draws with the feature TO_COVERAGE.
 _TO_COVERAGE = (0x809E, 0x809F)
 # Keyed by kind of mip chain: internal format, components, format, type, type name in moderngl.
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
-    "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
-    "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
-    "normal": (_RGBA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
-    "data": (_RGB8, 3, _RGB, _UNSIGNED_BYTE, "f1"),
+    "color": (0x8C43, 4, 0x1908, 0x1401, "f1"),  # SRGB8_ALPHA8, RGBA, UNSIGNED_BYTE
+    "linear-color": (0x881A, 4, 0x1908, 0x140B, "f2"),  # RGBA16F, RGBA, HALF_FLOAT
+    "normal": (0x8058, 4, 0x1908, 0x1401, "f1"),  # RGBA8, RGBA, UNSIGNED_BYTE
+    "data": (0x8051, 3, 0x1907, 0x1401, "f1"),  # RGB8, RGB, UNSIGNED_BYTE
 }
 
 

@@ -120,11 +120,7 @@ def ranged(limits: Range, default: Any = MISSING) -> Any:
 @cache
 def ranges_of(kind: type) -> Mapping[str, Range]:
     """Return the ranges of a dataclass, keyed by the field name."""
-    return {
-        member.name: member.metadata["range"]
-        for member in fields(kind)
-        if "range" in member.metadata
-    }
+    return {item.name: item.metadata["range"] for item in fields(kind) if "range" in item.metadata}
 
 
 def range_of(kind: type, name: str) -> Range:

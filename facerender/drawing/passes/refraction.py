@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program, scene_uniforms, shade_program
-from facerender.drawing.resolve import ResolvedPart, ResolvedScene
+from facerender.drawing.resolve import ResolvedScene
 from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.scenes.mesh import Mesh, drawn_alpha
 from facerender.scenes.repair import joined
@@ -237,7 +237,7 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
         order = region.within(triangle_setup_of(part, mesh))
         if not len(order):
             continue
-        program = shade_program(resolved, ResolvedPart(part, material, 0.0, None))
+        program = shade_program(resolved, part, material, term=None, smallest_m=0.0)
         program = program.having("BEHIND_REFRACTION")
         camera = np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(region.matrix)  # far in front
         uniforms = {"view_projection": region.clip, "to_map": region.matrix}

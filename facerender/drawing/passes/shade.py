@@ -44,17 +44,15 @@ def shade_pass(
         too near for its radius
     """
     scene, draws = resolved.scene, []
-    specular = only != "diffuse"
-    parts = resolved.parts(specular)
-    if not specular:
-        resolved = replace(resolved, shading=resolved.shading.replace(environment_samples=0))
-    for resolved_part in parts:
-        program = shade_program(
-            resolved, resolved_part, diffuse=only != "specular", emits=only is None
-        )
+    specular, count = only != "diffuse", len(scene.mesh.parts)
+    slopes = resolved.slopes if specular else [(0.0, 0.0)] * count
+    terms = resolved.terms if specular and resolved.lighting.shining else [None] * count
+    rows = zip(scene.mesh.parts, scene.mesh.materials, terms, slopes, strict=True)
+    for part, material, term, (smallest_m, _) in rows:
+        program = shade_program(resolved, part, material, term, smallest_m, only)
         if samples > 1 and "ALPHA_MASK" in program.features:
             program = program.having(f"TO_COVERAGE {samples}")
-        draws.append(Draw.of_part(program, resolved_part.part, resolved_part.material))
+        draws.append(Draw.of_part(program, part, material))
     if refraction:
         draws = refraction.refracted(draws)
     uniforms = scene_uniforms(scene, view, resolved.lighting)
