@@ -220,12 +220,8 @@ class Context:
         """Make the context current, for one thread at a time.
 
         Afterwards the previous context is current again. If this is the host's context, the state
-        of the context is restored.
-
-        Raises
-        ------
-        ContextError : the context was released, was created before a fork, or is a host's context
-            that is not current in this thread
+        of the context is restored. Raises ContextError if the context was released, was created
+        before a fork, or is a host's context that is not current in this thread.
         """
         check_process(self.process)
         with self._lock:

@@ -15,8 +15,6 @@ from typing import Any
 class HostContext:
     """The OpenGL context that is current in this thread.
 
-    Attributes
-    ----------
     handle : address of the context, which identifies it
     get_proc_address : C function that returns the address of an OpenGL function
     rebind : function that makes the context current again, even if the window system regards it as

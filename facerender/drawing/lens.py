@@ -33,8 +33,6 @@ Intrinsics = tuple[Vector, Vector, Vector]
 class Lens:
     """A distorting lens for images of one size.
 
-    Attributes
-    ----------
     size : width and height of the distorted image
     wide : width and height of the undistorted image, which contains every pixel of the distorted
         image and resolves it at least as finely

@@ -30,16 +30,11 @@ _ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if t
 def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, str]:
     """Return the parameters of a scene as text, without paths of files.
 
-    Parameters
-    ----------
-    scene, shading : arguments of :meth:`facerender.Renderer.render`
-    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
+    The keys are "mesh", "camera", "light 0" and so on, "ambient", "background", "environment",
+    "before"; the factors and maps of materials by the names of :class:`Material`, such as "m",
+    unless all parts have the default; and "textures": "float", or "8-bit" if an 8-bit map was drawn.
 
-    Returns
-    -------
-    "mesh", "camera", "light 0" and so on, "ambient", "background", "environment", "before"; the
-    factors and maps of materials by the names of :class:`Material`, such as "m", unless all parts
-    have the default; and "textures": "float", or "8-bit" if an 8-bit map was drawn
+    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
     """
     if scene.mesh not in _of_meshes:
         texts = {"mesh": _mesh(scene.mesh), **_materials(scene.mesh)}

@@ -37,12 +37,8 @@ def pixel_centres(size: tuple[int, int]) -> Float:
 
 
 def check_before(scene: Scene) -> Scene:
-    """Return the scene in the frame before.
-
-    Raises
-    ------
-    InputError : there is none, or its mesh has other triangles
-    """
+    """Return the scene in the frame before. Raises InputError if there is none, or if its mesh has
+    other triangles."""
     if (before := scene.before) is None:
         raise InputError(
             f"motion of {scene.mesh.name} needs the frame before: give the scene of that frame as "

@@ -32,11 +32,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     shading leaves out.
 
     The simplified mesh is cached: the same changes of one mesh return the same object, so that a
-    renderer reuses the uploaded maps.
-
-    Raises
-    ------
-    InputError : m or ks is outside its domain, or the shading names a light that the scene lacks
+    renderer reuses the uploaded maps. Raises InputError if m or ks is outside its domain, or if the
+    shading names a light that the scene lacks.
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}

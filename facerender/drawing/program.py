@@ -33,8 +33,6 @@ Uniforms = Mapping[str, Any]
 class Program:
     """A vertex and a fragment shader of the renderer.
 
-    Attributes
-    ----------
     fragment, vertex : file names of the two shaders in ``shaders/host``
     features : macros that enable features, such as "UV", "NORMAL_MAP", "DIFFUSE"
     lights : groups of lights, see :class:`Lighting`; None for a program without lights

@@ -28,8 +28,6 @@ Float = NDArray[np.float64]
 class Layers:
     """Radiance of a G-buffer's pixels, one array per term; the sum of the terms is the image.
 
-    Attributes
-    ----------
     ambient, diffuse : (H, W, 3) float64, radiance of each of these terms
     specular : (lights, H, W, 3) float64, specular radiance from each light
     environment : (H, W, 3) float64, diffuse and specular radiance from the environment map
@@ -122,8 +120,6 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
 class _Pixels:
     """The N pixels of a G-buffer that a part covers.
 
-    Attributes
-    ----------
     position : (N, 3) in the renderer's space
     n : (N, 3) unit normal
     v : (N, 3) unit vector to the camera

@@ -28,8 +28,6 @@ from facerender.terms.slope_variance import slope_filtered, slope_variance_disc,
 class LightGroup:
     """Lights of one kind, all with or all without a specular term and a shadow.
 
-    Attributes
-    ----------
     kind : see ``scenes.light.LIGHT_KINDS``
     specular : whether the lights have a specular term
     count : number of lights, at least one
@@ -49,8 +47,6 @@ class Lighting:
     Lights are sorted by kind, then by term (lights without a term last), then by shadow (lights
     without shadows first).
 
-    Attributes
-    ----------
     order : for each sorted light, its index in the scene
     lights : the sorted lights
     groups : groups of the sorted lights
@@ -116,11 +112,8 @@ class ResolvedScene:
     def slopes(self) -> list[tuple[float, float]]:
         """The smallest and the largest m of each part. A constant m of the term replaces both.
 
-        The largest m includes the largest amounts that slope filter and area lights add.
-
-        Raises
-        ------
-        InputError : a light is too near to the mesh for its radius
+        The largest m includes the largest amounts that slope filter and area lights add. Raises
+        InputError if a light is too near to the mesh for its radius.
         """
         scene, shading = self.scene, self.shading
         discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
@@ -140,11 +133,7 @@ class ResolvedScene:
     @cached_property
     def terms(self) -> list[Term]:
         """The term of each part, with the exact lobe if the shading's lobe forbids the part's m.
-
-        Raises
-        ------
-        InputError : m lies outside the lobe's domain, and ``shading.outside`` is "error"
-        """
+        Raises InputError instead if ``shading.outside`` is "error"."""
         shading = self.shading
         return [shading.term.for_slopes(*limits, shading.outside) for limits in self.slopes]
 

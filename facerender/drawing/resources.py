@@ -58,8 +58,6 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 class Geometry:
     """The geometry of a part on the GPU. All poses of a part share one geometry.
 
-    Attributes
-    ----------
     setup : vertices of the pose that the GPU holds
     moving : positions and normals, which change with the pose
     fixed : interleaved further vertex attributes; None if there are none
@@ -130,8 +128,6 @@ class Geometry:
 class TriangleTable:
     """The triangle table of a part, which ``shaders/host/triangle_table.frag`` draws.
 
-    Attributes
-    ----------
     setup : vertices of the pose that the table holds; None for an empty table
     inputs : textures that the shader reads: "vertices", "attributes" and "faces"
     texels : the table, IN_ROW triangles in a row
@@ -183,8 +179,6 @@ def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
 class Resources:
     """Cache of the GPU objects of one context, for frames of one size.
 
-    Attributes
-    ----------
     context, size, anisotropy : see :class:`facerender.Renderer`
     albedo_kind : kind of mip chain of albedo maps: "color" or "linear-color"
     """
@@ -247,16 +241,10 @@ class Resources:
     def draw(
         self, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
     ) -> moderngl.Framebuffer:
-        """Draw a pass into its target, and return the target.
+        """Draw a pass into its target, and return the target. Raises InputError if a map is damaged
+        or too large, and ContextError if the driver refuses a target or a program.
 
-        Parameters
-        ----------
         textures : keyed by uniform name, such as the images of earlier passes
-
-        Raises
-        ------
-        InputError : a map is damaged or too large
-        ContextError : the driver refuses a target or a program
         """
         target = self.target(step.target, step.area)
         key = self.images_held.pop(step.target, None)

@@ -40,8 +40,6 @@ NO_AREA = Area(0, 0, 0, 0)
 class TriangleSetup:
     """The triangles of a part.
 
-    Attributes
-    ----------
     space : centre and radius of the mesh, which place the vertices in the renderer's space
     vertices : (N, 6) float32, vertex positions in the renderer's space, and normals
     faces : (F, 3) uint32, indices of vertices

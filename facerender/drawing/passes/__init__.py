@@ -20,8 +20,6 @@ from facerender.scenes.mesh import Part
 class Target:
     """The render target of a pass: a framebuffer with float32 images.
 
-    Attributes
-    ----------
     colors : number of colour images
     samples : samples per pixel
     size : width and height in pixels; None for the size of the frame
@@ -47,8 +45,6 @@ class Target:
 class Draw:
     """One draw call: a part with its program. Without a part, one triangle covers the target.
 
-    Attributes
-    ----------
     area : rectangle to draw; None for the whole target
     depth : the depth test, and the buffers that the draw writes:
 
@@ -82,8 +78,6 @@ class Draw:
 class Pass:
     """A list of draws into one target.
 
-    Attributes
-    ----------
     name : uniform name under which later passes read the first image of the target
     others : uniform names of the further images of the target
     area : rectangle to clear, as in :class:`Draw`; None for the whole target

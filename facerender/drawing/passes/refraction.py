@@ -37,8 +37,6 @@ class Region:
     In map space, z points along the mean normal of the region, and the map covers x and y from -1
     to 1. The deepest vertex of the region is at z = 0. The space is mirrored, as images are.
 
-    Attributes
-    ----------
     matrix : (4, 4) float64, from the renderer's space to map space, for row vectors
     faces : (F,) indices of the part's triangles in the region
     top : largest z of the region's vertices
@@ -147,8 +145,6 @@ def _labels(setup: TriangleSetup) -> Numbers:
 class Refraction:
     """The maps of a scene's refracting parts, for one image.
 
-    Attributes
-    ----------
     parts : regions of each part of the mesh; () for a part that does not refract
     side : width and height of a map in texels
     background : linear RGB where nothing is behind a refracting part

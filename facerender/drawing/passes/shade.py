@@ -29,8 +29,6 @@ def shade_pass(
 ) -> Pass:
     """Return the pass that shades a scene. Blended parts are drawn last.
 
-    Parameters
-    ----------
     samples : samples per pixel
     only : term to draw, "specular" or "diffuse"; None for the whole image
     scattering : scattering of the scene. If given, the pass also draws the input images of the
@@ -38,10 +36,7 @@ def shade_pass(
     apart : whether to draw only the input images of the scatter pass
     refraction : refraction of the scene; None to leave out the light that parts refract
 
-    Raises
-    ------
-    InputError : m lies outside a lobe's domain and ``shading.outside`` is "error", or a light is
-        too near for its radius
+    For errors see ``ResolvedScene.terms`` and ``ResolvedScene.slopes``.
     """
     scene, draws = resolved.scene, []
     specular, count = only != "diffuse", len(scene.mesh.parts)

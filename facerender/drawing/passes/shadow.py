@@ -43,16 +43,11 @@ def with_shadows(
     """Return the passes that draw all shadow maps, and then `passes` with the maps' uniforms.
 
     The shadow maps are reused until the mesh, an alpha mask, a light or the maps' size changes.
-    Blended parts, and texels that an alpha mask discards, cast no shadow.
+    Blended parts, and texels that an alpha mask discards, cast no shadow. Raises InputError if more
+    than MOST lights cast shadows, or if a light with shadows is inside the mesh.
 
-    Parameters
-    ----------
     size : width and height of the image in pixels
     passes : passes that read the maps
-
-    Raises
-    ------
-    InputError : more than MOST lights cast shadows, or a light with shadows is inside the mesh
     """
     scene = resolved.scene
     spaces = resolved.lighting.spaces(scene.mesh)

@@ -26,8 +26,6 @@ _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features tha
 class BlendedPart:
     """A blended part.
 
-    Attributes
-    ----------
     part : index of the part in the mesh
     order : (F,) indices of the part's triangles, back to front by the depth of triangle centres
     layer : index of the surface that depth peeling shows at each pixel: 0 is the nearest surface

@@ -61,8 +61,6 @@ def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, drive
 class Visible:
     """A part in the image of a visibility pass.
 
-    Attributes
-    ----------
     first : value of the part's first triangle in the image, at least 1; the background has 0
     area : bounds of the part in the image; empty if the part is outside the image
     front : indices of the triangles that can face the camera; None if back faces are drawn too
@@ -78,8 +76,6 @@ class Visible:
 class Visibility:
     """The visible triangle of each sample of an image.
 
-    Attributes
-    ----------
     view : camera of the image
     size : width and height of the image in pixels
     samples : samples per pixel
