@@ -176,8 +176,6 @@ def is_software(renderer: str) -> bool:
 class Context:
     """An OpenGL context with its properties.
 
-    Attributes
-    ----------
     backend : "egl", "osmesa", "native" or "current"
     gl : the moderngl context; it is current only within :meth:`drawing`
     loader : object that returns the addresses of OpenGL functions

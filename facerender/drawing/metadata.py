@@ -32,7 +32,7 @@ def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, st
 
     The keys are "mesh", "camera", "light 0" and so on, "ambient", "background", "environment",
     "before"; the factors and maps of materials by the names of :class:`Material`, such as "m",
-    unless all parts have the default; and "textures": "float", or "8-bit" if an 8-bit map was drawn.
+    unless all parts have the default; and "textures": "float", or "8-bit" if an 8-bit map is used.
 
     albedo : kind of mip chain of albedo maps: "color" or "linear-color"
     """

@@ -231,8 +231,7 @@ def layers(
             entered = entered + spread * factor
         if light_of is not None and albedo_of is not None:
             light_of[covered], albedo_of[covered] = entered, pixels.albedo
-    optional_images = light_of, albedo_of, gbuffer.emission
-    return Layers(ambient, diffuse, specular, environment, *optional_images)
+    return Layers(ambient, diffuse, specular, environment, light_of, albedo_of, gbuffer.emission)
 
 
 def _lit(

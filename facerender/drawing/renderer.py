@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
-from types import TracebackType
 from typing import TYPE_CHECKING, Never
 
 import moderngl
@@ -74,7 +73,6 @@ if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
-_GBUFFER_SAMPLES = 4  # the G-buffer needs the memory of an image with this number of samples
 
 
 class Renderer:
@@ -167,12 +165,7 @@ class Renderer:
     def __enter__(self) -> Renderer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.release()
 
     def release(self) -> None:
@@ -368,7 +361,8 @@ class Renderer:
         if lens := _lens(scene, self.size):
             wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
             return lens.nearest(wide.gbuffer(flat, shading, blended, cut), view)
-        original = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
+        # The G-buffer needs the memory of an image with four samples.
+        original = self._resolved(scene, shading, view, 4)
         resolved = self._cut(original) if cut else original
         with self._layer_lock:
             layers = [
@@ -618,8 +612,11 @@ def _free_dropped(context: Context, resources: Resources) -> None:
         _free(context, resources)
 
 
+# The next three functions import their modules only if a scene needs them.
+
+
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
-    """Return the scattering of a scene, or None. The module is imported only if needed."""
+    """Return the scattering of a scene, or None."""
     if not any(material.scattering for material in scene.mesh.materials):
         return None
     from facerender.scenes.scattering import scattering_of
@@ -628,7 +625,7 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
 
 
 def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction | None:
-    """Return the refraction of a scene, or None. The module is imported only if needed."""
+    """Return the refraction of a scene, or None."""
     if not any(material.refracts for material in scene.mesh.materials):
         return None
     from facerender.drawing.passes.refraction import Refraction
@@ -637,8 +634,7 @@ def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction |
 
 
 def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
-    """Return the lens of a scene's camera, or None without distortion. The module is imported only
-    if needed."""
+    """Return the lens of a scene's camera, or None without distortion."""
     if scene.camera.distortion is None:
         return None
     from facerender.drawing.lens import lens_of

@@ -169,9 +169,8 @@ def _cut(material: Material) -> Hashable:
 def light_visibility_pass(
     resolved: ResolvedScene, view: View, blended_part: BlendedPart | None
 ) -> Pass:
-    """Return the pass that draws the visible fraction of each light that casts shadows.
-
-    The lights are in the order of ``Lighting.lights``.
+    """Return the pass that draws the visible fraction of each light that casts shadows, in the
+    order of ``Lighting.lights``.
 
     blended_part : see :func:`surface_pass`
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import unblended
 from facerender.drawing.program import IN_ROW, Program, Uniforms, table_features
-from facerender.drawing.triangle_setup import NO_AREA, around, triangle_setup_of
+from facerender.drawing.triangle_setup import around, triangle_setup_of
 from facerender.scenes.mesh import Part, drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
@@ -107,7 +107,7 @@ class Visibility:
             area, front = setup.area(view, size), None
             if material.double_sided is False:
                 front = setup.facing(view.position)
-                area = area if len(front) else NO_AREA
+                area = area if len(front) else Area()
             parts.append(Visible(part, first, area, front))
             first += len(part.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
