@@ -179,7 +179,7 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
 
 def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:
     """Return the uniforms that all parts of a scene share."""
-    uniforms = {
+    uniforms: dict[str, Any] = {
         "view_projection": view.matrix,
         "camera_position": view.position,
         "ambient": np.asarray(scene.ambient),

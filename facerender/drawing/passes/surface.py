@@ -74,5 +74,5 @@ def surface_pass(
     target = Target(colors=len(images))
     if blended_part is not None:  # two targets alternate, as each layer reads the previous one
         target = replace(target, sampled=True, number=blended_part.layer % 2)
-    draws = visible_draws(scene, draws, blended_part)
-    return Pass("surface", target, draws, uniforms=scene_uniforms(scene, view))
+    visible = visible_draws(scene, draws, blended_part)
+    return Pass("surface", target, visible, uniforms=scene_uniforms(scene, view))
