@@ -4,22 +4,14 @@
 
 from __future__ import annotations
 
-from facerender.terms.albedo import (
-    cook_torrance_albedo,
-    cook_torrance_albedo_mean,
-    diffuse_coupled,
-)
+from facerender.terms.albedo import cook_torrance_albedo, cook_torrance_albedo_mean, diffuse_coupled
 from facerender.terms.environment import (
     environment_cook_torrance,
     environment_irradiance,
     environment_radiance,
     environment_ward,
 )
-from facerender.terms.fresnel import (
-    fresnel,
-    fresnel_dielectric,
-    fresnel_schlick,
-)
+from facerender.terms.fresnel import fresnel, fresnel_dielectric, fresnel_schlick
 from facerender.terms.masking import MIN_COSINE, masking_kelemen, masking_v_cavity
 from facerender.terms.model import (
     K_COOK_TORRANCE,

@@ -4,7 +4,7 @@ Shadings convert to and from TOML and JSON. ``glsl/code.py`` generates the GLSL 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import KW_ONLY, InitVar, asdict, dataclass, field, fields, replace
 from operator import index
 from typing import Any, TypeVar
 
@@ -125,14 +125,10 @@ class Term:
         return self.entry.evaluate(*arguments, f0, lobe=lobe, **factors)
 
 
-_TERM_FIELDS = tuple(field.name for field in fields(Term))
-
-
 _OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
 
 
-# init=False: some parameters change a field of ``term``, and are no fields.
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class Shading:
     """The specular term of the lights, and the features that are left out of a scene.
 
@@ -167,8 +163,15 @@ class Shading:
     InputError : an unknown name, or a value outside its domain
     """
 
-    term: Term = Term()
+    term: Term = field(default=Term(), kw_only=True)
+    model: InitVar[str] = _OF_TERM
+    lobe: InitVar[AnyLobe] = _OF_TERM
+    fresnel: InitVar[str] = _OF_TERM
     outside: str = "error"
+    masking: InitVar[str] = _OF_TERM
+    _: KW_ONLY
+    m: InitVar[float | None] = _OF_TERM
+    small_slope: InitVar[bool | None] = _OF_TERM
     ks: float | None = ranged(WEIGHTS, None)
     normal_map: bool = True
     ambient: bool = True
@@ -178,48 +181,19 @@ class Shading:
     diffuse: str = "lambert"
     scatter_samples: int = 16
     environment_samples: int = ranged(IntegerRange(0, 4096), 32)
-    specular_lights: tuple[int, ...] | None = None
-    shadow_lights: tuple[int, ...] | None = None
+    specular_lights: Sequence[int] | None = None
+    shadow_lights: Sequence[int] | None = None
 
     __repr__ = short_repr
 
-    def __init__(
-        self,
-        model: str = _OF_TERM,
-        lobe: AnyLobe = _OF_TERM,
-        fresnel: str = _OF_TERM,
-        outside: str = outside,
-        masking: str = _OF_TERM,
-        *,
-        m: float | None = _OF_TERM,
-        small_slope: bool | None = _OF_TERM,
-        term: Term = term,
-        specular_lights: Sequence[int] | None = specular_lights,
-        shadow_lights: Sequence[int] | None = shadow_lights,
-        ks: float | None = None,
-        normal_map: bool = normal_map,
-        ambient: bool = ambient,
-        slope_filter: bool = slope_filter,
-        two_lobes: bool = two_lobes,
-        diffuse: str = diffuse,
-        scatter_samples: int = scatter_samples,
-        environment: bool = environment,
-        environment_samples: int = 32,
-    ) -> None:
-        values = {name: value for name, value in locals().items() if name in _FIELDS}
-        check_type("term", term, Term, "a Term")
-        words = (model, lobe, fresnel, masking, m, small_slope)
-        pairs = zip(_TERM_FIELDS, words, strict=True)
-        overrides: dict[str, Any] = {name: word for name, word in pairs if word is not _OF_TERM}
-        values["term"] = replace(term, **overrides) if overrides else term
+    def __post_init__(self, *of_term: Any) -> None:
+        check_type("term", self.term, Term, "a Term")
+        pairs = zip((field.name for field in fields(Term)), of_term, strict=True)
+        if overrides := {name: value for name, value in pairs if value is not _OF_TERM}:
+            object.__setattr__(self, "term", replace(self.term, **overrides))
         for name in ("specular_lights", "shadow_lights"):
-            if values[name] is not None:
-                values[name] = tuple(sorted(_indices(name, values[name])))
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-        self._check()
-
-    def _check(self) -> None:
+            if (lights := getattr(self, name)) is not None:
+                object.__setattr__(self, name, tuple(sorted(_indices(name, lights))))
         for name, noun, choices in (
             ("outside", "value of outside:", OUTSIDE),
             ("diffuse", "diffuse term", DIFFUSE),
@@ -240,8 +214,7 @@ class Shading:
 
     def replace(self, **changes: Any) -> Shading:
         """Return a copy with changed parameters."""
-        parameters = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Shading(**parameters | changes)
+        return replace(self, **changes)
 
     def shines(self, light: int) -> bool:
         """Return whether the light with this index has a specular term."""
@@ -249,11 +222,8 @@ class Shading:
 
     def check_lights(self, count: int) -> None:
         """Raise InputError if the shading names a light that a scene with `count` lights lacks."""
-        for name, lights in (
-            ("specular_lights", self.specular_lights or ()),
-            ("shadow_lights", self.shadow_lights or ()),
-        ):
-            for light in lights:
+        for name in ("specular_lights", "shadow_lights"):
+            for light in getattr(self, name) or ():
                 if not 0 <= light < count:
                     raise InputError(
                         f"{name} names light {light}: the scene has {count}, counted from 0"
@@ -262,9 +232,8 @@ class Shading:
     def as_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, as plain data for TOML and JSON."""
         values = asdict(self.term) | {name: getattr(self, name) for name in _FIELDS}
-        for name in ("specular_lights", "shadow_lights"):
-            values[name] = None if values[name] is None else [*values[name]]
-        return {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
+        changed = {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
+        return {key: [*v] if isinstance(v, tuple) else v for key, v in changed.items()}
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Shading:

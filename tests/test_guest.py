@@ -358,7 +358,7 @@ def test_cached_programs_are_bounded(egl, monkeypatch):
             if step % 2:
                 renderer.render(scene)
         assert len(resources.programs) <= 4 + each
-        drawn = {array for own in resources.geometries.values() for array in own.arrays}
+        drawn = {program for own in resources.geometries.values() for program, _ in own.arrays}
         assert drawn | resources.screen_arrays.keys() <= set(resources.programs.values())
         count = len(made)
         np.testing.assert_array_equal(renderer.render(scene).linear, expected)

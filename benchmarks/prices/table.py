@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.prices import amd
 from facerender.drawing.passes.scatter import scatter_pass
-from facerender.drawing.program import ATTRIBUTES, Program
+from facerender.drawing.program import Program
 from facerender.pricing import fragment, scatter
 from facerender.pricing.table import (
     TABLE,
@@ -75,7 +75,7 @@ def cycles(programs: Sequence[Program], family: str) -> list[int]:
     """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         modules = list(pool.map(lambda program: amd.spirv(**program.sources("450")), programs))
-    attributes = list(ATTRIBUTES.values())[:3]  # position, normal and texture coordinates
+    attributes = [3, 3, 2]  # components of position, normal and texture coordinates
     rows = amd.compile_programs(modules, family, attributes)[1]
     return [row["Inverse Throughput"] for row in rows]
 

@@ -8,9 +8,10 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from functools import partial
+from typing import Any, Literal
 
 import glcontext
 import moderngl
@@ -49,7 +50,6 @@ _GL_VERSION = 330
 # driver's threads, so _lost has the drivers opened before the last fork.
 _opened: set[str] = set()
 _lost: set[str] = set()
-_FORKED = "this driver was in use before this process was forked"
 
 
 def _lose() -> None:
@@ -62,12 +62,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_lose)
 if os.getpid() != IMPORTER:
     _lose()
-
-
-class _Loader(Protocol):
-    """Protocol of the context objects that moderngl uses."""
-
-    def load(self, name: str) -> int: ...
 
 
 class ForeignContext:
@@ -107,7 +101,6 @@ class _OSMesaContext(ForeignContext):
     )
 
     def __init__(self) -> None:
-        _check_not_lost("osmesa")
         self._library = _open_library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
         super().__init__(self._library.OSMesaGetProcAddress)
         flat = [value for pair in self._ATTRIBUTES for value in pair]
@@ -139,20 +132,13 @@ class _OSMesaContext(ForeignContext):
 
 
 def check_process(process: int) -> None:
-    """Raise ContextError if an object was created before a fork, in another process.
-
-    process : ID of the process that created the object
-    """
+    """Raise ContextError if the process with this ID is not the current process, so that an object
+    that it created was inherited by a fork."""
     if process != os.getpid():
         raise ContextError(
             "this renderer was created before a fork, in another process: create a new one in this "
             "process"
         )
-
-
-def _check_not_lost(driver: str) -> None:
-    if driver in _lost:
-        raise ContextError(_FORKED)
 
 
 def _open_library(*names: str) -> ctypes.CDLL:
@@ -164,31 +150,17 @@ def _open_library(*names: str) -> ctypes.CDLL:
     raise ContextError(f"{names[0]} is not installed")
 
 
-def _egl() -> _Loader:
-    _check_not_lost("egl")
-    for library in ("libEGL.so.1", "libGL.so.1"):
-        _open_library(library)
-    # With these names, glcontext does not start ldconfig or a compiler to find the libraries.
-    loader: _Loader = glcontext.get_backend_by_name("egl")(
-        mode="standalone", glversion=_GL_VERSION, libegl="libEGL.so.1", libgl="libGL.so.1"
-    )
-    return loader
-
-
-def _native() -> _Loader:
-    _check_not_lost("native")
-    libraries = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
+def _standalone(backend: str, **libraries: str) -> Any:
     for library in libraries.values():
         _open_library(library)
-    if libraries and not os.environ.get("DISPLAY"):
+    if "libx11" in libraries and not os.environ.get("DISPLAY"):
         raise ContextError("DISPLAY is not set: start an X server, such as Xvfb with xvfb-run")
-    loader: _Loader = glcontext.default_backend()(
-        mode="standalone", glversion=_GL_VERSION, **libraries
-    )
-    return loader
+    native = backend == "native"
+    make = glcontext.default_backend() if native else glcontext.get_backend_by_name(backend)
+    return make(mode="standalone", glversion=_GL_VERSION, **libraries)
 
 
-def _current() -> _Loader:
+def _current() -> ForeignContext:
     host = current_context()
     if host is None:
         raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
@@ -204,8 +176,6 @@ def is_software(renderer: str) -> bool:
 class Context:
     """An OpenGL context with its properties.
 
-    Attributes
-    ----------
     backend : "egl", "osmesa", "native" or "current"
     gl : the moderngl context; it is current only within :meth:`drawing`
     loader : object that returns the addresses of OpenGL functions
@@ -216,7 +186,7 @@ class Context:
 
     backend: str
     gl: moderngl.Context
-    loader: _Loader
+    loader: Any
     handle: int
     renderer: str
     version: str
@@ -227,6 +197,12 @@ class Context:
     def most_samples(self) -> int:
         """Largest number of samples per pixel that the driver supports."""
         return max(int(self.gl.info["GL_MAX_SAMPLES"]), 1)
+
+    @property
+    def max_side(self) -> int:
+        """Largest width and height of an image that the driver supports, in pixels."""
+        info = self.gl.info
+        return int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
 
     @property
     def software(self) -> bool:
@@ -242,36 +218,26 @@ class Context:
         """Make the context current, for one thread at a time.
 
         Afterwards the previous context is current again. If this is the host's context, the state
-        of the context is restored.
-
-        Raises
-        ------
-        ContextError : the context was released, was created before a fork, or is a host's context
-            that is not current in this thread
+        of the context is restored. Raises ContextError if the context was released, was created
+        before a fork, or is a host's context that is not current in this thread.
         """
         check_process(self.process)
         with self._lock:
             if self.released:
                 raise ContextError("this renderer was released: create a new one")
-            host = current_context()
-            if self.backend == "current":
-                if host is None or host.handle != self.handle:
-                    raise ContextError(
-                        "the context in which this renderer was created is not current in this "
-                        "thread: make it current first"
-                    )
-                restore = save_state(self.loader.load)
-                try:
-                    yield self.gl
-                finally:
-                    restore()
-                return
+            host, guest = current_context(), self.backend == "current"
+            if guest and (host is None or host.handle != self.handle):
+                raise ContextError(
+                    "the context in which this renderer was created is not current in this "
+                    "thread: make it current first"
+                )
+            restore = save_state(self.loader.load) if guest else host and host.rebind
             try:
-                with self.gl:
+                with nullcontext() if guest else self.gl:
                     yield self.gl
             finally:
-                if host is not None:
-                    host.rebind()
+                if restore:
+                    restore()
 
     @property
     def inherited(self) -> bool:
@@ -290,10 +256,12 @@ class Context:
             self.gl.release()
 
 
+# With these names, glcontext does not start ldconfig or a compiler to find the libraries.
+_LIBRARIES = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
 _OPENERS: dict[str, Callable[[], Any]] = {
-    "egl": _egl,
+    "egl": partial(_standalone, "egl", libegl="libEGL.so.1", libgl="libGL.so.1"),
     "osmesa": _OSMesaContext,
-    "native": _native,
+    "native": partial(_standalone, "native", **_LIBRARIES),
     "current": _current,
 }
 
@@ -327,6 +295,8 @@ def create_context(backend: Backend = "auto") -> Context:
 
 
 def _open(name: str, host: HostContext | None) -> Context:
+    if name in _lost:
+        raise ContextError("this driver was in use before this process was forked")
     loader = _OPENERS[name]()
     guest = host if name == "current" else None
     restore = save_state(loader.load) if guest else None
@@ -342,9 +312,8 @@ def _open(name: str, host: HostContext | None) -> Context:
     if not guest:
         with gl:
             pass  # leaving the block unbinds the new context
-    handle = guest.handle if guest else 0
-    if not guest:
         _opened.add(name)
+    handle = guest.handle if guest else 0
     return Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
 
 
@@ -379,9 +348,7 @@ def probe() -> list[Finding]:
         except ContextError as error:
             findings.append(Finding(name, error=str(error)))
             continue
-        with context.drawing() as gl:
-            size = min(gl.info["GL_MAX_TEXTURE_SIZE"], *gl.info["GL_MAX_VIEWPORT_DIMS"])
-            samples = gl.max_samples
-        findings.append(Finding(name, context.renderer, context.version, samples, size))
+        limits = context.most_samples, context.max_side
+        findings.append(Finding(name, context.renderer, context.version, *limits))
         context.release()
     return findings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import IO, TYPE_CHECKING, Any, get_args
 
@@ -90,20 +90,18 @@ class Frame:
         """
         EXPOSURES.check("exposure", exposure)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
-        if self.only == "normal":
-            pixels = _bytes((color * 0.5 + 0.5) * coverage)
-        elif self.only in ("cosines", "visibility", "mask"):
-            pixels = _bytes(color)
-        elif self.only == "parts":
-            pixels = _bytes(_part_colors(color[..., 0]))
-        elif self.only == "motion":
-            pixels = _bytes(_motion_colors(color))
-        elif self.only == "depth":
-            pixels = _bytes(_depth_as_brightness(color, coverage))
-        elif self.transparent:
-            straight = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
-            pixels = encode_srgb8(straight, exposure)
+        conversions: dict[str | None, Callable[[], NDArray[np.float32]]] = {
+            "normal": lambda: (color * 0.5 + 0.5) * coverage,
+            "parts": lambda: _part_colors(color[..., 0]),
+            "motion": lambda: _motion_colors(color),
+            "depth": lambda: _depth_as_brightness(color, coverage),
+            **dict.fromkeys(("cosines", "visibility", "mask"), lambda: color),
+        }
+        if self.only in conversions:
+            pixels = _bytes(conversions[self.only]())
         else:
+            if self.transparent:
+                color = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
             pixels = encode_srgb8(color, exposure)
         return np.concatenate([pixels, _bytes(coverage)], axis=-1) if self.transparent else pixels
 
@@ -144,9 +142,8 @@ class Frame:
     def encoded(self, format: Format = "png", exposure: float = 0.0) -> bytes:
         """Return the content of an image file. For parameters and errors see :meth:`save`."""
         if format == "exr":
-            return exr_bytes(
-                "image.exr", {"RGBA"[: self.linear.shape[2]]: self.linear}, self.metadata
-            )
+            channels = {"RGBA"[: self.linear.shape[2]]: self.linear}
+            return exr_bytes("image.exr", channels, self.metadata)
         if format == "png":
             return png_bytes(self.srgb8(exposure), self._metadata(exposure))
         return lossy_bytes(format, self.srgb8(exposure), self._metadata(exposure))
@@ -320,16 +317,15 @@ def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GB
     """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")
-    sorted_attributes: list[dict[str, Any]] = [{} for _ in layers]
-    for name in (field.name for field in fields(GBuffer)):
-        values = [getattr(layer, name) for layer in layers]
+    columns = []
+    for field in fields(GBuffer):
+        values = [getattr(layer, field.name) for layer in layers]
         if layers and isinstance(values[0], np.ndarray):
             stack = np.array(values)
-            places = order.reshape(order.shape + (1,) * (stack.ndim - order.ndim))
-            values = [*np.take_along_axis(stack, places, axis=0)]
-        for attributes, value in zip(sorted_attributes, values, strict=True):
-            attributes[name] = value
-    return [GBuffer(**attributes) for attributes in sorted_attributes]
+            indices = order.reshape(order.shape + (1,) * (stack.ndim - order.ndim))
+            values = [*np.take_along_axis(stack, indices, axis=0)]
+        columns.append(values)
+    return [GBuffer(*values) for values in zip(*columns, strict=True)]
 
 
 def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
@@ -338,13 +334,10 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     view = np.zeros((*covered.shape, 4), dtype=np.float32)
     view[..., 3] = covered
     position = gbuffer.normalised_position[covered].astype(np.float64)
-    normal = gbuffer.normal[covered].astype(np.float64)
     to_eye = gbuffer.view.position - position
     values: NDArray[Any]
-    if only == "albedo":
-        values = gbuffer.albedo[covered]
-    elif only == "normal":
-        values = gbuffer.normal[covered]
+    if only in ("albedo", "normal"):
+        values = getattr(gbuffer, only)[covered]
     elif only == "depth":
         values = -(to_eye @ gbuffer.view.forward)[:, None] * scene.mesh.radius
     elif only == "visibility":
@@ -355,13 +348,12 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     elif only == "parts":
         values = gbuffer.part[covered][:, None] + 1
     else:
-        v = unit(to_eye)
-        l = v
-        if scene.lights:
-            key = scene.lights[0]
-            l, _ = key.kind.lighting(key, scene.mesh, position)
-        h = unit(l + v)
-        values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
+        l = v = unit(to_eye)
+        for light in scene.lights[:1]:
+            l, _ = light.kind.lighting(light, scene.mesh, position)
+        normal = gbuffer.normal[covered].astype(np.float64)
+        cosines = [(normal * direction).sum(axis=-1) for direction in (l, v, unit(l + v))]
+        values = np.stack(cosines, axis=-1)
     view[covered, :3] = values
     # The default background would tint the zeros that programs expect around the mesh.
     if only == "albedo" and scene.background not in (None, Scene.background):

@@ -15,8 +15,6 @@ from typing import Any
 class HostContext:
     """The OpenGL context that is current in this thread.
 
-    Attributes
-    ----------
     handle : address of the context, which identifies it
     get_proc_address : C function that returns the address of an OpenGL function
     rebind : function that makes the context current again, even if the window system regards it as
@@ -222,28 +220,19 @@ _UNITS = 16
 
 
 def save_state(load: Callable[[str], int]) -> Callable[[], None]:
-    """Save the state of the current context, and set it to the values that drawing needs.
+    """Save the state of the current context, and set it to the values that drawing needs. Return
+    the function that restores the previous state.
 
-    Parameters
-    ----------
     load : function that returns the address of an OpenGL function, 0 if the driver lacks it
-
-    Returns
-    -------
-    A function that restores the previous state.
     """
 
     def function(name: str, *arguments: Any, result: Any = None) -> Any:
         return ctypes.CFUNCTYPE(result, *arguments)(load(name))
 
-    def integers(name: int, count: int = 1) -> tuple[int, ...]:
-        values = (ctypes.c_int * count)()
-        function("glGetIntegerv", ctypes.c_int, ctypes.c_void_p)(name, values)
-        return tuple(values)
-
-    def floats(name: int, count: int) -> tuple[float, ...]:
-        values = (ctypes.c_double * count)()
-        function("glGetDoublev", ctypes.c_int, ctypes.c_void_p)(name, values)
+    def state_of(name: int, count: int = 1, kind: Any = ctypes.c_int) -> tuple[Any, ...]:
+        values = (kind * count)()
+        getter = "glGetIntegerv" if kind is ctypes.c_int else "glGetDoublev"
+        function(getter, ctypes.c_int, ctypes.c_void_p)(name, values)
         return tuple(values)
 
     def call(name: str, *values: int | float, kind: Any = ctypes.c_int) -> None:
@@ -269,21 +258,18 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
         call(_SWITCH[needed], capability)
     for name, leading, queries, needed_integers in STATE:
         if load(name):
-            state = tuple(value for query in queries for value in integers(*query))
-            change(
-                name,
-                leading + state,
-                None if needed_integers is None else leading + needed_integers,
-            )
+            state = tuple(value for query in queries for value in state_of(*query))
+            new_values = None if needed_integers is None else leading + needed_integers
+            change(name, leading + state, new_values)
     for name, kind, query, count, needed_floats in _FLOATS:
-        change(name, floats(query, count), needed_floats, kind)
-    active = integers(_ACTIVE_TEXTURE)
+        change(name, state_of(query, count, ctypes.c_double), needed_floats, kind)
+    active = state_of(_ACTIVE_TEXTURE)
     # moderngl binds each new texture to the last unit.
-    for unit in (*range(_UNITS), integers(_MOST_UNITS)[0] - 1):
+    for unit in (*range(_UNITS), state_of(_MOST_UNITS)[0] - 1):
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
         for target, binding in _TEXTURES:
-            change("glBindTexture", (target, *integers(binding)), None)
-        change("glBindSampler", (unit, *integers(_SAMPLER_BINDING)), (unit, 0))
+            change("glBindTexture", (target, *state_of(binding)), None)
+        change("glBindSampler", (unit, *state_of(_SAMPLER_BINDING)), (unit, 0))
     change("glActiveTexture", active, None)
 
     def restore() -> None:

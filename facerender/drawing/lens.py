@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from typing import Any
 
@@ -33,8 +33,6 @@ Intrinsics = tuple[Vector, Vector, Vector]
 class Lens:
     """A distorting lens for images of one size.
 
-    Attributes
-    ----------
     size : width and height of the distorted image
     wide : width and height of the undistorted image, which contains every pixel of the distorted
         image and resolves it at least as finely
@@ -80,14 +78,13 @@ class Lens:
 
         view : view with the distortion
         """
-        values = {field.name: getattr(gbuffer, field.name) for field in fields(gbuffer)}
         layers = tuple(self.nearest(layer, view) for layer in gbuffer.transparent_layers)
-        arrays = {
+        arrays: dict[str, Any] = {
             name: self.nearest_values(value)
-            for name, value in values.items()
+            for name, value in vars(gbuffer).items()
             if isinstance(value, np.ndarray)
         }
-        return GBuffer(**values | arrays | {"view": view, "transparent_layers": layers})
+        return replace(gbuffer, **arrays, view=view, transparent_layers=layers)
 
     def nearest_values(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the value of the nearest pixel of an undistorted image for each pixel."""
@@ -153,17 +150,11 @@ def _lens(
             f"{wide[1]} pixels, but the limit is {_LARGEST} a side: give a smaller size"
         )
     places -= low - reach
-    fx, fy = (focal / finest).tolist()
-    cx, cy = (reach - low).tolist()
-    return Lens(
-        size,
-        (int(wide[0]), int(wide[1])),
-        ((fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)),
-        coefficients,
-        focal,
-        places.astype(np.float32),
-        np.clip(np.round(spread), 1, _MOST_TAPS).astype(np.uint8),
-    )
+    (fx, fy), (cx, cy) = (focal / finest).tolist(), (reach - low).tolist()
+    matrix = (fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)
+    taps = np.clip(np.round(spread), 1, _MOST_TAPS).astype(np.uint8)
+    wide_size, places32 = (int(wide[0]), int(wide[1])), places.astype(np.float32)
+    return Lens(size, wide_size, matrix, coefficients, focal, places32, taps)
 
 
 def _in_steps(pixels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
@@ -215,12 +206,5 @@ def _weights(t: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weights (N, 4) of four neighbours at the fraction t of the step between the second
     and the third."""
     s = 1.0 - t
-    return np.stack(
-        [
-            -0.5 * t * s * s,
-            1.0 + t * t * (1.5 * t - 2.5),
-            1.0 + s * s * (1.5 * s - 2.5),
-            -0.5 * s * t * t,
-        ],
-        axis=-1,
-    )
+    inner, next_inner = 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5)
+    return np.stack([-0.5 * t * s * s, inner, next_inner, -0.5 * s * t * t], axis=-1)

@@ -14,7 +14,6 @@ import numpy as np
 from facerender.drawing.prepare import part_maps, simplify
 from facerender.drawing.resolve import ResolvedScene
 from facerender.errors import clipped
-from facerender.scenes.environment import Environment
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
@@ -31,16 +30,11 @@ _ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if t
 def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, str]:
     """Return the parameters of a scene as text, without paths of files.
 
-    Parameters
-    ----------
-    scene, shading : arguments of :meth:`facerender.Renderer.render`
-    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
+    The keys are "mesh", "camera", "light 0" and so on, "ambient", "background", "environment",
+    "before"; the factors and maps of materials by the names of :class:`Material`, such as "m",
+    unless all parts have the default; and "textures": "float", or "8-bit" if an 8-bit map is used.
 
-    Returns
-    -------
-    "mesh", "camera", "light 0" and so on, "ambient", "background", "environment", "before"; the
-    factors and maps of materials by the names of :class:`Material`, such as "m", unless all parts
-    have the default; and "textures": "float", or "8-bit" if an 8-bit map was drawn
+    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
     """
     if scene.mesh not in _of_meshes:
         texts = {"mesh": _mesh(scene.mesh), **_materials(scene.mesh)}
@@ -49,7 +43,9 @@ def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, st
     texts |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
     texts |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
     if scene.environment is not None:
-        texts["environment"] = _environment(scene.environment)
+        name = PurePath(scene.environment.panorama.name).name
+        rotation, scale = scene.environment.rotation, scene.environment.scale
+        texts["environment"] = f"{name}, rotation {rotation}, scale {scale}"
     if scene.before is not None:
         texts["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
     drawn = simplify(scene, shading).mesh
@@ -72,10 +68,6 @@ def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, st
     return {name: _limited(text) for name, text in texts.items()}
 
 
-def _text(value: Any) -> str:
-    return str(float(f"{value:.9g}") if isinstance(value, float) else value)
-
-
 def _limited(text: str) -> str:
     """Return a text of one line, which is cut and gets a checksum if it is long."""
     if len(text) <= _LONGEST and text.isprintable():
@@ -84,9 +76,8 @@ def _limited(text: str) -> str:
 
 
 def _mesh(mesh: Mesh) -> str:
-    vertices, triangles = (
-        sum(len(getattr(part, name)) for part in mesh.parts) for name in ("positions", "faces")
-    )
+    vertices = sum(len(part.positions) for part in mesh.parts)
+    triangles = sum(len(part.faces) for part in mesh.parts)
     # float32 hides differences between processors in the last bits of float64.
     checksum = zlib.crc32(str([*map(_checksum, mesh.parts)]).encode())
     size = f"{vertices} vertices, {triangles} triangles, radius {mesh.radius:.6g}"
@@ -124,7 +115,8 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
     """Return a value for each part as text, each value once: "0.3" or "0.3 (head); 0.1 (eyes)"."""
     names: dict[str, list[str]] = {}
     for number, (part, value) in enumerate(zip(mesh.parts, values, strict=True), 1):
-        text = _map(value) if isinstance(value, Texture) else _text(value)
+        text = _map(value) if isinstance(value, Texture) else str(value)
+        text = str(float(f"{value:.9g}")) if isinstance(value, float) else text
         names.setdefault(text, []).append(part.name or f"part{number}")
     if len(names) == 1:
         return next(iter(names))
@@ -134,8 +126,3 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
 def _map(texture: Texture) -> str:
     width, height = texture.decoded_size
     return f"{PurePath(texture.name).name}, {width} x {height}"
-
-
-def _environment(environment: Environment) -> str:
-    name = PurePath(environment.panorama.name).name
-    return f"{name}, rotation {environment.rotation}, scale {environment.scale}"

@@ -3,19 +3,18 @@ only finds the visible triangles; the displacements are computed in float64."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.transparency import mask_features, unblended
-from facerender.drawing.program import Program, part_uniforms, surface_features
+from facerender.drawing.program import Program, surface_features
 from facerender.drawing.resolve import ResolvedScene
 from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
-from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
@@ -30,21 +29,6 @@ _DIGITS = 6
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
-    """Rays from the camera through the centres of an image's pixels.
-
-    Attributes
-    ----------
-    view, size : camera without lens distortion, and width and height of its image
-    places : (H * W, 2), positions in this image at which the rays meet it, in pixels
-    """
-
-    view: View
-    size: tuple[int, int]
-    places: NDArray[np.floating[Any]]
-
-
 def pixel_centres(size: tuple[int, int]) -> Float:
     """Return the centre (H * W, 2) of each pixel of an image, row by row."""
     width, height = size
@@ -53,12 +37,8 @@ def pixel_centres(size: tuple[int, int]) -> Float:
 
 
 def check_before(scene: Scene) -> Scene:
-    """Return the scene in the frame before.
-
-    Raises
-    ------
-    InputError : there is none, or its mesh has other triangles
-    """
+    """Return the scene in the frame before. Raises InputError if there is none, or if its mesh has
+    other triangles."""
     if (before := scene.before) is None:
         raise InputError(
             f"motion of {scene.mesh.name} needs the frame before: give the scene of that frame as "
@@ -83,11 +63,11 @@ def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
     for number, (part, material) in enumerate(parts, 1):
         features = mask_features(surface_features(part, material, shading))
         program = Program("depth.frag", features=(*features, f"TRIANGLE {_INDEX_BASE}"))
-        uniforms, order = {**part_uniforms(part, material), "part": number}, None
+        draw = Draw.of_part(program, part, material, part=number)
         if material.double_sided is False:
             order = triangle_setup_of(part, scene.mesh).facing(view.position)
-        sided = material.double_sided
-        draws.append(Draw(program, uniforms, part, material, order=order, double_sided=sided))
+            draw = replace(draw, order=order)
+        draws.append(draw)
     uniforms = {"view_projection": view.matrix}
     return Pass("triangles", Target(), unblended(scene, draws), uniforms=uniforms)
 
@@ -96,29 +76,29 @@ def motion_vectors(
     scene: Scene,
     before: Scene,
     views: tuple[View, View],
-    drawn: Pass,
+    draws: Sequence[Draw],
     triangles: NDArray[np.float32],
-    rays: Rays,
+    flat: View,
+    rays: Float,
 ) -> NDArray[np.float32]:
     """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
 
-    Parameters
-    ----------
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
-    drawn, triangles : the result of :func:`triangle_pass`, and the values at the image's pixels,
+    draws, triangles : the draws of :func:`triangle_pass`, and the values at the image's pixels,
         (H, W, 4)
-    rays : rays through the centres of the pixels
+    flat : the camera of this frame without lens distortion
+    rays : (H * W, 2), positions at which the rays through the centres of the pixels meet the image
+        of this camera, from -1 to 1
     """
-    height, width = triangles.shape[:2]
-    size = width, height
+    size = triangles.shape[1::-1]
     texels = triangles.reshape(-1, 4)
     image = np.zeros_like(texels)
-    shown = np.flatnonzero(texels[:, 0])
-    owners = texels[shown, 0]
-    for draw in drawn.draws:
+    covered = np.flatnonzero(texels[:, 0])
+    part_numbers = texels[covered, 0]
+    for draw in draws:
         number = draw.uniforms["part"]
-        pixels = shown[owners == number]
+        pixels = covered[part_numbers == number]
         if not len(pixels):
             continue
         index = (texels[pixels, 1] * _INDEX_BASE + texels[pixels, 2]).astype(np.int64)
@@ -126,7 +106,7 @@ def motion_vectors(
         part, old_part = (frame.mesh.parts[number - 1] for frame in (scene, before))
         visible, index = _unique(index, len(part.faces))
         corners, old_corners = (pose.positions[part.faces[visible]] for pose in (part, old_part))
-        weights = _weights(rays, scene.mesh, corners, index, pixels)
+        weights = _weights(flat, scene.mesh.normalised(corners), index, rays[pixels])
         position, _ = views[0].project(scene.mesh, _mean(corners, index, weights), size)
         old_position, _ = views[1].project(before.mesh, _mean(old_corners, index, weights), size)
         moved = np.round(position - old_position, _DIGITS) + 0.0  # no -0
@@ -139,16 +119,14 @@ def motion_vectors(
 def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the different values of indices below `count`, and the indices into these values.
     np.unique takes ten times as long."""
-    place = np.zeros(count, dtype=np.int64)
-    place[index] = 1
-    unique = np.flatnonzero(place)
-    place[unique] = np.arange(len(unique))
-    return unique, place[index]
+    positions = np.zeros(count, dtype=np.int64)
+    positions[index] = 1
+    unique = np.flatnonzero(positions)
+    positions[unique] = np.arange(len(unique))
+    return unique, positions[index]
 
 
-def _weights(
-    rays: Rays, mesh: Mesh, corners: Float, index: NDArray[np.int64], pixels: NDArray[np.int64]
-) -> Float:
+def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) -> Float:
     """Return the barycentric coordinates (3, N) of the triangles' points at the centres of pixels.
 
     The ray of a pixel meets a triangle at the weights det(p, b, c), det(p, c, a) and det(p, a, b),
@@ -156,17 +134,13 @@ def _weights(
     (Olano and Greer 1997). A driver rounds corners to 1/256 pixel, so that the ray may miss the
     triangle: negative weights become 0.
 
-    Parameters
-    ----------
-    corners : (T, 3, 3), corners of triangles in mesh space
+    corners : (T, 3, 3), corners of triangles in the renderer's space
     index : (N,), triangle of each pixel
-    pixels : (N,), indices of pixels in the image
+    rays : (N, 2), positions of the pixels' rays; see :func:`motion_vectors`
     """
-    view, size = rays.view, rays.size
-    places = mesh.normalised(corners)
-    a, b, c = np.moveaxis(places @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
-    x, y = (2.0 * rays.places[pixels] / size - 1.0).T
-    weights = np.empty((3, len(pixels)))
+    a, b, c = np.moveaxis(corners @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
+    x, y = rays.T
+    weights = np.empty((3, len(rays)))
     for weight, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
         np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=weight)
         weight += (p[2] * q[0] - p[0] * q[2])[index] * y

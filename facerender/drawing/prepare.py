@@ -32,11 +32,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     shading leaves out.
 
     The simplified mesh is cached: the same changes of one mesh return the same object, so that a
-    renderer reuses the uploaded maps.
-
-    Raises
-    ------
-    InputError : m or ks is outside its domain, or the shading names a light that the scene lacks
+    renderer reuses the uploaded maps. Raises InputError if m or ks is outside its domain, or if the
+    shading names a light that the scene lacks.
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}
@@ -99,8 +96,6 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
     """Return a scene whose large maps (more than LARGE texels) begin with the finest mip level that
     the image reads. The mesh with these maps is cached.
 
-    Parameters
-    ----------
     scene : a simplified scene
     view : camera of the image
     size : width and height of the image in pixels
@@ -147,8 +142,6 @@ def part_maps(
 ) -> list[tuple[str, Texture, Kind]]:
     """Return the uniform name, the texture and the kind of mip chain for each map of a part.
 
-    Parameters
-    ----------
     albedo : kind of mip chain of colour maps: "color" or "linear-color"
     slope_filter : whether the normal map's mip chain stores the standard deviation of the slopes
     """
@@ -187,8 +180,6 @@ def check_memory(
 ) -> None:
     """Raise InputError if the estimated memory for drawing a scene exceeds a limit.
 
-    Parameters
-    ----------
     scene : simplified scene, with reduced maps
     size : width and height of the image in pixels
     samples : samples per pixel that the driver draws at once

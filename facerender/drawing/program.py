@@ -12,25 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.prepare import part_maps
-from facerender.drawing.resolve import LightGroup, Lighting, ResolvedPart, ResolvedScene
+from facerender.drawing.resolve import LightGroup, Lighting, ResolvedScene
 from facerender.glsl.code import call, environment_call, prelude
 from facerender.glsl.library import resolve_includes
 from facerender.scenes.material import PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Part, base_slope, drawn_alpha
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import Only, Scene
 from facerender.scenes.view import View
-from facerender.shading import Shading
+from facerender.shading import Shading, Term
 
-ATTRIBUTES = {
-    **{"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3},
-    "in_uv2": 2,
-}
-SHADOW_MAP = "shadow_map"  # name of the texture with the shadow maps of all lights
-SHADOW_CONES = "shadow_cones"
-SHADOW_TOPS = "shadow_tops"
 ENVIRONMENT_MAP = "environment_map"
-SELECTED_TRIANGLES = "selected_triangles"
-TRIANGLE_TABLE = "triangle_table"
 IN_ROW = 256  # vertices or triangles in a row of a texture
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
@@ -42,8 +33,6 @@ Uniforms = Mapping[str, Any]
 class Program:
     """A vertex and a fragment shader of the renderer.
 
-    Attributes
-    ----------
     fragment, vertex : file names of the two shaders in ``shaders/host``
     features : macros that enable features, such as "UV", "NORMAL_MAP", "DIFFUSE"
     lights : groups of lights, see :class:`Lighting`; None for a program without lights
@@ -59,6 +48,10 @@ class Program:
     prelude: str = ""
     call: str = ""
     environment: str = ""
+
+    def having(self, *features: str) -> Program:
+        """Return the program with further features."""
+        return replace(self, features=self.features + features)
 
     def sources(self, version: str) -> dict[str, str]:
         """Return the GLSL of the stages "vert" and "frag" with the line ``#version VERSION``."""
@@ -110,63 +103,59 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
     """Return the feature macros for a part's geometry and material, without macros for lights."""
     alpha = drawn_alpha(part, material)
     maps = part_maps(part, material, "color", shading.slope_filter)
-    names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
-    second = [name for name in names if material.by_second(name.lower())]
-    names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
-    names += ["CONSTANT_SLOPE"] * (shading.term.m is not None)
-    if part.uv is not None:
-        names.append("UV")
-    if "PROPERTY_MAP" in names:
-        names += [name.upper() for name in PROPERTY_MAPS if getattr(material, name) is not None]
-    elif not {name.upper() for name in PROPERTY_MAPS}.isdisjoint(names):
-        names.append("PROPERTIES_APART")
-    if part.occlusion is not None:
-        names.append("VERTEX_OCCLUSION")
-    if part.colors is not None:
-        names.append("VERTEX_COLORS")
-    if material.albedo != (1.0, 1.0, 1.0):
-        names.append("ALBEDO_FACTOR")
-    if material.two_lobes:
-        names.append("TWO_LOBES")
-    if "NORMAL_MAP" in names and material.normal_strength != 1.0:
-        names.append("NORMAL_STRENGTH")
-    if "OCCLUSION_MAP" in names and material.occlusion_strength != 1.0:
-        names.append("OCCLUSION_STRENGTH")
-    if alpha != "opaque":
-        names.append(f"ALPHA_{alpha.upper()}")
-    if alpha == "blend" and material.alpha == "mask":
-        names.append("OPACITY_CUT")
-    if material.thin:
-        names.append("TRANSMISSION")
-    if second:
-        names += ["UV2", *(f"{name}_UV uv2" for name in second)]
-    return tuple(names)
+    names = [name for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
+    second = [name for name in names if material.by_second(name)]
+    packed = [name for name in PROPERTY_MAPS if getattr(material, name) is not None]
+    packed = packed if "property_map" in names else []
+    occlusion = "occlusion_map" in (*names, *packed)
+    features = {
+        "slope_filter": any(kind == "normal" for _, _, kind in maps),
+        "constant_slope": shading.term.m is not None,
+        "uv": part.uv is not None,
+        **dict.fromkeys(packed, True),
+        "properties_apart": not {*PROPERTY_MAPS}.isdisjoint(names),
+        "vertex_occlusion": part.occlusion is not None,
+        "vertex_colors": part.colors is not None,
+        "albedo_factor": material.albedo != (1.0, 1.0, 1.0),
+        "two_lobes": material.two_lobes,
+        "normal_strength": "normal_map" in names and material.normal_strength != 1.0,
+        "occlusion_strength": occlusion and material.occlusion_strength != 1.0,
+        f"alpha_{alpha}": alpha != "opaque",
+        "opacity_cut": alpha == "blend" and material.alpha == "mask",
+        "transmission": material.thin,
+        "uv2": bool(second),
+    }
+    names += [name for name, is_used in features.items() if is_used]
+    return (*map(str.upper, names), *(f"{name.upper()}_UV uv2" for name in second))
 
 
 def shade_program(
-    resolved: ResolvedScene, own: ResolvedPart, diffuse: bool = True, emits: bool = True
+    resolved: ResolvedScene,
+    part: Part,
+    material: Material,
+    term: Term | None,
+    smallest_m: float,
+    only: Only | None = None,
 ) -> Program:
     """Return the program that shades a part of a scene.
 
-    Parameters
-    ----------
-    diffuse : whether to include the diffuse term
-    emits : whether to include emitted light
+    term : specular term of the lights; None to leave it out
+    smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
+    only : term to draw, "specular" or "diffuse"; None for the whole image
     """
     scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
-    part, material, term = own.part, own.material, own.term
     features = surface_features(part, material, shading)
     features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
-    features += ("DIFFUSE",) * (diffuse and material.diffuse_weight > 0.0)
+    features += ("DIFFUSE",) * (only != "specular" and material.diffuse_weight > 0.0)
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
         features += ("COUPLED",)
-    features += ("EMISSIVE",) * (emits and any(material.emissive))
+    features += ("EMISSIVE",) * (only is None and any(material.emissive))
     second = material.second_slope if material.two_lobes else None
     environment = ""
     if scene.environment is not None:
         features += ("ENVIRONMENT",)
-        if shading.environment_samples and material.ks > 0.0:
+        if shading.environment_samples and material.ks > 0.0 and only != "diffuse":
             features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
             environment = environment_call(shading.term, second)
     program = Program(
@@ -174,17 +163,8 @@ def shade_program(
     )
     if term is None or not material.ks:
         return program
-    head = prelude(term, own.smallest_m, material.two_lobes)
+    head = prelude(term, smallest_m, material.two_lobes)
     return replace(program, prelude=head, call=call(term, second))
-
-
-def light_visibility_program(
-    part: Part, material: Material, shading: Shading, lighting: Lighting
-) -> Program:
-    """Return the program that draws each light's visible fraction on a part of a simplified
-    scene."""
-    features = surface_features(part, material, shading) + shadow_features(lighting)
-    return Program("light_visibility.frag", features=features, lights=lighting.groups)
 
 
 def shadow_features(lighting: Lighting) -> tuple[str, ...]:
@@ -199,19 +179,19 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
 
 def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:
     """Return the uniforms that all parts of a scene share."""
-    around: dict[str, Any] = {}
-    if lighting is not None and scene.environment is not None:
-        around["environment_sh"] = scene.environment.panorama.coefficients
-        around["environment_turn"] = scene.environment.turn.T  # OpenGL stores matrices by column
-        around["environment_scale"] = scene.environment.scale
-        around["environment_size"] = len(scene.environment.panorama.map) - 2
-    return {
-        **around,
+    uniforms: dict[str, Any] = {
         "view_projection": view.matrix,
         "camera_position": view.position,
         "ambient": np.asarray(scene.ambient),
-        **({} if lighting is None else lighting.uniforms(scene.mesh)),
     }
+    if lighting is None:
+        return uniforms
+    if environment := scene.environment:
+        uniforms["environment_sh"] = environment.panorama.coefficients
+        uniforms["environment_turn"] = environment.turn.T  # OpenGL stores matrices by column
+        uniforms["environment_scale"] = environment.scale
+        uniforms["environment_size"] = len(environment.panorama.map) - 2
+    return uniforms | lighting.uniforms(scene.mesh)
 
 
 def part_uniforms(part: Part, material: Material) -> Uniforms:

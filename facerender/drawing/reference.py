@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,11 +17,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import unit
 from facerender.shading import Shading, Term
-from facerender.terms.albedo import (
-    cook_torrance_albedo,
-    cook_torrance_albedo_mean,
-    diffuse_coupled,
-)
+from facerender.terms.albedo import cook_torrance_albedo, cook_torrance_albedo_mean, diffuse_coupled
 from facerender.terms.model import dot
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 
@@ -31,8 +28,6 @@ Float = NDArray[np.float64]
 class Layers:
     """Radiance of a G-buffer's pixels, one array per term; the sum of the terms is the image.
 
-    Attributes
-    ----------
     ambient, diffuse : (H, W, 3) float64, radiance of each of these terms
     specular : (lights, H, W, 3) float64, specular radiance from each light
     environment : (H, W, 3) float64, diffuse and specular radiance from the environment map
@@ -43,12 +38,12 @@ class Layers:
         material scatters
     """
 
-    ambient: NDArray[np.float64]
-    diffuse: NDArray[np.float64]
-    specular: NDArray[np.float64]
-    environment: NDArray[np.float64]
-    light: NDArray[np.float64] | None = None
-    albedo: NDArray[np.float64] | None = None
+    ambient: Float
+    diffuse: Float
+    specular: Float
+    environment: Float
+    light: Float | None = None
+    albedo: Float | None = None
     emission: NDArray[np.float32] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
@@ -91,22 +86,20 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     return image
 
 
-def scattered(
-    gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers
-) -> NDArray[np.float64]:
+def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -> Float:
     """Return the radiance (H, W, 3) float64 that subsurface scattering adds or removes.
 
     gbuffer : G-buffer of the whole image, not of a section
     terms : the result of :func:`layers` for this G-buffer
     """
     change = np.zeros(gbuffer.normalised_position.shape)
-    height, width = gbuffer.part.shape
     if terms.light is None or terms.albedo is None or gbuffer.facing is None:
         return change
     from facerender.scenes.scattering import scattering_of
     from facerender.terms.scattering import scatter, scatter_area
 
-    if (scattering := scattering_of(simplify(scene, shading), (width, height))) is None:
+    size = gbuffer.part.shape[1], gbuffer.part.shape[0]
+    if (scattering := scattering_of(simplify(scene, shading), size)) is None:
         return change
     number = np.array([*scattering.numbers, 0])[gbuffer.part]
     place, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
@@ -127,15 +120,12 @@ def scattered(
 class _Pixels:
     """The N pixels of a G-buffer that a part covers.
 
-    Attributes
-    ----------
     position : (N, 3) in the renderer's space
     n : (N, 3) unit normal
     v : (N, 3) unit vector to the camera
-    m : (N,) m of the first lobe; ignored by a light's term with a constant m
-    second_m : (N,) m of the second lobe, ignored by a light's term with a constant m; None for
+    m : (N,) m of the first lobe
+    second_m, lobe_weight : (N,) m of the second lobe and weight of the first lobe; None for
         materials with one lobe
-    lobe_weight : (N,) weight of the first lobe; None for materials with one lobe
     weight : (N,) specular weight
     occlusion : (N,) ambient occlusion
     albedo : (N, 3) diffuse BRDF, the ratio of diffuse radiance to irradiance
@@ -164,13 +154,8 @@ class _Pixels:
         def values(image: NDArray[np.float32]) -> Float:
             return image[covered].astype(np.float64)
 
-        position, m, second_m, lobe_weight = (
-            values(gbuffer.normalised_position),
-            values(gbuffer.m),
-            None,
-            None,
-        )
-        m = np.broadcast_to(term.slope(m), m.shape)
+        position, m = values(gbuffer.normalised_position), values(gbuffer.m)
+        m, second_m, lobe_weight = np.broadcast_to(term.slope(m), m.shape), None, None
         if material.two_lobes:
             assert gbuffer.second_m is not None
             assert gbuffer.lobe_weight is not None
@@ -189,28 +174,32 @@ class _Pixels:
             material.diffuse_weight / np.pi * values(gbuffer.albedo),
         )
 
-    def coupling(self, material: Material, shading: Shading) -> _Coupling | None:
-        """Return the albedos that couple the diffuse term with the specular term, or None if the
-        shading or the material does not couple them."""
+    def coupling(
+        self, material: Material, shading: Shading
+    ) -> Callable[[Float | None], Float | float]:
+        """Return the function that computes the factor (N, 1) of the diffuse term for a light, from
+        the cosine (N,) between light and normal, or from None for light from all directions. The
+        function returns 1 if the specular term does not reduce the diffuse term."""
         if shading.diffuse != "coupled" or material.ks <= 0.0:
-            return None
+            return lambda cosine: 1.0
         lobes = [(self.m, self.weight)]
         if self.second_m is not None and self.lobe_weight is not None:
-            first_weight = self.lobe_weight * self.weight
-            lobes = [
-                (self.m, first_weight),
-                (self.second_m, (1.0 - self.lobe_weight) * self.weight),
-            ]
-        means = (w * cook_torrance_albedo_mean(m, material.f0) for m, w in lobes)
-        bare = _Coupling(lobes, material.f0, self.weight, np.sum([*means], axis=0))
-        return replace(bare, camera=bare.towards(dot(self.n, self.v)))
+            second_weight = (1.0 - self.lobe_weight) * self.weight
+            lobes = [(self.m, self.lobe_weight * self.weight), (self.second_m, second_weight)]
+
+        def albedo(cosine: Float) -> Float:
+            albedos = [w * cook_torrance_albedo(cosine, m, material.f0) for m, w in lobes]
+            return np.asarray(np.sum(albedos, axis=0))
+
+        camera = albedo(dot(self.n, self.v))
+        mean = np.sum([w * cook_torrance_albedo_mean(m, material.f0) for m, w in lobes], axis=0)
+        return lambda cosine: diffuse_coupled(
+            mean if cosine is None else albedo(cosine), camera, mean
+        )[:, None]
 
 
 def layers(
-    gbuffer: GBuffer,
-    scene: Scene,
-    shading: Shading,
-    environment: NDArray[np.float64] | None = None,
+    gbuffer: GBuffer, scene: Scene, shading: Shading, environment: Float | None = None
 ) -> Layers:
     """Return the terms of the image, with a specular term for every light. See also :func:`shade`.
 
@@ -223,30 +212,26 @@ def layers(
     ambient, diffuse = np.zeros((2, *gbuffer.normalised_position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.normalised_position.shape))
     scatters = any(material.scattering for material in scene.mesh.materials)
-    light_of, albedo_of = (
-        np.zeros((2, *gbuffer.normalised_position.shape)) if scatters else (None, None)
-    )
+    light_of, albedo_of = np.zeros((2, *ambient.shape)) if scatters else (None, None)
     for index, material in enumerate(scene.mesh.materials):
         covered = gbuffer.part == index
         if not covered.any():
             continue
         pixels = _Pixels.of(gbuffer, covered, material, shading.term)
         coupling = pixels.coupling(material, shading)
-        factor = coupling.left(coupling.mean) if coupling else 1.0
-        entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * factor
+        entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * coupling(None)
         ambient[covered] = pixels.albedo * entered
         for light, source in enumerate(scene.lights):
             visible = gbuffer.visibility[covered][:, light, None] if source.shadow else None
             l, spread, specular[light][covered] = _lit(
                 pixels, material, resolved.terms[index], source, scene, visible
             )
-            factor = coupling.left(coupling.towards(dot(pixels.n, l))) if coupling else 1.0
+            factor = coupling(dot(pixels.n, l))
             diffuse[covered] += pixels.albedo * spread * factor
             entered = entered + spread * factor
         if light_of is not None and albedo_of is not None:
             light_of[covered], albedo_of[covered] = entered, pixels.albedo
-    optional_images = light_of, albedo_of, gbuffer.emission
-    return Layers(ambient, diffuse, specular, environment, *optional_images)
+    return Layers(ambient, diffuse, specular, environment, light_of, albedo_of, gbuffer.emission)
 
 
 def _lit(
@@ -304,8 +289,7 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
         n, v = pixels.n @ turn.T, pixels.v @ turn.T
         irradiance = environment_irradiance(panorama.coefficients, n)
         total = pixels.albedo * pixels.occlusion[:, None] * irradiance
-        if coupling := pixels.coupling(material, shading):
-            total *= coupling.left(coupling.mean)
+        total *= pixels.coupling(material, shading)(None)
         lobes = [(pixels.m, pixels.weight)]
         if pixels.second_m is not None and pixels.lobe_weight is not None:
             first_weight = pixels.lobe_weight * pixels.weight
@@ -317,33 +301,3 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
             total += weight[:, None] * reflected(panorama.map, size, n, v, m, brdf, samples)
         image[covered] = scene.environment.scale * total
     return image
-
-
-@dataclass(frozen=True, eq=False)
-class _Coupling:
-    """Albedos of the specular term, which determine the factor of the coupled diffuse term.
-
-    Attributes
-    ----------
-    lobes : for each lobe a pair (m, weight) of arrays (N,)
-    f0 : Fresnel reflectance of the material at normal incidence
-    camera : (N,) specular albedo in the direction of the camera
-    mean : (N,) mean specular albedo over the hemisphere
-    """
-
-    lobes: list[tuple[Float, Float]]
-    f0: float
-    camera: Float
-    mean: Float
-
-    def towards(self, cosine: Float) -> Float:
-        """Return the specular albedo (N,) in each direction, given its cosine to the normal."""
-        albedos = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
-        return np.asarray(np.sum([*albedos], axis=0))
-
-    def left(self, albedo: Float) -> Float:
-        """Return the factor of the diffuse term for a light, (N, 1).
-
-        albedo : (N,) specular albedo in the direction of the light
-        """
-        return diffuse_coupled(albedo, self.camera, self.mean)[:, None]

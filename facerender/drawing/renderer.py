@@ -8,8 +8,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
-from types import TracebackType
+from dataclasses import replace
 from typing import TYPE_CHECKING, Never
 
 import moderngl
@@ -20,37 +19,28 @@ from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
 from facerender.drawing.metadata import scene_metadata, shading_metadata
-from facerender.drawing.motion import (
-    Rays,
-    check_before,
-    motion_vectors,
-    pixel_centres,
-    triangle_pass,
-)
+from facerender.drawing.motion import check_before, motion_vectors, pixel_centres, triangle_pass
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
 from facerender.drawing.passes.surface import surface_images, surface_pass
 from facerender.drawing.passes.transparency import (
-    PREVIOUS_LAYER,
     BlendedPart,
     blended_area,
     blended_parts,
     with_blended,
 )
-from facerender.drawing.passes.visibility import Visibility, can_defer, deferred_is_cheaper
+from facerender.drawing.passes.visibility import (
+    Visibility,
+    can_defer,
+    deferred,
+    deferred_is_cheaper,
+)
 from facerender.drawing.prepare import check_memory, cut_out, reduced, simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP
 from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.drawing.resources import Resources, read
-from facerender.errors import (
-    ContextError,
-    InputError,
-    check_switch,
-    check_type,
-    clipped,
-    warn,
-)
+from facerender.errors import ContextError, InputError, check_switch, check_type, clipped, warn
 from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
@@ -83,16 +73,6 @@ if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
-_GBUFFER_SAMPLES = 4  # the G-buffer needs the memory of an image with this number of samples
-
-
-@dataclass(frozen=True)
-class _Image:
-    """Options of one image; see :meth:`Renderer.render`."""
-
-    samples: int
-    only: Only | None = None
-    shading_rate: ShadingRate = "sample"
 
 
 class Renderer:
@@ -170,10 +150,7 @@ class Renderer:
             raise
 
     def _check_size(self) -> None:
-        with self.context.drawing() as gl:
-            limits = gl.info
-        limit = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
-        if max(self.size) > limit:
+        if max(self.size) > (limit := self.context.max_side):
             raise ContextError(
                 f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} allows at most "
                 f"{limit} pixels a side; give a smaller size"
@@ -183,26 +160,12 @@ class Renderer:
     def of(cls, job: Job, backend: Backend = "auto", memory: float | None = None) -> Renderer:
         """Return a renderer for the image settings of a job; see :class:`Renderer`."""
         check_type("job", job, Job, "a facerender.Job")
-        return cls(
-            job.image.size,
-            samples=job.image.samples,
-            backend=backend,
-            anisotropy=job.image.anisotropy,
-            float_albedo=job.image.float_albedo,
-            full_maps=job.image.full_maps,
-            alpha_threshold=job.image.alpha_threshold,
-            memory=memory,
-        )
+        return cls(**vars(job.image), backend=backend, memory=memory)
 
     def __enter__(self) -> Renderer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.release()
 
     def release(self) -> None:
@@ -279,7 +242,7 @@ class Renderer:
             simplify(scene, shading), samples
         ):
             shading_rate = "sample"
-        linear, resolved = self._radiance(scene, shading, _Image(samples, only, shading_rate))
+        linear, resolved = self._radiance(scene, shading, samples, only, shading_rate)
         _check(linear, scene)
         emit_all(resolved.scene.mesh)
         metadata = scene_metadata(scene, shading, self.albedo_kind)
@@ -289,35 +252,38 @@ class Renderer:
         return Frame(linear, only, scene.background is None, metadata)
 
     def _radiance(
-        self, scene: Scene, shading: Shading, image: _Image
+        self,
+        scene: Scene,
+        shading: Shading,
+        samples: int,
+        only: Only | None,
+        shading_rate: ShadingRate,
     ) -> tuple[NDArray[np.float32], ResolvedScene]:
         """Return the linear image of a scene, (H, W, 4), and the resolved scene."""
         view = view_of(scene, self.size[0] / self.size[1])
         if lens := _lens(scene, self.size):
-            wide, drawn = self._of_size(lens.wide), lens.undistorted(scene)
-            linear, resolved = wide._radiance(drawn, shading, image)
+            wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
+            linear, resolved = wide._radiance(flat, shading, samples, only, shading_rate)
             return lens.filtered(linear), resolved
-        resolved = self._resolved(scene, shading, view, image.samples)
-        if image.samples <= self.context.most_samples:
-            return self._shaded(resolved, view, image), resolved
+        resolved = self._resolved(scene, shading, view, samples)
+        if samples <= self.context.most_samples:
+            return self._shaded(resolved, view, samples, only, shading_rate), resolved
         linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
-        single = replace(image, samples=1, shading_rate="sample")
-        for shift in sample_grid(image.samples):
-            linear += self._shaded(resolved, view.shifted(shift, self.size), single)
-        linear /= image.samples
+        for shift in sample_grid(samples):
+            linear += self._shaded(resolved, view.shifted(shift, self.size), 1, only)
+        linear /= samples
         return linear, resolved
 
     def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
         """Return the frame of a G-buffer term or of motion, with one sample per pixel."""
-        drawn = shading if only == "visibility" else shading.replace(shadow_lights=())
+        simpler = shading if only == "visibility" else shading.replace(shadow_lights=())
         if only == "motion":
-            linear = self._motion(scene, drawn)
+            linear = self._motion(scene, simpler)
         else:
-            linear = data_view(self.gbuffer(scene, drawn, blended=False, cut=True), scene, only)
+            linear = data_view(self.gbuffer(scene, simpler, blended=False, cut=True), scene, only)
         _check(linear, scene, self.alpha_threshold)
-        return Frame(
-            linear, only, scene.background is None, self.data_metadata(scene, shading, only)
-        )
+        metadata = self.data_metadata(scene, shading, only)
+        return Frame(linear, only, scene.background is None, metadata)
 
     def data_metadata(self, scene: Scene, shading: Shading, only: Only) -> dict[str, str]:
         """Return the metadata of a data image."""
@@ -336,11 +302,11 @@ class Renderer:
             renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
         view = view_of(flat, renderer.size[0] / renderer.size[1])
         resolved = renderer._cut(renderer._resolved(flat, shading, view, 1))
-        drawn = triangle_pass(resolved, view)
-        (triangles,) = renderer._draw([drawn], resolved.scene)
+        render_pass = triangle_pass(resolved, view)
+        (triangles,) = renderer._draw([render_pass], resolved.scene)
         triangles = lens.nearest_values(triangles) if lens else triangles
-        rays = Rays(view, renderer.size, lens.places if lens else pixel_centres(self.size))
-        return motion_vectors(scene, before, views, drawn, triangles, rays)
+        rays = 2.0 * (lens.places if lens else pixel_centres(self.size)) / renderer.size - 1.0
+        return motion_vectors(scene, before, views, render_pass.draws, triangles, view, rays)
 
     def landmarks(
         self, scene: Scene, landmarks: Landmarks
@@ -377,11 +343,7 @@ class Renderer:
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(
-        self,
-        scene: Scene,
-        shading: Shading = Shading(),
-        blended: bool = True,
-        cut: bool = False,
+        self, scene: Scene, shading: Shading = Shading(), blended: bool = True, cut: bool = False
     ) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
 
@@ -397,10 +359,10 @@ class Renderer:
         check_switch("cut", cut)
         view = view_of(scene, self.size[0] / self.size[1])
         if lens := _lens(scene, self.size):
-            wide = self._of_size(lens.wide)
-            drawn = wide.gbuffer(lens.undistorted(scene), shading, blended, cut)
-            return lens.nearest(drawn, view)
-        original = self._resolved(scene, shading, view, _GBUFFER_SAMPLES)
+            wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
+            return lens.nearest(wide.gbuffer(flat, shading, blended, cut), view)
+        # The G-buffer needs the memory of an image with four samples.
+        original = self._resolved(scene, shading, view, 4)
         resolved = self._cut(original) if cut else original
         with self._layer_lock:
             layers = [
@@ -449,24 +411,24 @@ class Renderer:
         visibility = None if blended_part else self._visibility(scene, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
         refraction = _refraction(scene, view, self.size)
-        surface = surface_pass(resolved, view, visibility, scatters, blended_part, refraction)
-        passes = [visibility.drawn(), surface] if visibility else [surface]
+        surface = surface_pass(resolved, view, scatters, blended_part, refraction)
+        passes = deferred(visibility, surface)
         if refraction:
             passes = [*refraction.passes(resolved), *passes]
             passes = with_shadows(resolved, view, self.size, passes)
         textures: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
             prior_target = self._sized(replace(surface.target, number=1 - surface.target.number))
-            textures[PREVIOUS_LAYER] = self._resources.targets[prior_target].color_attachments[-1]  # type: ignore[assignment]
+            attachments = self._resources.targets[prior_target].color_attachments
+            textures["previous_layer"] = attachments[-1]  # type: ignore[assignment]
         names = surface_images(scene, blended_part is not None)
         images = dict(zip(names, self._draw(passes, scene, textures), strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if number := len(lighting.shadowed):
-            light_pass = light_visibility_pass(resolved, view, visibility, blended_part)
-            light_passes = [visibility.drawn(), light_pass] if visibility else [light_pass]
-            passes = with_shadows(casting or resolved, view, self.size, light_passes)
+            passes = deferred(visibility, light_visibility_pass(resolved, view, blended_part))
+            passes = with_shadows(casting or resolved, view, self.size, passes)
             fractions = self._draw(passes, scene, textures)
             visibilities[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
         material = scene.mesh.materials[blended_part.part] if blended_part else None
@@ -504,22 +466,24 @@ class Renderer:
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         return ResolvedScene(scene, shading, Lighting.of(scene, shading))
 
-    def _shaded(self, resolved: ResolvedScene, view: View, image: _Image) -> NDArray[np.float32]:
-        """Draw an image of a view; ``image.samples`` must not exceed the driver's limit."""
-        scene, samples, only = resolved.scene, image.samples, image.only
-        visibility = self._visibility(scene, view, samples, image.shading_rate)
+    def _shaded(
+        self,
+        resolved: ResolvedScene,
+        view: View,
+        samples: int,
+        only: Only | None = None,
+        shading_rate: ShadingRate = "sample",
+    ) -> NDArray[np.float32]:
+        """Draw an image of a view; `samples` must not exceed the driver's limit."""
+        scene = resolved.scene
+        visibility = self._visibility(scene, view, samples, shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
         refraction = None if only else _refraction(scene, view, self.size)
         # One sample: the shading pass also draws the inputs of scattering. Several samples may show
         # different points: another pass draws the inputs at the pixels' centres.
         inputs = scattering if samples == 1 else None
         forward = shade_pass(resolved, view, samples, only, inputs, refraction=refraction)
-        shaded = visibility.shaded(forward) if visibility else forward
-        if scattering and not inputs:
-            draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
-            target = replace(shaded.target, sampled=True)
-            shaded = replace(shaded, name="image", target=target, draws=draws)
-        passes = [visibility.drawn(), shaded] if visibility else [shaded]
+        passes = deferred(visibility, forward)
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
@@ -528,9 +492,12 @@ class Renderer:
                 background = scene.background if only is None else None
                 mesh_area = visibility.area if visibility else None
             else:
-                centres = self._visibility(scene, view, 1)
+                image = passes.pop()
+                draws = tuple(draw for draw in image.draws if draw.depth != "blend")
+                target = replace(image.target, sampled=True)
+                passes.append(replace(image, name="image", target=target, draws=draws))
                 light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
-                passes += [centres.drawn(), centres.shaded(light)] if centres else [light]
+                passes += deferred(self._visibility(scene, view, 1), light)
             count = resolved.shading.scatter_samples
             passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
         blended = blended_area(scene, view, self.size)
@@ -609,18 +576,17 @@ class Renderer:
             if scene.environment is not None:
                 textures[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
             for step in passes:
-                if (sized_target := self._sized(step.target)) is not step.target:
-                    step = replace(step, target=sized_target)
+                if (sized := self._sized(step.target)) is not step.target:
+                    step = replace(step, target=sized)
                 target = self._resources.draw(step, scene.mesh, textures)
-                kind = step.target
-                if kind.samples > 1 and kind.values == "color" and kind.resolved:
-                    single = self._resources.target(replace(step.target, samples=1))
+                if sized.samples > 1 and sized.values == "color" and sized.resolved:
+                    single = self._resources.target(replace(sized, samples=1))
                     gl.copy_framebuffer(single, target)
                     target = single
-                if step.target.sampled:
+                if sized.sampled:
                     names = (step.name, *step.others)
                     textures |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
-            return [read(target, index) for index in range(step.target.colors)]
+            return [read(target, index) for index in range(sized.colors)]
 
 
 def _free(context: Context, resources: Resources) -> None:
@@ -646,8 +612,11 @@ def _free_dropped(context: Context, resources: Resources) -> None:
         _free(context, resources)
 
 
+# The next three functions import their modules only if a scene needs them.
+
+
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
-    """Return the scattering of a scene, or None. The module is imported only if needed."""
+    """Return the scattering of a scene, or None."""
     if not any(material.scattering for material in scene.mesh.materials):
         return None
     from facerender.scenes.scattering import scattering_of
@@ -656,7 +625,7 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
 
 
 def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction | None:
-    """Return the refraction of a scene, or None. The module is imported only if needed."""
+    """Return the refraction of a scene, or None."""
     if not any(material.refracts for material in scene.mesh.materials):
         return None
     from facerender.drawing.passes.refraction import Refraction
@@ -665,8 +634,7 @@ def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction |
 
 
 def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
-    """Return the lens of a scene's camera, or None without distortion. The module is imported only
-    if needed."""
+    """Return the lens of a scene's camera, or None without distortion."""
     if scene.camera.distortion is None:
         return None
     from facerender.drawing.lens import lens_of

@@ -9,32 +9,25 @@ material's m if the shading's term has a constant m. ``Term.slope`` resolves m f
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
 
 from facerender.drawing.prepare import simplify
-from facerender.scenes.light import LIGHT_KINDS, Light, LightSpace, disc_of, light_space
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part, slope_range
+from facerender.scenes.light import Light, LightSpace, disc_of, light_space
+from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
-from facerender.terms.slope_variance import (
-    slope_filtered,
-    slope_variance_disc,
-    slope_variance_map,
-)
+from facerender.terms.slope_variance import slope_filtered, slope_variance_disc, slope_variance_map
 
 
 @dataclass(frozen=True)
 class LightGroup:
     """Lights of one kind, all with or all without a specular term and a shadow.
 
-    Attributes
-    ----------
     kind : see ``scenes.light.LIGHT_KINDS``
     specular : whether the lights have a specular term
     count : number of lights, at least one
@@ -54,8 +47,6 @@ class Lighting:
     Lights are sorted by kind, then by term (lights without a term last), then by shadow (lights
     without shadows first).
 
-    Attributes
-    ----------
     order : for each sorted light, its index in the scene
     lights : the sorted lights
     groups : groups of the sorted lights
@@ -68,17 +59,16 @@ class Lighting:
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
         """Sort the lights of a scene."""
-        sorted_: dict[tuple[str, bool, bool], list[int]] = {
-            key: [] for key in product(sorted(LIGHT_KINDS), (True, False), (False, True))
-        }
-        for index, light in enumerate(scene.lights):
-            sorted_[light.kind.name, shading.shines(index), light.shadow].append(index)
+        keys = [
+            (light.kind.name, not shading.shines(index), light.shadow)
+            for index, light in enumerate(scene.lights)
+        ]
         groups, maps = [], 0
-        for (kind, specular, shadow), indices in sorted_.items():
-            if indices:
-                groups.append(LightGroup(kind, specular, len(indices), maps if shadow else None))
-                maps += len(indices) * shadow
-        order = tuple(index for indices in sorted_.values() for index in indices)
+        for key, count in sorted(Counter(keys).items()):
+            kind, without_term, shadow = key
+            groups.append(LightGroup(kind, not without_term, count, maps if shadow else None))
+            maps += count * shadow
+        order = tuple(sorted(range(len(keys)), key=keys.__getitem__))
         return cls(order, tuple(scene.lights[index] for index in order), tuple(groups))
 
     @property
@@ -100,34 +90,14 @@ class Lighting:
     def uniforms(self, mesh: Mesh) -> dict[str, Any]:
         """Return the uniforms of all lights: arrays keyed by name."""
         arrays: dict[str, Any] = {}
-        for name in dict.fromkeys(group.kind for group in self.groups):
-            kind = LIGHT_KINDS[name]
-            lights = [light for light in self.lights if light.kind is kind]
-            arrays |= kind.uniforms(lights, mesh)
+        for kind in dict.fromkeys(light.kind for light in self.lights):
+            arrays |= kind.uniforms([light for light in self.lights if light.kind is kind], mesh)
         if spaces := self.spaces(mesh):
             arrays["shadow_view"] = np.array([space.matrix for space in spaces])
             arrays["shadow_size"] = np.array(
                 [(space.tan_radius, space.top, space.scale) for space in spaces]
             )
         return arrays
-
-
-@dataclass(frozen=True, eq=False)
-class ResolvedPart:
-    """A part of a mesh with the specular term of the lights.
-
-    Attributes
-    ----------
-    part, material : part of the mesh and its material
-    smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
-    term : specular term of the lights. If m lies outside the domain of the lobe, the term has the
-        exact lobe instead. None if the specular term is left out
-    """
-
-    part: Part
-    material: Material
-    smallest_m: float
-    term: Term | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +112,8 @@ class ResolvedScene:
     def slopes(self) -> list[tuple[float, float]]:
         """The smallest and the largest m of each part. A constant m of the term replaces both.
 
-        The largest m includes the largest amounts that slope filter and area lights add.
-
-        Raises
-        ------
-        InputError : a light is too near to the mesh for its radius
+        The largest m includes the largest amounts that slope filter and area lights add. Raises
+        InputError if a light is too near to the mesh for its radius.
         """
         scene, shading = self.scene, self.shading
         discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
@@ -166,25 +133,9 @@ class ResolvedScene:
     @cached_property
     def terms(self) -> list[Term]:
         """The term of each part, with the exact lobe if the shading's lobe forbids the part's m.
-
-        Raises
-        ------
-        InputError : m lies outside the lobe's domain, and ``shading.outside`` is "error"
-        """
+        Raises InputError instead if ``shading.outside`` is "error"."""
         shading = self.shading
         return [shading.term.for_slopes(*limits, shading.outside) for limits in self.slopes]
-
-    def parts(self, specular: bool = True) -> list[ResolvedPart]:
-        """Return the parts with their terms. For errors see :attr:`terms`.
-
-        specular : false to leave out the specular term and the check of m
-        """
-        mesh = self.scene.mesh
-        count = len(mesh.parts)
-        smallest = [low for low, _ in self.slopes] if specular else [0.0] * count
-        terms = self.terms if specular and self.lighting.shining else [None] * count
-        columns = mesh.parts, mesh.materials, smallest, terms
-        return [ResolvedPart(*row) for row in zip(*columns, strict=True)]
 
 
 def resolve(scene: Scene, shading: Shading) -> ResolvedScene:

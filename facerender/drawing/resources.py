@@ -4,10 +4,9 @@ with these objects."""
 from __future__ import annotations
 
 import ctypes
-import math
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import prod
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -20,8 +19,6 @@ from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import (
     IN_ROW,
-    SELECTED_TRIANGLES,
-    TRIANGLE_TABLE,
     Program,
     fixed_attributes,
     table_attributes,
@@ -44,21 +41,16 @@ _STEP = 64  # pixels by which a target grows
 
 _TEXTURE_2D = 0x0DE1
 _FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER = 0x8D40, 0x8D00, 0x8D41
-_SRGB8_ALPHA8 = 0x8C43
-_RGB8 = 0x8051
-_RGBA8 = 0x8058
-_RGBA16F = 0x881A
-_RGB, _RGBA = 0x1907, 0x1908
-_UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
 _WRAP_AXES = (0x2802, 0x2803)
 _WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
-_TO_COVERAGE = (0x809E, 0x809F)  # SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE
+# SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE, for draws with the feature TO_COVERAGE.
+_TO_COVERAGE = (0x809E, 0x809F)
 # Keyed by kind of mip chain: internal format, components, format, type, type name in moderngl.
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
-    "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
-    "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
-    "normal": (_RGBA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
-    "data": (_RGB8, 3, _RGB, _UNSIGNED_BYTE, "f1"),
+    "color": (0x8C43, 4, 0x1908, 0x1401, "f1"),  # SRGB8_ALPHA8, RGBA, UNSIGNED_BYTE
+    "linear-color": (0x881A, 4, 0x1908, 0x140B, "f2"),  # RGBA16F, RGBA, HALF_FLOAT
+    "normal": (0x8058, 4, 0x1908, 0x1401, "f1"),  # RGBA8, RGBA, UNSIGNED_BYTE
+    "data": (0x8051, 3, 0x1907, 0x1401, "f1"),  # RGB8, RGB, UNSIGNED_BYTE
 }
 
 
@@ -66,15 +58,13 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 class Geometry:
     """The geometry of a part on the GPU. All poses of a part share one geometry.
 
-    Attributes
-    ----------
     setup : vertices of the pose that the GPU holds
     moving : positions and normals, which change with the pose
     fixed : interleaved further vertex attributes; None if there are none
     widths : number of components of each fixed attribute, keyed by attribute name
     indices : vertex indices of the triangles
-    arrays : cache of vertex arrays, keyed by program
-    chosen : vertex indices of the triangles that a draw chooses, and its vertex arrays
+    chosen : vertex indices of the triangles that a draw chooses; None before its first use
+    arrays : cache of vertex arrays, keyed by program and whether they read `chosen`
     table : triangle table of the pose; None before its first use
     """
 
@@ -83,8 +73,8 @@ class Geometry:
     fixed: moderngl.Buffer | None
     widths: Mapping[str, int]
     indices: moderngl.Buffer
-    arrays: dict[moderngl.Program, moderngl.VertexArray] = field(default_factory=dict)
-    chosen: tuple[moderngl.Buffer, dict[moderngl.Program, moderngl.VertexArray]] | None = None
+    chosen: moderngl.Buffer | None = None
+    arrays: dict[tuple[moderngl.Program, bool], moderngl.VertexArray] = field(default_factory=dict)
     table: TriangleTable | None = None
 
     @classmethod
@@ -99,16 +89,8 @@ class Geometry:
         moving = gl.buffer(setup.vertices, dynamic=True)
         return cls(setup, moving, fixed, widths, gl.buffer(setup.faces))
 
-    def show(self, setup: TriangleSetup) -> None:
-        """Upload the vertices of another pose, or of another centre or radius of the mesh."""
-        self.moving.write(setup.vertices)
-        self.setup = setup
-
     def draw(
-        self,
-        gl: moderngl.Context,
-        program: moderngl.Program,
-        faces: NDArray[np.uint32] | None,
+        self, gl: moderngl.Context, program: moderngl.Program, faces: NDArray[np.uint32] | None
     ) -> None:
         """Draw the triangles with a program.
 
@@ -118,24 +100,17 @@ class Geometry:
             self.array(gl, program).render()
             return
         if self.chosen is None:
-            self.chosen = gl.buffer(reserve=self.indices.size, dynamic=True), {}
-        indices, arrays = self.chosen
-        indices.write(faces)
-        self._array(gl, program, indices, arrays).render(vertices=faces.size)
+            self.chosen = gl.buffer(reserve=self.indices.size, dynamic=True)
+        self.chosen.write(faces)
+        self.array(gl, program, self.chosen).render(vertices=faces.size)
 
-    def array(self, gl: moderngl.Context, program: moderngl.Program) -> moderngl.VertexArray:
-        """Return the vertex array that a program reads, from the cache."""
-        return self._array(gl, program, self.indices, self.arrays)
-
-    def _array(
-        self,
-        gl: moderngl.Context,
-        program: moderngl.Program,
-        indices: moderngl.Buffer,
-        arrays: dict[moderngl.Program, moderngl.VertexArray],
+    def array(
+        self, gl: moderngl.Context, program: moderngl.Program, chosen: moderngl.Buffer | None = None
     ) -> moderngl.VertexArray:
-        if program in arrays:
-            return arrays[program]
+        """Return the vertex array that a program reads, from the cache."""
+        key = program, chosen is not None
+        if key in self.arrays:
+            return self.arrays[key]
         content = []
         moving = {"in_position": 3, "in_normal": 3}
         for buffer, widths in ((self.moving, moving), (self.fixed, self.widths)):
@@ -145,32 +120,22 @@ class Geometry:
             )
             if used:
                 content.append((buffer, layout, *used))
-        arrays[program] = gl.vertex_array(program, content, indices)
-        return arrays[program]
-
-    def forget(self, program: moderngl.Program) -> None:
-        """Drop the vertex arrays of a program."""
-        self.arrays.pop(program, None)
-        if self.chosen is not None:
-            self.chosen[1].pop(program, None)
+        self.arrays[key] = gl.vertex_array(program, content, chosen or self.indices)
+        return self.arrays[key]
 
 
 @dataclass(eq=False)
 class TriangleTable:
     """The triangle table of a part, which ``shaders/host/triangle_table.frag`` draws.
 
-    Attributes
-    ----------
-    setup : vertices of the pose that the table holds
-    vertices, attributes, faces : textures that the shader reads
+    setup : vertices of the pose that the table holds; None for an empty table
+    inputs : textures that the shader reads: "vertices", "attributes" and "faces"
     texels : the table, IN_ROW triangles in a row
     target : framebuffer that draws the table
     """
 
     setup: TriangleSetup | None
-    vertices: moderngl.Texture
-    attributes: moderngl.Texture
-    faces: moderngl.Texture
+    inputs: Mapping[str, moderngl.Texture]
     texels: moderngl.Texture
     target: moderngl.Framebuffer
 
@@ -184,7 +149,8 @@ class TriangleTable:
         texels = _empty(gl, len(part.faces), table_texels(part), 4)
         _fill(fixed, attributes)
         _fill(faces, np.asarray(part.faces, dtype=np.int32))
-        return cls(None, vertices, fixed, faces, texels, gl.framebuffer([texels]))
+        inputs = {"vertices": vertices, "attributes": fixed, "faces": faces}
+        return cls(None, inputs, texels, gl.framebuffer([texels]))
 
 
 def _empty(
@@ -213,8 +179,6 @@ def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
 class Resources:
     """Cache of the GPU objects of one context, for frames of one size.
 
-    Attributes
-    ----------
     context, size, anisotropy : see :class:`facerender.Renderer`
     albedo_kind : kind of mip chain of albedo maps: "color" or "linear-color"
     """
@@ -263,7 +227,8 @@ class Resources:
             program = self.programs.pop(source)
             self.screen_arrays.pop(program, None)
             for geometry in self.geometries.values():
-                geometry.forget(program)
+                for chosen in (False, True):
+                    geometry.arrays.pop((program, chosen), None)
         self._frame_programs.clear()
         self.context.gl.gc()
         if not self._settled:
@@ -276,16 +241,10 @@ class Resources:
     def draw(
         self, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
     ) -> moderngl.Framebuffer:
-        """Draw a pass into its target, and return the target.
+        """Draw a pass into its target, and return the target. Raises InputError if a map is damaged
+        or too large, and ContextError if the driver refuses a target or a program.
 
-        Parameters
-        ----------
         textures : keyed by uniform name, such as the images of earlier passes
-
-        Raises
-        ------
-        InputError : a map is damaged or too large
-        ContextError : the driver refuses a target or a program
         """
         target = self.target(step.target, step.area)
         key = self.images_held.pop(step.target, None)
@@ -299,44 +258,37 @@ class Resources:
             self._prepare(target, step)  # an error in an earlier draw may have left another state
             target.depth_mask = step.target.depth_of is None
             target.clear(*step.clear, viewport=step.area)
+            gl = self.context.gl
             for draw in step.draws:
                 self._prepare(target, step, draw)
-                self._switch(step, draw)
-                features = draw.program.features
-                with self._to_coverage(any(name.startswith("TO_COVERAGE") for name in features)):
+                masks = any(name.startswith("TO_COVERAGE") for name in draw.program.features)
+                for capability in _TO_COVERAGE * masks:
+                    gl.enable_direct(capability)
+                try:
                     self._draw(draw, step, mesh, textures)
+                finally:
+                    for capability in _TO_COVERAGE * masks:
+                        gl.disable_direct(capability)
         self.images_held[step.target] = step.key
         return target
 
     def _prepare(self, target: moderngl.Framebuffer, step: Pass, draw: Draw | None = None) -> None:
-        """Set write masks, viewport and depth test for a draw, or for a clear if `draw` is None."""
-        depth = draw.depth if draw else "test"
+        """Set write masks, viewport, depth test, blending and culling for a draw, or for a clear if
+        `draw` is None."""
+        gl, depth = self.context.gl, draw.depth if draw else "test"
         colors, count = (depth not in ("mark", "hide"),) * 4, len(target.color_attachments)
         target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
         target.depth_mask = depth not in ("marked", "blend")
         target.viewport = (draw and draw.area) or (0, 0, *(step.target.size or self.size))
         target.use()  # applies the masks and the viewport
-        self.context.gl.depth_func = {"mark": "1", "marked": "=="}.get(depth, "<=")
-
-    def _switch(self, step: Pass, draw: Draw) -> None:
-        """Set blending and face culling for a draw."""
-        gl, blended = self.context.gl, draw.depth == "blend"
+        gl.depth_func = {"mark": "1", "marked": "=="}.get(depth, "<=")
+        if draw is None:
+            return
+        blended = depth == "blend"
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or blended)
         gl.enable_only(enabled | moderngl.CULL_FACE * (draw.double_sided is False))
         gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if blended else moderngl.ONE
         gl.cull_face = "front"  # the image is drawn upside down, so front and back swap
-
-    @contextmanager
-    def _to_coverage(self, on: bool) -> Iterator[None]:
-        """If `on`, convert alpha to sample coverage and replace alpha by 1 in the with block."""
-        gl = self.context.gl
-        for capability in _TO_COVERAGE * on:
-            gl.enable_direct(capability)
-        try:
-            yield
-        finally:
-            for capability in _TO_COVERAGE * on:
-                gl.disable_direct(capability)
 
     def _draw(
         self, draw: Draw, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
@@ -357,25 +309,23 @@ class Resources:
     ) -> None:
         """Bind the material's maps, the triangle table and the scene's textures to the uniforms of
         a program."""
-        textures = dict(textures)
-        if draw.part is not None and draw.material is not None:
+        textures, part = dict(textures), draw.part
+        if part is not None and draw.material is not None:
             filtered = "SLOPE_FILTER" in draw.program.features
-            maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
-            for name, source, kind in maps:
+            for name, source, kind in part_maps(part, draw.material, self.albedo_kind, filtered):
                 if program.get(name, None):
-                    map_ = self.texture(name, source, kind)  # before use(): uploads bind unit 0
-                    textures[name] = map_
-        if draw.part is not None and draw.depth == "marked":
-            table = self.geometries[draw.part.root].table
+                    textures[name] = self.texture(name, source, kind)  # uploads bind unit 0
+        if part is not None and draw.depth == "marked":
+            table = self.geometries[part.root].table
             assert table is not None
-            textures[TRIANGLE_TABLE] = table.texels
-        if draw.order is not None and program.get(SELECTED_TRIANGLES, None):
-            assert draw.part is not None
-            textures[SELECTED_TRIANGLES] = self._selected(draw.part, draw.order)
-        used = [binding for binding in textures.items() if program.get(binding[0], None)]
-        for unit, (name, texture) in enumerate(used):
-            texture.use(unit)
-            set_uniforms(program, {name: unit})
+            textures["triangle_table"] = table.texels
+        if draw.order is not None and program.get("selected_triangles", None):
+            assert part is not None
+            if part.root not in self.selected:
+                self.selected[part.root] = _empty(self.context.gl, len(part.faces), 1, 1)
+            textures["selected_triangles"] = self.selected[part.root]
+            _fill(self.selected[part.root], draw.order.astype(np.float32))
+        _use(program, textures)
 
     def take_coarse(self, mesh: Mesh, slope_filter: bool) -> None:
         """Decode and upload the reduced maps of a mesh (``Texture.coarse``), one after another.
@@ -384,21 +334,19 @@ class Resources:
         programs, and the maps whose decoding needs most memory come first. Among equal kinds the
         smallest maps come first, because an image is decoded again for each part that uses it.
         """
-        maps = {
-            map_: None
+        maps = dict.fromkeys(
+            map_
             for part, material in zip(mesh.parts, mesh.materials, strict=True)
             for map_ in part_maps(part, material, self.albedo_kind, slope_filter)
             if map_[1].coarse
-        }
+        )
         if not maps:
             return
-        costly: tuple[Kind, ...] = ("normal", "color", "data")
+        costs = ("normal", "color", "data")
         with self.context.drawing() as gl:
             gl.gc()
-            for name, source, kind in sorted(
-                maps, key=lambda map_: (costly.index(map_[2]), math.prod(map_[1].size))
-            ):
-                self.texture(name, source, kind)
+            for map_ in sorted(maps, key=lambda map_: (costs.index(map_[2]), prod(map_[1].size))):
+                self.texture(*map_)
 
     def target(self, kind: Target, area: Area | None = None) -> moderngl.Framebuffer:
         """Return the framebuffer of a target, created on first use.
@@ -414,39 +362,35 @@ class Resources:
             if size != minimum:
                 self.targets.pop(kind, None)
                 gl.gc()
-        if kind not in self.targets:
-            self._settled = False
-            samples = kind.samples if kind.samples > 1 else 0
-            try:
-                components = 1 if kind.values == "number" else 4
-                resolved = samples and kind.values == "color" and kind.resolved
-                make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
-                colors: list[Any] = [
-                    make(size, components, samples=samples, dtype="f4") for _ in range(kind.colors)
-                ]
-                if kind.sampled and not samples:
-                    for color in colors:
-                        color.filter = moderngl.NEAREST, moderngl.NEAREST
-                if kind.depth_of is None:
-                    target = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
-                else:
-                    target = gl.framebuffer(colors)
-                    self._share_depth(self.target(kind.depth_of), target)
-                self.targets[kind] = target
-                self.scopes[kind] = gl.scope(self.targets[kind])
-            except moderngl.Error as error:
-                raise ContextError(
-                    f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "
-                    f"{kind.samples} samples ({error}); lower the size or the samples"
-                ) from None
-        return self.targets[kind]
-
-    def _share_depth(self, source: moderngl.Framebuffer, target: moderngl.Framebuffer) -> None:
-        """Attach a framebuffer's depth buffer to a smaller framebuffer, which moderngl refuses."""
-        depth: Any = source.depth_attachment
-        attach = self.context.function("glFramebufferRenderbuffer", *[ctypes.c_uint] * 4)
-        target.use()
-        attach(_FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER, depth.glo)
+        if kind in self.targets:
+            return self.targets[kind]
+        self._settled = False
+        samples = kind.samples if kind.samples > 1 else 0
+        try:
+            components = 1 if kind.values == "number" else 4
+            resolved = samples and kind.values == "color" and kind.resolved
+            make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
+            colors: list[Any] = [
+                make(size, components, samples=samples, dtype="f4") for _ in range(kind.colors)
+            ]
+            if kind.sampled and not samples:
+                for color in colors:
+                    color.filter = moderngl.NEAREST, moderngl.NEAREST
+            if kind.depth_of is None:
+                target = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
+            else:  # moderngl refuses the depth buffer of a larger framebuffer
+                depth: Any = self.target(kind.depth_of).depth_attachment
+                attach = self.context.function("glFramebufferRenderbuffer", *[ctypes.c_uint] * 4)
+                target = gl.framebuffer(colors)
+                target.use()
+                attach(_FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER, depth.glo)
+            self.targets[kind], self.scopes[kind] = target, gl.scope(target)
+        except moderngl.Error as error:
+            raise ContextError(
+                f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "
+                f"{kind.samples} samples ({error}); lower the size or the samples"
+            ) from None
+        return target
 
     def program(self, source: Program) -> moderngl.Program:
         """Return the compiled program from the cache, or compile it. The cache is limited by
@@ -475,7 +419,8 @@ class Resources:
         if geometry is None:
             geometry = self.geometries[root] = Geometry.of(self.context.gl, root, setup)
         elif geometry.setup is not setup:
-            geometry.show(setup)
+            geometry.moving.write(setup.vertices)
+            geometry.setup = setup
         return geometry
 
     def _draw_table(self, part: Part, mesh: Mesh) -> None:
@@ -487,15 +432,11 @@ class Resources:
         table = geometry.table
         if table.setup is geometry.setup:
             return
-        _fill(table.vertices, geometry.setup.vertices)
-        columns = table.attributes.width // IN_ROW
+        _fill(table.inputs["vertices"], geometry.setup.vertices)
+        columns = table.inputs["attributes"].width // IN_ROW
         macros = *table_features(part), f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
-        inputs = {"vertices": table.vertices, "attributes": table.attributes, "faces": table.faces}
-        for unit, (name, texture) in enumerate(inputs.items()):
-            if program.get(name, None):
-                texture.use(unit)
-                set_uniforms(program, {name: unit})
+        _use(program, table.inputs)
         table.target.use()
         gl.enable_only(moderngl.NOTHING)
         self._screen(program).render(vertices=3)
@@ -506,14 +447,6 @@ class Resources:
         if program not in self.screen_arrays:
             self.screen_arrays[program] = self.context.gl.vertex_array(program, [])
         return self.screen_arrays[program]
-
-    def _selected(self, part: Part, order: NDArray[np.int64]) -> moderngl.Texture:
-        """Return a texture of triangle indices, IN_ROW in a row."""
-        root = part.root
-        if root not in self.selected:
-            self.selected[root] = _empty(self.context.gl, len(part.faces), 1, 1)
-        _fill(self.selected[root], order.astype(np.float32))
-        return self.selected[root]
 
     def panorama(self, source: Panorama) -> moderngl.Texture:
         """Return the texture of a panorama, which is uploaded on first use."""
@@ -597,6 +530,14 @@ def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float3
     pixels = np.empty((target.height, target.width, 4), dtype=np.float32)
     target.read_into(pixels, components=4, attachment=attachment, dtype="f4")
     return pixels
+
+
+def _use(program: moderngl.Program, textures: Mapping[str, moderngl.Texture]) -> None:
+    """Bind textures to the uniforms that the compiler has not removed from a program."""
+    used = [binding for binding in textures.items() if program.get(binding[0], None)]
+    for unit, (name, texture) in enumerate(used):
+        texture.use(unit)
+        set_uniforms(program, {name: unit})
 
 
 def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:

@@ -23,25 +23,20 @@ Floats = NDArray[np.floating[Any]]
 class Area(NamedTuple):
     """A rectangle of an image: left column, lowest row, width and height in pixels."""
 
-    left: int
-    low: int
-    width: int
-    height: int
+    left: int = 0
+    low: int = 0
+    width: int = 0
+    height: int = 0
 
     @property
     def empty(self) -> bool:
         return not (self.width and self.height)
 
 
-NO_AREA = Area(0, 0, 0, 0)
-
-
 @dataclass(frozen=True, eq=False)
 class TriangleSetup:
     """The triangles of a part.
 
-    Attributes
-    ----------
     space : centre and radius of the mesh, which place the vertices in the renderer's space
     vertices : (N, 6) float32, vertex positions in the renderer's space, and normals
     faces : (F, 3) uint32, indices of vertices
@@ -104,7 +99,7 @@ class TriangleSetup:
 
 def around(areas: Sequence[Area]) -> Area:
     """Return the bounds of several areas. Empty areas are ignored."""
-    non_empty = [area for area in areas if not area.empty] or [NO_AREA]
+    non_empty = [area for area in areas if not area.empty] or [Area()]
     left, low = min(area.left for area in non_empty), min(area.low for area in non_empty)
     right = max(area.left + area.width for area in non_empty)
     return Area(left, low, right - left, max(area.low + area.height for area in non_empty) - low)

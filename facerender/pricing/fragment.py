@@ -25,7 +25,7 @@ from facerender.drawing.program import (
     scene_uniforms,
     shade_program,
 )
-from facerender.drawing.resolve import Lighting, ResolvedPart, ResolvedScene
+from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.drawing.resources import Resources, set_uniforms
 from facerender.pricing.cost import clock_of, slopes
 from facerender.pricing.interval import Interval
@@ -105,8 +105,8 @@ def program_of(
     if coupled:
         chosen = chosen.replace(diffuse="coupled")
     chosen = chosen.replace(environment_samples=environment_samples)
-    resolved_part = ResolvedPart(part, material, SLOPE, shading.term if shading else None)
-    program = shade_program(ResolvedScene(scene, chosen, lighting), resolved_part)
+    resolved, term = ResolvedScene(scene, chosen, lighting), shading.term if shading else None
+    program = shade_program(resolved, part, material, term, SLOPE)
     return replace(program, call=stub) if stub else program
 
 

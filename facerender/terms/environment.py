@@ -17,13 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.terms.lobe import check_slope
 from facerender.terms.masking import MIN_COSINE
-from facerender.terms.model import (
-    K_COOK_TORRANCE,
-    checked_unit,
-    cook_torrance,
-    dot,
-    ward,
-)
+from facerender.terms.model import K_COOK_TORRANCE, checked_unit, cook_torrance, dot, ward
 
 Float = NDArray[np.float64]
 
@@ -116,13 +110,7 @@ def environment_cook_torrance(
 
 
 def environment_ward(
-    map: ArrayLike,
-    size: int,
-    n: ArrayLike,
-    v: ArrayLike,
-    m: ArrayLike,
-    *,
-    samples: int = SAMPLES,
+    map: ArrayLike, size: int, n: ArrayLike, v: ArrayLike, m: ArrayLike, *, samples: int = SAMPLES
 ) -> Float:
     """Return the environment light (..., 3) that Ward's BRDF with the exact lobe reflects.
 

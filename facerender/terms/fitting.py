@@ -31,10 +31,9 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
     best = np.array([_steepness(k, g, m) for m in slopes])
     # Least squares minimise the relative error of steepness = factor/m² - offset.
     terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
-    columns = 2 if len(slopes) > 1 else 1
-    relative = terms[:, :columns] / best[:, None]
+    relative = terms[:, : len(slopes)] / best[:, None]  # one m determines no offset
     solution = np.linalg.lstsq(relative, np.ones(len(slopes)), rcond=None)[0]
-    factor, offset = solution if columns == 2 else (solution[0], 0.0)
+    factor, offset = (*solution, 0.0)[:2]
     lobe = GPower(g, float(factor), float(offset))
     return lobe if lobes.in_domain([smallest, largest], lobe, k).all() else None
 

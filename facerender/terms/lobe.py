@@ -289,15 +289,8 @@ def exact(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     """Approximate E/c^k by c^n, n = 2/m² - k.
 
-    Parameters
-    ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
-    k : 4 for Cook-Torrance, 0 for Ward
-
-    Raises
-    ------
-    InputError : c or m is outside its domain
+    m is in [1e-4, sqrt(2/k)), at most 2. For the other parameters and the exceptions see
+    :func:`exact`.
 
     References: Romanyuk et al. (2020), section 3.
     """
@@ -354,15 +347,8 @@ def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     The error is at most 0.19 % of the peak for Cook-Torrance and 0.13 % for Ward, at all angles and
     slopes of the domain.
 
-    Parameters
-    ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : RMS slope, in [1e-4, 0.7] for Cook-Torrance, in [1e-4, 1] for Ward; broadcasts with c
-    k : 4 for Cook-Torrance, 0 for Ward
-
-    Raises
-    ------
-    InputError : c or m is outside its domain
+    m is in [1e-4, 0.7] for Cook-Torrance, in [1e-4, 1] for Ward. For the other parameters and the
+    exceptions see :func:`exact`.
 
     References: Lyon (1993) for the clamped power. ``tools/fits/lobes.py`` computes the constants.
     """

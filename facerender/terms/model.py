@@ -183,12 +183,7 @@ def cook_torrance_two(
 
 
 def ward(
-    n: ArrayLike,
-    l: ArrayLike,
-    v: ArrayLike,
-    m: ArrayLike,
-    *,
-    lobe: AnyLobe = "exact",
+    n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, *, lobe: AnyLobe = "exact"
 ) -> Float:
     """Return Ward's isotropic specular BRDF E/(4 π m² sqrt((N.L)(N.V))), in 1/sr.
 
@@ -203,12 +198,7 @@ def ward(
 
 
 def ward_printed(
-    n: ArrayLike,
-    l: ArrayLike,
-    v: ArrayLike,
-    m: ArrayLike,
-    *,
-    lobe: AnyLobe = "exact",
+    n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, *, lobe: AnyLobe = "exact"
 ) -> Float:
     """Return Ward's BRDF as published by Romanyuk et al. (2020), in 1/sr.
 

@@ -94,7 +94,7 @@ class VectorRange(Range):
 
     other: str = ""
 
-    def check(self, name: str, value: Any) -> tuple[float, float, float]:
+    def check(self, name: str, value: Any) -> Any:
         several = value.tolist() if hasattr(value, "tolist") else value
         numbers = [*several] if isinstance(several, list | tuple) else [several] * 3
         if len(numbers) != 3 or not all(number in self for number in numbers):
@@ -102,8 +102,7 @@ class VectorRange(Range):
             raise InputError(
                 f"{name} = {shown(value)}: give a number in {bounds}, or three{self.other}"
             )
-        x, y, z = map(float, numbers)
-        return x, y, z
+        return tuple(map(float, numbers))
 
 
 FRACTION = Range(0.0, 1.0)
@@ -120,11 +119,7 @@ def ranged(limits: Range, default: Any = MISSING) -> Any:
 @cache
 def ranges_of(kind: type) -> Mapping[str, Range]:
     """Return the ranges of a dataclass, keyed by the field name."""
-    return {
-        member.name: member.metadata["range"]
-        for member in fields(kind)
-        if "range" in member.metadata
-    }
+    return {item.name: item.metadata["range"] for item in fields(kind) if "range" in item.metadata}
 
 
 def range_of(kind: type, name: str) -> Range:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.program import Program, Uniforms
+from facerender.drawing.program import Program, Uniforms, part_uniforms
 from facerender.drawing.triangle_setup import Area as Area
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
@@ -20,8 +20,6 @@ from facerender.scenes.mesh import Part
 class Target:
     """The render target of a pass: a framebuffer with float32 images.
 
-    Attributes
-    ----------
     colors : number of colour images
     samples : samples per pixel
     size : width and height in pixels; None for the size of the frame
@@ -47,8 +45,6 @@ class Target:
 class Draw:
     """One draw call: a part with its program. Without a part, one triangle covers the target.
 
-    Attributes
-    ----------
     area : rectangle to draw; None for the whole target
     depth : the depth test, and the buffers that the draw writes:
 
@@ -71,13 +67,17 @@ class Draw:
     order: NDArray[np.int64] | None = None
     double_sided: bool | None = True
 
+    @classmethod
+    def of_part(cls, program: Program, part: Part, material: Material, /, **uniforms: Any) -> Draw:
+        """Return the draw of a part, with the uniforms of the part and further uniforms."""
+        values = {**part_uniforms(part, material), **uniforms}
+        return cls(program, values, part, material, double_sided=material.double_sided)
+
 
 @dataclass(frozen=True, eq=False)
 class Pass:
     """A list of draws into one target.
 
-    Attributes
-    ----------
     name : uniform name under which later passes read the first image of the target
     others : uniform names of the further images of the target
     area : rectangle to clear, as in :class:`Draw`; None for the whole target

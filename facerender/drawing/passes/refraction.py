@@ -12,14 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
-from facerender.drawing.program import (
-    Program,
-    Uniforms,
-    part_uniforms,
-    scene_uniforms,
-    shade_program,
-)
-from facerender.drawing.resolve import ResolvedPart, ResolvedScene
+from facerender.drawing.program import Program, scene_uniforms, shade_program
+from facerender.drawing.resolve import ResolvedScene
 from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.scenes.mesh import Mesh, drawn_alpha
 from facerender.scenes.repair import joined
@@ -29,7 +23,6 @@ from facerender.scenes.view import View
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-SURFACE, MAP = "refraction_surface", "refraction_map"  # uniform names of the textures
 _EMPTY = -1e30  # z of texels without a surface
 _MOST = 8  # most maps of a part; with more regions, the part has one map
 _SIDES = (64, 1024)  # smallest and largest side of a map, in texels
@@ -44,8 +37,6 @@ class Region:
     In map space, z points along the mean normal of the region, and the map covers x and y from -1
     to 1. The deepest vertex of the region is at z = 0. The space is mirrored, as images are.
 
-    Attributes
-    ----------
     matrix : (4, 4) float64, from the renderer's space to map space, for row vectors
     faces : (F,) indices of the part's triangles in the region
     top : largest z of the region's vertices
@@ -85,11 +76,6 @@ class Region:
         depth = np.diag([1.0, 1.0, -2.0 / (near - self.bottom), 1.0])
         depth[3, 2] = (near + self.bottom) / (near - self.bottom)
         return np.asarray(self.matrix @ depth)
-
-    @property
-    def camera(self) -> Floats:
-        """Position (3,) of a distant camera in front of the region, in the renderer's space."""
-        return np.asarray((np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(self.matrix))[:3])
 
     def within(self, setup: TriangleSetup) -> Numbers:
         """Return the indices of a part's triangles that may be within the map."""
@@ -145,9 +131,9 @@ def _labels(setup: TriangleSetup) -> Numbers:
     labels = joined(np.asarray(corners), int(corners.max()) + 1)[corners[:, 0]]
     names, labels = np.unique(labels, return_inverse=True)
     low, high = np.full((2, len(names), 3), np.inf)
-    for i in range(3):
-        np.minimum.at(low, labels, setup.positions[setup.faces[:, i]])
-        np.minimum.at(high, labels, -setup.positions[setup.faces[:, i]])
+    points = setup.positions[setup.faces]
+    np.minimum.at(low, labels, points.min(axis=1))
+    np.minimum.at(high, labels, -points.max(axis=1))
     if len(names) > 1000:
         return np.asarray(labels)
     overlap = (low[:, None] <= -high[None]).all(axis=-1)
@@ -159,8 +145,6 @@ def _labels(setup: TriangleSetup) -> Numbers:
 class Refraction:
     """The maps of a scene's refracting parts, for one image.
 
-    Attributes
-    ----------
     parts : regions of each part of the mesh; () for a part that does not refract
     side : width and height of a map in texels
     background : linear RGB where nothing is behind a refracting part
@@ -188,12 +172,11 @@ class Refraction:
 
         draws : one draw for each part
         """
-        changed, first = [], 0
-        for draw, regions in zip(draws, self.parts, strict=True):
+        changed, first = [*draws], 0
+        for index, (draw, regions) in enumerate(zip(draws, self.parts, strict=True)):
             if not regions:
-                changed.append(draw)
                 continue
-            features = (*draw.program.features, f"REFRACTIONS {len(regions)}")
+            program = draw.program.having(f"REFRACTIONS {len(regions)}")
             uniforms = {
                 **draw.uniforms,
                 "refraction_first": first,
@@ -201,8 +184,7 @@ class Refraction:
                 "refraction_bottom": np.array([region.bottom for region in regions])[:, None],
                 "refraction_background": self.background,
             }
-            program = replace(draw.program, features=features)
-            changed.append(replace(draw, program=program, uniforms=uniforms))
+            changed[index] = replace(draw, program=program, uniforms=uniforms)
             first += len(regions)
         return changed
 
@@ -213,35 +195,28 @@ class Refraction:
         the emission of the foremost surface behind the refracting part.
         """
         key, mesh = _key(resolved, self.side), resolved.scene.mesh
-        if mesh not in _passes or _passes[mesh][0] != key:
-            _passes[mesh] = key, self._passes(resolved, key)
-        return _passes[mesh][1]
-
-    def _passes(self, resolved: ResolvedScene, key: tuple[Hashable, ...]) -> list[Pass]:
-        regions = [region for part_regions in self.parts for region in part_regions]
-        size = (len(regions) * self.side, self.side)
-        areas = [Area(i * self.side, 0, self.side, self.side) for i in range(len(regions))]
-        surface = Target(size=size, sampled=True, values="number", number=2)
-        map_target = Target(size=size, sampled=True, number=2)
-        uniforms = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
-        front = tuple(self._fronts(resolved.scene.mesh, areas))
-        behind = tuple(
-            draw
-            for region, area in zip(regions, areas, strict=True)
-            for draw in _behind(resolved, region, area)
-        )
-        return [
-            Pass(SURFACE, surface, front, key=(SURFACE, *key)),
-            Pass(MAP, map_target, behind, (0.0, 0.0, 0.0, _EMPTY), uniforms, key=(MAP, *key)),
-        ]
-
-    def _fronts(self, mesh: Mesh, areas: Sequence[Area]) -> Iterator[Draw]:
-        """Yield the draws of the regions themselves: z in map space."""
-        program, places = Program("refraction_surface.frag"), iter(areas)
+        if mesh in _passes and _passes[mesh][0] == key:
+            return _passes[mesh][1]
+        front: list[Draw] = []
+        behind: list[Draw] = []
+        program, side = Program("refraction_surface.frag"), self.side
         for part, regions in zip(mesh.parts, self.parts, strict=True):
             for region in regions:
+                area = Area(len(front) * side, 0, side, side)
                 uniforms = {"view_projection": region.clip, "to_map": region.matrix}
-                yield Draw(program, uniforms, part, area=next(places), order=region.faces)
+                front.append(Draw(program, uniforms, part, area=area, order=region.faces))
+                behind += _behind(resolved, region, area)
+        size = len(front) * side, side
+        surface = Target(size=size, sampled=True, values="number", number=2)
+        map_target = Target(size=size, sampled=True, number=2)
+        shared = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
+        clear = 0.0, 0.0, 0.0, _EMPTY
+        passes = [
+            Pass("refraction_surface", surface, tuple(front), key=key),
+            Pass("refraction_map", map_target, tuple(behind), clear, shared, key=key),
+        ]
+        _passes[mesh] = key, passes
+        return passes
 
 
 _NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))
@@ -258,16 +233,12 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
         order = region.within(triangle_setup_of(part, mesh))
         if not len(order):
             continue
-        program = shade_program(resolved, ResolvedPart(part, material, 0.0, None))
-        program = replace(program, features=(*program.features, "BEHIND_REFRACTION"))
-        uniforms: Uniforms = {
-            **part_uniforms(part, material),
-            "view_projection": region.clip,
-            "to_map": region.matrix,
-            "camera_position": region.camera,
-        }
-        sides = material.double_sided
-        yield Draw(program, uniforms, part, material, area=area, order=order, double_sided=sides)
+        program = shade_program(resolved, part, material, term=None, smallest_m=0.0)
+        program = program.having("BEHIND_REFRACTION")
+        camera = np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(region.matrix)  # far in front
+        uniforms = {"view_projection": region.clip, "to_map": region.matrix}
+        draw = Draw.of_part(program, part, material, camera_position=camera[:3], **uniforms)
+        yield replace(draw, area=area, order=order)
 
 
 def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:

@@ -3,9 +3,6 @@ pass: radiance, irradiance, position and albedo."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
@@ -14,9 +11,6 @@ from facerender.scenes.scattering import Scattering
 from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View
 from facerender.terms.scattering import scatter_uniforms
-
-IMAGE, ALBEDO = "image", "albedo"
-LAYERS = ("light", "place")  # uniform names of shade.frag's further images
 
 
 def scatter_pass(
@@ -29,34 +23,25 @@ def scatter_pass(
 ) -> Pass:
     """Return the pass that adds subsurface scattering to an image.
 
-    Parameters
-    ----------
     samples : subsurface samples per pixel
     background : linear RGB behind the image; None if the image already contains the background
     several : whether the image has several samples per pixel
     area : rectangle of the image that contains the mesh; None for the whole image
     """
     behind = background or (0.0, 0.0, 0.0)
-    uniforms = {
+    shared = {
         "camera_position": view.position,
         "forward": view.forward,
         "pixels": scattering.pixels,
         "background": np.asarray(behind),
     }
-    composed = Draw(Program("background.frag", "screen.vert"), {"depth": 1.0})
-    draws = (composed, *_draws(scattering, samples, ("SEVERAL",) * several))
-    within = tuple(replace(draw, area=area) for draw in draws)
-    return Pass("scatter", Target(), within, (*behind, 0.0), uniforms)
-
-
-def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> Iterator[Draw]:
+    draws = [Draw(Program("background.frag", "screen.vert"), {"depth": 1.0}, area=area)]
+    mask_program = Program("scatter_mask.frag", "screen.vert", ("SEVERAL",) * several)
     for number, gaussians in enumerate(scattering.profiles, 1):
         mask = {"profile": number, "depth": 1.0 / (1.0 + number)}
-        yield Draw(Program("scatter_mask.frag", "screen.vert", several), mask, depth="mark")
+        draws.append(Draw(mask_program, mask, area=area, depth="mark"))
+        counts = f"FR_SCATTER_SAMPLES {samples}", f"FR_SCATTER_GAUSSIANS {len(gaussians)}"
+        program = Program("scatter.frag", "screen.vert", counts + mask_program.features)
         uniforms = {**mask, **scatter_uniforms(gaussians, samples, scattering.millimetres)}
-        features = (
-            f"FR_SCATTER_SAMPLES {samples}",
-            f"FR_SCATTER_GAUSSIANS {len(gaussians)}",
-            *several,
-        )
-        yield Draw(Program("scatter.frag", "screen.vert", features), uniforms, depth="marked")
+        draws.append(Draw(program, uniforms, area=area, depth="marked"))
+    return Pass("scatter", Target(), tuple(draws), (*behind, 0.0), shared)

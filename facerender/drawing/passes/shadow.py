@@ -11,16 +11,12 @@ from weakref import ref
 import numpy as np
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
-from facerender.drawing.passes.transparency import BlendedPart, mask_features, unblended
-from facerender.drawing.passes.visibility import Visibility
+from facerender.drawing.passes.transparency import BlendedPart, mask_features, visible_draws
 from facerender.drawing.program import (
-    SHADOW_CONES,
-    SHADOW_MAP,
-    SHADOW_TOPS,
     Program,
-    light_visibility_program,
     part_uniforms,
     scene_uniforms,
+    shadow_features,
     surface_features,
 )
 from facerender.drawing.resolve import ResolvedScene
@@ -47,16 +43,11 @@ def with_shadows(
     """Return the passes that draw all shadow maps, and then `passes` with the maps' uniforms.
 
     The shadow maps are reused until the mesh, an alpha mask, a light or the maps' size changes.
-    Blended parts, and texels that an alpha mask discards, cast no shadow.
+    Blended parts, and texels that an alpha mask discards, cast no shadow. Raises InputError if more
+    than MOST lights cast shadows, or if a light with shadows is inside the mesh.
 
-    Parameters
-    ----------
     size : width and height of the image in pixels
     passes : passes that read the maps
-
-    Raises
-    ------
-    InputError : more than MOST lights cast shadows, or a light with shadows is inside the mesh
     """
     scene = resolved.scene
     spaces = resolved.lighting.spaces(scene.mesh)
@@ -67,26 +58,23 @@ def with_shadows(
             f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
         )
     texels = _texels(view, size, len(spaces))
-    target = Target(size=(len(spaces) * texels, texels), sampled=True, values="number")
-    mesh = scene.mesh
+    target, mesh = _target((len(spaces) * texels, texels)), scene.mesh
     key = (
         *(ref(part) for part in mesh.parts),
         *(_cut(material) for material in mesh.materials),
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
-    drawn = Pass(
-        SHADOW_MAP, target, _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0), key=key
-    )
-    tiles = {"shadow_tiles": (texels, _BLOCKS)}
-    return [
-        drawn,
-        *_cones(spaces, texels, key),
-        *(
-            replace(step, uniforms={**step.uniforms, **tiles}, key=step.key and (step.key, texels))
-            for step in passes
-        ),
-    ]
+    draws, clear = _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0)
+    result = [Pass("shadow_map", target, draws, clear, key=key), *_cones(spaces, texels, key)]
+    for step in passes:
+        uniforms = {**step.uniforms, "shadow_tiles": (texels, _BLOCKS)}
+        result.append(replace(step, uniforms=uniforms, key=step.key and (step.key, texels)))
+    return result
+
+
+def _target(size: tuple[int, int], number: int = 0) -> Target:
+    return Target(size=size, sampled=True, values="number", number=number)
 
 
 def _texels(view: View, size: tuple[int, int], count: int) -> int:
@@ -120,22 +108,16 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
     steps: list[tuple[Draw, ...]] = [(blocks,)]
     program = Program("shadow_cones.frag", "screen.vert")
     for stride in [*((length, 0) for length in strides), *((0, length) for length in strides)]:
-        draws = []
-        for number, space in enumerate(spaces):
+        cones = []
+        for left, space in zip(range(0, size[0], _BLOCKS), spaces, strict=True):
             # The pyramid with this slope along the axes contains the cone.
             fall = math.sqrt(2.0) / _BLOCKS / max(space.tan_radius, 1e-3)
-            area = Area(number * _BLOCKS, 0, _BLOCKS, _BLOCKS)
-            uniforms = {"stride": stride, "left": area.left, "fall": fall}
-            draws.append(Draw(program, uniforms, area=area))
-        steps.append(tuple(draws))
+            uniforms = {"stride": stride, "left": left, "fall": fall}
+            cones.append(Draw(program, uniforms, area=Area(left, 0, _BLOCKS, _BLOCKS)))
+        steps.append(tuple(cones))
     passes = [
-        Pass(
-            SHADOW_CONES,
-            Target(size=size, sampled=True, values="number", number=1 + number),
-            step,
-            key=(key, number),
-        )
-        for number, step in enumerate(steps)
+        Pass("shadow_cones", _target(size, 1 + number), draws, key=(key, number))
+        for number, draws in enumerate(steps)
     ]
     if any(space.tan_radius for space in spaces):  # hard shadows do not search for occluders
         passes.insert(1, _tops(len(spaces), (map_key, texels)))
@@ -154,8 +136,7 @@ def _tops(count: int, key: Hashable) -> Pass:
             uniforms = {"left": number * _BLOCKS, "column": column, "size": size}
             draws.append(Draw(program, uniforms, area=Area(column, 0, side, side)))
             column += side
-    target = Target(size=(column, _BLOCKS), sampled=True, values="number")
-    return Pass(SHADOW_TOPS, target, tuple(draws), key=key)
+    return Pass("shadow_tops", _target((column, _BLOCKS)), tuple(draws), key=key)
 
 
 def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, ...]:
@@ -166,12 +147,12 @@ def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, .
             continue
         features = mask_features(surface_features(part, material, shading))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
-        cut = alpha == "mask"
-        mask_uniforms = part_uniforms(part, material) if cut else {}
+        mask = material if alpha == "mask" else None
+        mask_uniforms = part_uniforms(part, mask) if mask else {}
         for number, space in enumerate(spaces):
             uniforms = {**mask_uniforms, "to_light": space.matrix, "top": space.top}
             area = Area(number * texels, 0, texels, texels)
-            draws.append(Draw(program, uniforms, part, material if cut else None, area=area))
+            draws.append(Draw(program, uniforms, part, mask, area=area))
     return tuple(draws)
 
 
@@ -186,30 +167,18 @@ def _cut(material: Material) -> Hashable:
 
 
 def light_visibility_pass(
-    resolved: ResolvedScene,
-    view: View,
-    visibility: Visibility | None = None,
-    blended_part: BlendedPart | None = None,
+    resolved: ResolvedScene, view: View, blended_part: BlendedPart | None
 ) -> Pass:
-    """Return the pass that draws the visible fraction of each light that casts shadows.
+    """Return the pass that draws the visible fraction of each light that casts shadows, in the
+    order of ``Lighting.lights``.
 
-    The lights are in the order of ``Lighting.lights``.
-
-    visibility : see :func:`shade_pass`
     blended_part : see :func:`surface_pass`
     """
-    scene, lighting = resolved.scene, resolved.lighting
-    draws = [
-        Draw(
-            light_visibility_program(part, material, resolved.shading, lighting),
-            part_uniforms(part, material),
-            part,
-            material,
-            double_sided=material.double_sided,
-        )
-        for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    ]
+    scene, lighting, draws = resolved.scene, resolved.lighting, []
+    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+        features = surface_features(part, material, resolved.shading) + shadow_features(lighting)
+        program = Program("light_visibility.frag", features=features, lights=lighting.groups)
+        draws.append(Draw.of_part(program, part, material))
     uniforms = scene_uniforms(scene, view, lighting)
-    shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
-    drawn = Pass("light_visibility", Target(colors=MOST // 4), shown, uniforms=uniforms)
-    return visibility.shaded(drawn) if visibility else drawn
+    visible = visible_draws(scene, draws, blended_part)
+    return Pass("light_visibility", Target(colors=MOST // 4), visible, uniforms=uniforms)

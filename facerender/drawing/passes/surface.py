@@ -6,14 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.passes.transparency import BlendedPart, unblended
-from facerender.drawing.passes.visibility import Visibility
-from facerender.drawing.program import (
-    Program,
-    part_uniforms,
-    scene_uniforms,
-    surface_features,
-)
+from facerender.drawing.passes.transparency import BlendedPart, visible_draws
+from facerender.drawing.program import Program, scene_uniforms, surface_features
 from facerender.drawing.resolve import ResolvedScene
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
@@ -49,51 +43,36 @@ def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
 def surface_pass(
     resolved: ResolvedScene,
     view: View,
-    visibility: Visibility | None = None,
-    scatters: bool = False,
-    blended_part: BlendedPart | None = None,
-    refraction: Refraction | None = None,
+    scatters: bool,
+    blended_part: BlendedPart | None,
+    refraction: Refraction | None,
 ) -> Pass:
     """Return the pass that draws the G-buffer of a scene, see :func:`surface_images`.
 
-    Parameters
-    ----------
-    visibility : see :func:`shade_pass`
     scatters : whether to draw facing, the cosine between the mesh's normal and the direction to
         the camera
     blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn
     refraction : refraction of the scene; None if no part refracts
     """
     scene, shading = resolved.scene, resolved.shading
-    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    images = surface_images(scene, blended_part is not None)
-    further = ["SCATTER"] if scatters and blended_part is None else []
+    images, draws = surface_images(scene, blended_part is not None), []
+    further = ["SCATTER"] if scatters else []
     further += [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
-    draws = [
-        Draw(
-            Program(
-                "gbuffer.frag",
-                features=(
-                    *surface_features(part, material, shading),
-                    *("EMISSIVE",) * any(material.emissive),
-                    # Every program must write all images of the pass, also for parts with one lobe.
-                    *("TWO_LOBES",) * ("lobes" in images and not material.two_lobes),
-                    *further,
-                ),
-            ),
-            {**part_uniforms(part, material), "part": number},
-            part,
-            material,
-            double_sided=material.double_sided,
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    for number, (part, material) in enumerate(parts, 1):
+        features = (
+            *surface_features(part, material, shading),
+            *("EMISSIVE",) * any(material.emissive),
+            # Every program must write all images of the pass, also for parts with one lobe.
+            *("TWO_LOBES",) * ("lobes" in images and not material.two_lobes),
+            *further,
         )
-        for number, (part, material) in enumerate(parts, 1)
-    ]
-    uniforms = scene_uniforms(scene, view)
+        program = Program("gbuffer.frag", features=features)
+        draws.append(Draw.of_part(program, part, material, part=number))
     if refraction:
         draws = refraction.refracted(draws)
-    shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
     target = Target(colors=len(images))
     if blended_part is not None:  # two targets alternate, as each layer reads the previous one
         target = replace(target, sampled=True, number=blended_part.layer % 2)
-    drawn = Pass("surface", target, shown, uniforms=uniforms)
-    return visibility.shaded(drawn) if visibility else drawn
+    visible = visible_draws(scene, draws, blended_part)
+    return Pass("surface", target, visible, uniforms=scene_uniforms(scene, view))

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program
-from facerender.drawing.triangle_setup import around, triangle_setup_of
+from facerender.drawing.triangle_setup import TriangleSetup, around, triangle_setup_of
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
 T = TypeVar("T")
 
-PREVIOUS_LAYER = "previous_layer"  # name of the previous layer's texture
 _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features that alpha masks use
 
 
@@ -27,8 +26,6 @@ _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features tha
 class BlendedPart:
     """A blended part.
 
-    Attributes
-    ----------
     part : index of the part in the mesh
     order : (F,) indices of the part's triangles, back to front by the depth of triangle centres
     layer : index of the surface that depth peeling shows at each pixel: 0 is the nearest surface
@@ -38,30 +35,41 @@ class BlendedPart:
     order: NDArray[np.int64]
     layer: int = 0
 
-    def alone(self, scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-        """Return the depth draws of all parts that are not blended, then the draw of the layer.
 
-        draws : one draw for each part of the scene
-        """
-        layer_draw = draws[self.part]
-        features = (*layer_draw.program.features, *(("DEPTH_PEELING",) * (self.layer > 0)))
-        program = replace(layer_draw.program, features=features)
-        hides = (depth_only(draw) for draw in unblended(scene, draws))
-        return *hides, replace(layer_draw, program=program, order=self.order)
+def visible_draws(
+    scene: Scene, draws: Sequence[Draw], blended_part: BlendedPart | None
+) -> tuple[Draw, ...]:
+    """Return the draws of all parts that are not blended. With a blended part, these draws write
+    only depth, and the draw of its layer follows.
+
+    draws : one draw for each part of the scene
+    """
+    opaque = unblended(scene, draws)
+    if blended_part is None:
+        return opaque
+    draw, peels = draws[blended_part.part], blended_part.layer > 0
+    program = draw.program.having(*("DEPTH_PEELING",) * peels)
+    return *map(depth_only, opaque), replace(draw, program=program, order=blended_part.order)
+
+
+def _blended(scene: Scene) -> list[tuple[int, TriangleSetup]]:
+    """Return the index and the triangle setup of each blended part."""
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    return [
+        (index, triangle_setup_of(part, scene.mesh))
+        for index, (part, material) in enumerate(parts)
+        if drawn_alpha(part, material) == "blend"
+    ]
 
 
 def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
     """Return the blended parts in drawing order. The part whose nearest vertex has the largest
     depth comes first."""
     pairs = []
-    for number, (part, material) in enumerate(
-        zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    ):
-        if drawn_alpha(part, material) == "blend":
-            setup = triangle_setup_of(part, scene.mesh)
-            depth = setup.positions @ view.forward
-            order = np.argsort(-depth[setup.faces].sum(axis=1), kind="stable")
-            pairs.append((float(depth.min()), BlendedPart(number, order)))
+    for index, setup in _blended(scene):
+        depth = setup.positions @ view.forward
+        order = np.argsort(-depth[setup.faces].sum(axis=1), kind="stable")
+        pairs.append((float(depth.min()), BlendedPart(index, order)))
     return [part for _, part in sorted(pairs, key=lambda pair: -pair[0])]
 
 
@@ -79,48 +87,26 @@ def blended_area(scene: Scene, view: View, size: tuple[int, int]) -> Area:
 
     size : width and height of the image
     """
-    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    blended = [part for part, material in parts if drawn_alpha(part, material) == "blend"]
-    return around([triangle_setup_of(part, scene.mesh).area(view, size) for part in blended])
+    return around([setup.area(view, size) for _, setup in _blended(scene)])
 
 
-def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-    """Return the draws of blended parts, in drawing order.
-
-    draws : one draw for each part of the scene
-    """
-    parts = blended_parts(scene, view)
-    return tuple(replace(draws[part.part], order=part.order, depth="blend") for part in parts)
-
-
-def with_blended(
-    shaded: Pass, image: Pass, area: Area, visible: Target | None = None
-) -> list[Pass]:
+def with_blended(shaded: Pass, image: Pass, area: Area, visible: Target | None) -> list[Pass]:
     """Return two passes. The first draws the blended parts of a shading pass into a texture. The
     second draws `image`, a pass of one sample per pixel, and composites that texture over it.
 
-    Parameters
-    ----------
     shaded : forward shading pass of all parts
     area : bounds of the blended parts in the image
     visible : target that holds the depth of the other parts; None to draw this depth
     """
-    hides = (
-        () if visible else tuple(depth_only(draw) for draw in shaded.draws if draw.depth == "test")
-    )
-    blends = tuple(draw for draw in shaded.draws if draw.depth == "blend")
+    hides = [depth_only(draw) for draw in shaded.draws if draw.depth == "test" and not visible]
+    draws = (*hides, *(draw for draw in shaded.draws if draw.depth == "blend"))
     target = replace(
         shaded.target, sampled=True, number=1, resolved=visible is None, depth_of=visible
     )
     blended = replace(
-        shaded,
-        name="transparent",
-        target=target,
-        draws=(*hides, *blends),
-        clear=(0.0,) * 4,
-        area=area,
+        shaded, name="transparent", target=target, draws=draws, clear=(0.0,) * 4, area=area
     )
-    samples = 1 if target.resolved else target.samples
+    samples = target.samples if visible else 1
     program = Program("transparent.frag", "screen.vert", (f"SAMPLES {samples}",))
     composite = Draw(program, {"depth": -1.0}, area=area, depth="blend")
     return [blended, replace(image, draws=(*image.draws, composite))]

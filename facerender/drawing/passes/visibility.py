@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.passes.transparency import unblended
 from facerender.drawing.program import IN_ROW, Program, Uniforms, table_features
-from facerender.drawing.triangle_setup import NO_AREA, around, triangle_setup_of
+from facerender.drawing.triangle_setup import around, triangle_setup_of
 from facerender.scenes.mesh import Part, drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
@@ -35,16 +35,15 @@ def can_defer(scene: Scene, rows: int) -> bool:
 
     rows : largest height of a texture, in texels
     """
-    bright = max(scene.background or (0.0,)) > _BRIGHTEST
     pairs = unblended(scene, [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)])
     counts = [len(part.faces) for part, _ in pairs]
-    if (
-        not pairs
-        or any(drawn_alpha(*pair) == "mask" for pair in pairs)
-        or any(part.uv2 is not None and material.second_uv for part, material in pairs)
-    ):
-        return False
-    return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW and not bright
+    return (
+        0 < sum(counts) < _MOST_TRIANGLES
+        and max(counts) <= rows * IN_ROW
+        and max(scene.background or (0.0,)) <= _BRIGHTEST
+        and not any(drawn_alpha(*pair) == "mask" for pair in pairs)
+        and not any(part.uv2 is not None and material.second_uv for part, material in pairs)
+    )
 
 
 def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
@@ -62,8 +61,6 @@ def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, drive
 class Visible:
     """A part in the image of a visibility pass.
 
-    Attributes
-    ----------
     first : value of the part's first triangle in the image, at least 1; the background has 0
     area : bounds of the part in the image; empty if the part is outside the image
     front : indices of the triangles that can face the camera; None if back faces are drawn too
@@ -79,8 +76,6 @@ class Visible:
 class Visibility:
     """The visible triangle of each sample of an image.
 
-    Attributes
-    ----------
     view : camera of the image
     size : width and height of the image in pixels
     samples : samples per pixel
@@ -112,7 +107,7 @@ class Visibility:
             area, front = setup.area(view, size), None
             if material.double_sided is False:
                 front = setup.facing(view.position)
-                area = area if len(front) else NO_AREA
+                area = area if len(front) else Area()
             parts.append(Visible(part, first, area, front))
             first += len(part.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
@@ -169,20 +164,13 @@ class Visibility:
 
         depth : depth value in [0, 1] that is different for each part
         """
-        samples = f"SAMPLES {self.samples}"
+        samples, rate = f"SAMPLES {self.samples}", ("PIXEL_RATE",) * (self.shading_rate == "pixel")
         uniforms = {"first": part.first, "triangle_count": len(part.part.faces), "depth": depth}
         visible = Program("visible.frag", "screen.vert", (samples,))
-        features = (
-            *draw.program.features,
-            "VISIBLE",
-            *(("PIXEL_RATE",) * (self.shading_rate == "pixel")),
-            samples,
-            *table_features(part.part),
-        )
-        program = replace(draw.program, vertex="screen.vert", features=features)
+        program = replace(draw.program, vertex="screen.vert")
         shaded = replace(
             draw,
-            program=program,
+            program=program.having("VISIBLE", *rate, samples, *table_features(part.part)),
             uniforms={**draw.uniforms, **uniforms},
             area=part.area,
             depth="marked",
@@ -191,15 +179,16 @@ class Visibility:
         return Draw(visible, uniforms, area=part.area, depth="mark"), shaded
 
 
+def deferred(visibility: Visibility | None, forward: Pass) -> list[Pass]:
+    """Return the passes of deferred shading for a forward pass. Without a visibility, return the
+    forward pass."""
+    return [visibility.drawn(), visibility.shaded(forward)] if visibility else [forward]
+
+
 def _rays(view: View, size: tuple[int, int]) -> Uniforms:
     """Return the ray from the camera to the outer corner of pixel (0, 0), and the change of the ray
     per pixel in x and y."""
     back = np.linalg.inv(view.matrix)
-
-    def to_far_plane(x: float, y: float) -> NDArray[np.float64]:
-        point = np.array([x, y, 1.0, 1.0]) @ back
-        return np.asarray(point[:3] / point[3] - view.position)
-
-    corner = to_far_plane(-1.0, -1.0)
-    right, up = (to_far_plane(*xy) - corner for xy in ((1.0, -1.0), (-1.0, 1.0)))
-    return {"ray": corner, "ray_x": right / size[0], "ray_y": up / size[1]}
+    far_points = (np.array([x, y, 1.0, 1.0]) @ back for x, y in ((-1, -1), (1, -1), (-1, 1)))
+    corner, right, up = (point[:3] / point[3] - view.position for point in far_points)
+    return {"ray": corner, "ray_x": (right - corner) / size[0], "ray_y": (up - corner) / size[1]}

@@ -20,7 +20,6 @@ import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.program import Program
-from facerender.drawing.renderer import _Image
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View, sample_grid, view_of
 from tests.verification.pairs.scenes import Setting
@@ -107,9 +106,9 @@ class Room:
         at_once = min(samples, self.renderer.context.most_samples)
         resolved = self.renderer._resolved(own, how, seen, samples)
         if at_once == samples:
-            return self.renderer._shaded(resolved, seen, _Image(samples))
+            return self.renderer._shaded(resolved, seen, samples)
         images = [
-            self.renderer._shaded(resolved, seen.shifted(at, self.size), _Image(1))
+            self.renderer._shaded(resolved, seen.shifted(at, self.size), 1)
             for at in sample_grid(samples)
         ]
         return cast(Linear, np.mean(images, axis=0, dtype=np.float32))
