@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 from facerender.errors import InputError
 
@@ -16,18 +17,18 @@ _TOKEN = re.compile(
     r"(?P<space>(?:\s|//[^\n]*|/\*.*?\*/)+)"
     r"|(?P<number>(?:(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)[fF]?|0[xX][\da-fA-F]+[uU]?|\d+[uU]?)"
     r"|(?P<name>[A-Za-z_]\w*)"
-    r"|(?P<sign>\+\+|--|<<=|>>=|<<|>>|[-+*/%&|^<>=!]=|&&|\|\||\^\^|[-+*/%<>=!&|^~?:;,.(){}\[\]#])",
+    r"|(?P<sign>\+\+|--|<<=|>>=|<<|>>|[-+*/%&|^<>=!]=|&&|\|\||\^\^|[-+*/%<>=!&|^~?:;,.(){}\[\]#])"
+    r"|(?P<other>.)",
     re.DOTALL,
 )
 _DIRECTIVE = re.compile(r"[ \t]*#[ \t]*(\w+)[ \t]*(.*)")
 _DEFINE = re.compile(r"(\w+)(?:\(([^)]*)\))?[ \t]*(.*)")
 _NUMBER = re.compile(r"\(?(-?(?:[\d.]+(?:[eE][-+]?\d+)?))\)?")
 
-SCALARS = ("float", "int", "uint", "bool")
+_PREFIXES = {"float": "", "int": "i", "uint": "u", "bool": "b"}  # of vectors
+SCALARS = (*_PREFIXES,)
 VECTORS = {
-    f"{prefix}vec{n}": (scalar, n)
-    for prefix, scalar in zip(["", "i", "u", "b"], SCALARS, strict=True)
-    for n in (2, 3, 4)
+    f"{prefix}vec{n}": (scalar, n) for scalar, prefix in _PREFIXES.items() for n in (2, 3, 4)
 }
 MATRICES = {f"mat{c}x{r}": (c, r) for c in (2, 3, 4) for r in (2, 3, 4)}
 SQUARE = {f"mat{n}": f"mat{n}x{n}" for n in (2, 3, 4)}
@@ -60,6 +61,9 @@ class Token:
     before: str = ""  # Comments and spaces before the token.
 
 
+Part: TypeAlias = "Token | Node"
+
+
 @dataclass
 class Node:
     """A node of the syntax tree.
@@ -73,9 +77,24 @@ class Node:
     """
 
     kind: str
-    parts: list[Token | Node]
+    parts: list[Part]
     type: str = ""
     name: str = ""
+
+    @property
+    def before(self) -> str:
+        """Comments and spaces before the node."""
+        return self.parts[0].before
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The child nodes, such as the arguments of a call."""
+        return [part for part in self.parts if isinstance(part, Node)]
+
+    @property
+    def sign(self) -> str:
+        """The first token, such as the operator of an expression."""
+        return next((part.text for part in self.parts if isinstance(part, Token)), "")
 
 
 @dataclass
@@ -101,18 +120,16 @@ def tokens(text: str) -> list[Token]:
     ------
     InputError : the text contains a character that GLSL does not allow
     """
-    result, space, position = [], "", 0
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None:
-            raise InputError(f"not translated: {text[position]!r} is not a character of GLSL")
-        if match.lastgroup == "space":
-            space = match[0]
-        else:
-            word = _number(match[0]) if match.lastgroup == "number" else match[0]
-            result.append(Token(match.lastgroup or "", word, space))
-            space = ""
-        position = match.end()
+    result, space = [], ""
+    for match in _TOKEN.finditer(text):
+        kind, word = str(match.lastgroup), match[0]
+        if kind == "other":
+            raise InputError(f"not translated: {word!r} is not a character of GLSL")
+        if kind == "space":
+            space = word
+            continue
+        result.append(Token(kind, _number(word) if kind == "number" else word, space))
+        space = ""
     result.append(Token("end", "", space))
     return result
 
@@ -127,10 +144,7 @@ def _number(text: str) -> str:
     return digits + "u" * (text[-1] in "uU")
 
 
-@dataclass(frozen=True)
-class _Macro:
-    parameters: tuple[str, ...] | None
-    body: tuple[Token, ...]
+_Macro = tuple[list[str] | None, list[Token]]  # parameters, body
 
 
 def expanded(lines: Sequence[str]) -> list[Token]:
@@ -164,8 +178,8 @@ def expanded(lines: Sequence[str]) -> list[Token]:
         flush()
         macros.pop(name, None)
         if directive == "define":
-            names = None if parameters is None else tuple(map(str.strip, parameters.split(",")))
-            macros[name] = _Macro(names, tuple(tokens(body)[:-1]))
+            names = None if parameters is None else [*map(str.strip, parameters.split(","))]
+            macros[name] = names, tokens(body)[:-1]
     flush()
     return list(_exact([*result, Token("end", "", chunk[0])]))
 
@@ -195,16 +209,15 @@ def _replaced(
         called = index < len(code) and code[index].text == "("
         if macro and token.text in within:
             token, macro = replace(token, kind="final name"), None  # never expanded again
-        if macro is None or (macro.parameters is not None and not called):
+        if macro is None or (macro[0] is not None and not called):
             result.append(token)
             continue
-        body = list(macro.body)
-        if macro.parameters is not None:
+        parameters, body = macro
+        if parameters is not None:
             arguments, index = _arguments(code, index)
             arguments = [_replaced(argument, macros, within) for argument in arguments]
-            values = dict(zip(macro.parameters, arguments, strict=False))
+            values = dict(zip(parameters, arguments, strict=False))
             body = [part for word in body for part in _with(values.get(word.text, [word]), word)]
-            body = [replace(word, before=word.before if i else "") for i, word in enumerate(body)]
         if len(body) == 3 and (body[0].text, body[2].text) == ("(", ")"):
             body = body[1:2]
         result += _with(_replaced(body, macros, within | {token.text}), token)
@@ -286,8 +299,9 @@ class Parser:
         place = f"function {self._name}: " if self._name else ""
         return InputError(f"not translated: {place}{message}")
 
-    def _array(self) -> InputError:
-        return self._error("an array; only numbers, vectors and matrices are supported")
+    def _refuse_array(self) -> None:
+        if self._next.text == "[":
+            raise self._error("an array; only numbers, vectors and matrices are supported")
 
     def _type(self) -> str:
         token = self._take()
@@ -296,8 +310,7 @@ class Parser:
                 f"{token.text!r}; only functions and constants of numbers, vectors and matrices "
                 "are supported"
             )
-        if self._next.text == "[":
-            raise self._array()
+        self._refuse_array()
         return SQUARE.get(token.text, token.text)
 
     def _declaration(self) -> Node:
@@ -310,7 +323,7 @@ class Parser:
             raise self._error(f"{name.text!r}; only functions and constants are supported")
         self._name = name.text
         self._take("(")
-        parameters: list[Token | Node] = []
+        parameters: list[Part] = []
         function = Function(type_, [])
         if self._next.text == "void":
             parameters.append(self._take())
@@ -323,13 +336,12 @@ class Parser:
             if self._next.kind != "name":
                 raise self._error("a parameter without a name")
             parameter = self._take().text
-            if self._next.text == "[":
-                raise self._array()
+            self._refuse_array()
             function.parameters.append((qualifier, kind, parameter))
             parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, parameter))
             if self._next.text == ",":
                 parameters.append(self._take())
-        head: list[Token | Node] = [*self._code[start : start + 3], *parameters, self._take(")")]
+        head: list[Part] = [*self._code[start : start + 3], *parameters, self._take(")")]
         self._add(name.text, function)
         if self._next.text == ";":
             return Node("prototype", [*head, self._take()], type_, name.text)
@@ -352,7 +364,7 @@ class Parser:
     # --- statements ---
 
     def _block(self) -> Node:
-        parts: list[Token | Node] = [self._take("{")]
+        parts: list[Part] = [self._take("{")]
         self._scopes.append({})
         while self._next.text != "}":
             parts.append(self._statement())
@@ -363,7 +375,7 @@ class Parser:
         word = self._next.text
         if word == "{":
             return self._block()
-        parts: list[Token | Node]
+        parts: list[Part]
         if word == "if":
             parts = [self._take(), self._take("("), self._expression(), self._take(")")]
             parts.append(self._statement())
@@ -408,17 +420,16 @@ class Parser:
         while self._next.text in QUALIFIERS:
             constant |= self._take().text == "const"
         type_ = self._type()
-        parts: list[Token | Node] = list(self._code[start : self._at])
+        parts: list[Part] = list(self._code[start : self._at])
         while True:
             name = self._take()
-            variable_parts: list[Token | Node] = [name]
-            if self._next.text == "[":
-                raise self._array()
+            variable_parts: list[Part] = [name]
+            self._refuse_array()
             if self._next.text == "=":
                 variable_parts += [self._take(), self._expression()]
             self._scopes[-1][name.text] = type_
             parts += [Node("variable", variable_parts, type_, name.text), self._take(",", ";")]
-            if parts[-1] == self._code[self._at - 1] and self._code[self._at - 1].text == ";":
+            if self._code[self._at - 1].text == ";":
                 return Node("constants" if constant else "variables", parts, type_)
 
     # --- expressions ---
@@ -521,8 +532,8 @@ class Parser:
             return Node("number", [token], "bool")
         if token.kind != "name":
             raise self._error(f"{token.text!r}")
-        if token.text in TYPES and self._next.text == "[":
-            raise self._array()
+        if token.text in TYPES:
+            self._refuse_array()
         if self._next.text == "(":
             return self._call(token)
         for scope in reversed(self._scopes):
@@ -531,13 +542,13 @@ class Parser:
         raise self._error(f"{token.text!r} is not declared")
 
     def _call(self, name: Token) -> Node:
-        parts: list[Token | Node] = [name, self._take("(")]
+        parts: list[Part] = [name, self._take("(")]
         while self._next.text != ")":
             parts.append(self._expression())
             if self._next.text == ",":
                 parts.append(self._take())
         parts.append(self._take(")"))
-        arguments = [part for part in parts if isinstance(part, Node)]
+        arguments = Node("call", parts).nodes
         type_ = SQUARE.get(name.text, name.text)
         if type_ in TYPES:
             return Node("construct", parts, type_, type_)
@@ -562,20 +573,16 @@ class Parser:
         return Node("built-in", parts, result, name.text)
 
 
-def _several(part: Token | Node) -> bool:
+def _several(part: Part) -> bool:
     return isinstance(part, Node) and part.kind == "swizzle" and len(part.name) > 1
 
 
 def _vector(scalar: str, count: int) -> str:
-    if count == 1:
-        return scalar
-    return next(name for name, kind in VECTORS.items() if kind == (scalar, count))
+    return scalar if count == 1 else f"{_PREFIXES[scalar]}vec{count}"
 
 
 def _element(type_: str) -> str:
-    if type_ in MATRICES:
-        return _vector("float", MATRICES[type_][1])
-    return VECTORS[type_][0]
+    return _vector("float", MATRICES[type_][1]) if type_ in MATRICES else VECTORS[type_][0]
 
 
 def _product(sign: str, left: str, right: str) -> str:
