@@ -55,6 +55,7 @@ def _functions(name: str) -> list[Function]:
     for comment, kind, function, parameters in _FUNCTION.findall(text):
         description = _comment(comment)
         texts = _keyed(header) | _keyed(description)
+        paragraph = (description or header).split("\n\n")[0]
         parameters = " ".join(parameters.split())
         names = [parameter.split()[1] for parameter in parameters.split(", ")]
         result.append(
@@ -62,7 +63,7 @@ def _functions(name: str) -> list[Function]:
                 function,
                 f"{kind} {function}({parameters})",
                 file,
-                _sentence(description or header),
+                re.split(r"(?<=\.) (?=[A-Z])", " ".join(paragraph.split()))[0],
                 {name: texts[name] for name in names},
                 texts["formula"],
                 texts["unit"],
@@ -84,8 +85,3 @@ def _keyed(comment: str) -> dict[str, str]:
         for keys, text in _KEYED.findall(comment)
         for key in keys.split(", ")
     }
-
-
-def _sentence(comment: str) -> str:
-    """Return the first sentence of a comment."""
-    return re.split(r"(?<=\.) (?=[A-Z])", " ".join(comment.split("\n\n")[0].split()))[0]

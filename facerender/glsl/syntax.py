@@ -505,10 +505,10 @@ class Parser:
             if self._next.text == "[":
                 if node.type not in VECTORS and node.type not in MATRICES:
                     raise self._error(f"'[' of a {node.type}")
-                type_ = _element(node.type)
-                node = Node(
-                    "index", [node, self._take(), self._expression(), self._take("]")], type_
-                )
+                scalar, count = VECTORS.get(node.type, ("float", 0))
+                type_ = scalar if count else _vector(scalar, MATRICES[node.type][1])
+                parts = [node, self._take(), self._expression(), self._take("]")]
+                node = Node("index", parts, type_)
             else:
                 dot, field_ = self._take(), self._take()
                 components = field_.text.translate(_COMPONENTS)
@@ -579,10 +579,6 @@ def _several(part: Part) -> bool:
 
 def _vector(scalar: str, count: int) -> str:
     return scalar if count == 1 else f"{_PREFIXES[scalar]}vec{count}"
-
-
-def _element(type_: str) -> str:
-    return _vector("float", MATRICES[type_][1]) if type_ in MATRICES else VECTORS[type_][0]
 
 
 def _product(sign: str, left: str, right: str) -> str:

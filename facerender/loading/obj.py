@@ -18,7 +18,7 @@ from facerender.scenes.repair import Piece
 
 # A face with a reference below 1. The reference -1 means the last element defined before the face;
 # the reference 0 is invalid.
-_RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
+RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 # A statement that sets the object, group or material of the following faces.
@@ -64,11 +64,6 @@ def vertex_colors(data: bytes, file: str) -> NDArray[np.uint8] | None:
         warn(f"{file} has vertices without colour ({missing.sum()}): drawn white")
         colors[missing] = 255
     return colors
-
-
-def has_relative(data: bytes) -> bool:
-    """Return whether a face of an OBJ file has a reference below 1."""
-    return _RELATIVE.search(data) is not None
 
 
 def with_absolute(data: bytes) -> tuple[bytes, int]:
@@ -152,7 +147,7 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str], list[str]]:
                 "parts: groups of the same material are joined"
             )
         parts = joined
-    materials = [" ".join(_text(material).split()) for *_, material in parts]
+    materials = [" ".join(material.decode().split()) for *_, material in parts]
     if len(parts) < 2:
         return data, _names(parts), materials
     numbers = {key: number for number, key in enumerate(parts)}
@@ -175,11 +170,7 @@ def _names(parts: Sequence[Owners]) -> list[str]:
             name if counts[name] == 1 else b".".join(filter(None, key[which]))
             for name, key in zip(names, parts, strict=True)
         ]
-    return [*map(_text, names)]
-
-
-def _text(name: bytes) -> str:
-    return name.decode("utf-8", "replace")
+    return [name.decode() for name in names]
 
 
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)

@@ -68,9 +68,7 @@ class References:
                 f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
                 "used, whose name differs in upper and lower case"
             )
-        remaining = MOST - sum(
-            len(content) for content in self.files.values() if content is not None
-        )
+        remaining = MOST - sum(map(len, filter(None, self.files.values())))
         content = self.files[name] = read_file(path, what, remaining)
         return content
 
@@ -90,10 +88,9 @@ class References:
 def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
     """Return the content of a file ``name`` to which a mesh file in ``folder`` refers, or None."""
     path = _place(folder, name, allow_outside)
-    try:
+    with suppress(InputError):
         return None if path is None else read_file(path, "a file")
-    except InputError:
-        return None
+    return None
 
 
 def inline(uri: str) -> bytes | None:
@@ -108,9 +105,7 @@ def inline(uri: str) -> bytes | None:
         return None
     if not comma:
         raise ValueError("a data: URI without data")
-    if head.endswith(";base64"):
-        return base64.b64decode(content)
-    return unquote_to_bytes(content)
+    return (base64.b64decode if head.endswith(";base64") else unquote_to_bytes)(content)
 
 
 def text_of(content: bytes) -> str:
@@ -183,7 +178,7 @@ def named_files(path: Path) -> list[Path]:
             lines = _names(_LIBRARY, path)
             names = [name for line in lines for name in (line, *line.split())]
             libraries = _paths(path.parent, names)
-            return libraries + [map_path for library in libraries for map_path in _maps(library)]
+            return [*libraries, *(file for library in libraries for file in _maps(library))]
         if suffix == ".ply":
             return _paths(path.parent, _names(TEXTURE_FILE, path))
     except (ValueError, TypeError, RecursionError):  # loading the file reports the error
@@ -193,12 +188,8 @@ def named_files(path: Path) -> list[Path]:
 
 def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
     """Return the paths of referenced files, and the paths of the files that are used instead."""
-    paths: dict[Path, None] = {}
-    for name in names:
-        paths[folder / name] = None
-        if (used := _place(folder, name, False)) is not None:
-            paths[used] = None
-    return [*paths]
+    paths = ((folder / name, _place(folder, name, False)) for name in names)
+    return [*dict.fromkeys(path for pair in paths for path in pair if path is not None)]
 
 
 def _uris(path: Path) -> list[str]:

@@ -6,11 +6,12 @@ import json
 import os
 import re
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from facerender.errors import InputError, check_path, check_switch, clipped, reason, shown
+from facerender.errors import InputError, check_path, clipped, reason, shown
 from facerender.system.data import data_dir
 from facerender.system.files import (
     MOST,
@@ -48,19 +49,6 @@ _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
 FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
 _LONGEST_START = 1 << 16  # bytes at the start of a file that are searched for its format
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
-
-
-@dataclass(frozen=True)
-class Orientation:
-    """The orientation of texture coordinates and normal maps; parameters and errors as in
-    :func:`facerender.load_mesh`."""
-
-    flip_v: bool = False
-    normal_map_y: str = "up"
-
-    def __post_init__(self) -> None:
-        check_switch("flip_v", self.flip_v)
-        check_normal_map_y(self.normal_map_y)
 
 
 def check_normal_map_y(value: Any) -> None:
@@ -102,12 +90,10 @@ class Source:
 
 def source_of(source: Any, kind: str | None = None) -> Source:
     """Return the Source of a mesh; parameters and errors as in :func:`facerender.load_mesh`."""
-    suffix = None
-    if kind is not None:
-        suffix = f".{str(kind).lower().removeprefix('.')}"
-        if suffix not in FORMATS:
-            kinds = ", ".join(key[1:] for key in FORMATS)
-            raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
+    suffix = None if kind is None else f".{str(kind).lower().removeprefix('.')}"
+    if suffix not in (None, *FORMATS):
+        kinds = ", ".join(key[1:] for key in FORMATS)
+        raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
     if source is None:
         source = data_dir("assets") / "head.glb"
     if isinstance(source, str | os.PathLike):
@@ -174,9 +160,8 @@ def _suffix_of(data: bytes, path: Path) -> str | None:
         return named
     if start.startswith(b"{"):
         return ".gltf"
-    if len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
-        return ".stl"
-    if start[:5].lower() == b"solid" and b"facet" in start:
+    binary = len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]
+    if binary or (start[:5].lower() == b"solid" and b"facet" in start):
         return ".stl"
     check_format(data, None, path.name)
     return ".obj" if b"\0" not in start and _OBJ.search(start) else None
@@ -206,10 +191,8 @@ def check_format(data: bytes, suffix: str | None, name: str) -> None:
 
 
 def _json(data: bytes) -> str:
-    try:
+    with suppress(ValueError, RecursionError):
         document = json.loads(data) if len(data) < 1 << 20 else None
-    except (ValueError, RecursionError):
-        document = None
-    if isinstance(document, dict) and "asset" in document:
-        return "glTF; name it .gltf"
+        if isinstance(document, dict) and "asset" in document:
+            return "glTF; name it .gltf"
     return f"JSON ({clipped(data[:200].decode('utf-8', 'replace'), 60)}); give a mesh"
