@@ -22,10 +22,7 @@ def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
 
 def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
     """Return the macros that make the function of a model, such as ``fr_cook_torrance``, compute a
-    term.
-
-    smallest_m : lowest m of the material; used if the term has no constant m
-    """
+    term; ``smallest_m`` as in :func:`prelude`."""
     macros = _macros(term, smallest_m)
     if term.entry.factors:
         macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro

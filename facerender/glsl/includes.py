@@ -29,20 +29,13 @@ _Identity = tuple[int, int]  # Device and inode number of a file.
 
 
 class Directive(NamedTuple):
-    """A preprocessor line.
+    """A preprocessor line."""
 
-    Attributes
-    ----------
-    start, end : indices in the text at which the line starts and ends, without the newline
-    line : number of the line, from 1
-    name, rest : words of the line, without comments, such as "define" and "FR_LOBE 1"
-    """
-
-    start: int
-    end: int
-    line: int
-    name: str
-    rest: str
+    start: int  # index in the text at which the line starts
+    end: int  # index in the text at which the line ends, without the newline
+    line: int  # number of the line, from 1
+    name: str  # first word, such as "define"
+    rest: str  # other words, without comments, such as "FR_LOBE 1"
 
 
 class Scan(NamedTuple):

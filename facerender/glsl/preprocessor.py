@@ -84,12 +84,8 @@ class Preprocessor(Includes):
         return macro in self._macros
 
     def append(self, text: str, again: bool = False) -> None:
-        """Append text with its includes; see :meth:`append_file`.
-
-        Raises
-        ------
-        InputError : see :meth:`append_file`; or a line defines a macro of `chosen`
-        """
+        """Append text with its includes; see :meth:`append_file`. Raise InputError also if a line
+        defines a macro of `chosen`."""
         text, directives, guard = scan(text)
         start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
         depth = len(self._conditionals)

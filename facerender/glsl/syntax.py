@@ -66,20 +66,12 @@ Part: TypeAlias = "Token | Node"
 
 @dataclass
 class Node:
-    """A node of the syntax tree.
+    """A node of the syntax tree."""
 
-    Attributes
-    ----------
-    kind : such as "call", "ternary" or "if"
-    parts : tokens and child nodes, in source order
-    type : type of an expression, variable, parameter or result; matrices are written matCxR
-    name : name of a call, function, variable or parameter, or the components of a swizzle
-    """
-
-    kind: str
-    parts: list[Part]
-    type: str = ""
-    name: str = ""
+    kind: str  # such as "call", "ternary" or "if"
+    parts: list[Part]  # in source order
+    type: str = ""  # of an expression, variable, parameter or result; matrices are written matCxR
+    name: str = ""  # of a call, function, variable or parameter, or the components of a swizzle
 
     @property
     def before(self) -> str:
@@ -99,27 +91,15 @@ class Node:
 
 @dataclass
 class Function:
-    """The signature of a function.
+    """The signature of a function."""
 
-    Attributes
-    ----------
-    type : return type
-    parameters : (qualifier, type, name) of each parameter
-    assigned : names of the variables that the body assigns
-    """
-
-    type: str
-    parameters: list[tuple[str, str, str]]
-    assigned: set[str] = field(default_factory=set)
+    type: str  # return type
+    parameters: list[tuple[str, str, str]]  # qualifier, type and name
+    assigned: set[str] = field(default_factory=set)  # variables that the body assigns
 
 
 def tokens(text: str) -> list[Token]:
-    """Split text into tokens.
-
-    Raises
-    ------
-    InputError : the text contains a character that GLSL does not allow
-    """
+    """Split text into tokens. Raise InputError for a character that GLSL does not allow."""
     result, space = [], ""
     for match in _TOKEN.finditer(text):
         kind, word = str(match.lastgroup), match[0]
@@ -232,10 +212,8 @@ def _with(code: Sequence[Token], place: Token) -> list[Token]:
 
 
 def _arguments(code: Sequence[Token], index: int) -> tuple[list[list[Token]], int]:
-    """Return the arguments of a macro call, and the index of the token after the call.
-
-    index : index of the opening parenthesis
-    """
+    """Return the arguments of a macro call, whose opening parenthesis has an index, and the index
+    of the token after the call."""
     arguments: list[list[Token]] = [[]]
     depth = 0
     while index < len(code):
@@ -251,30 +229,19 @@ def _arguments(code: Sequence[Token], index: int) -> tuple[list[list[Token]], in
 
 
 class Parser:
-    """Parser of functions and constants.
-
-    Attributes
-    ----------
-    functions : signatures of the parsed functions, keyed by the function name
-    """
+    """Parser of functions and constants."""
 
     def __init__(self, code: list[Token]) -> None:
         self._code, self._at = code, 0
         self._scopes: list[dict[str, str]] = [{}]
-        self.functions: dict[str, Function] = {}
+        self.functions: dict[str, Function] = {}  # Signatures of the parsed functions, by name.
         self._function = Function("", [])
         self._name = ""  # The function that is parsed, for messages.
         self._conditions = 0  # Number of enclosing ?:, && and || expressions.
 
     def program(self) -> list[Node]:
         """Return the declarations; the last node holds the comments and spaces after the last
-        declaration.
-
-        Raises
-        ------
-        InputError : a declaration is neither a function nor a constant, or contains unsupported
-            GLSL
-        """
+        declaration. Raise InputError for GLSL that is not supported."""
         nodes = []
         while self._next.kind != "end":
             nodes.append(self._declaration())

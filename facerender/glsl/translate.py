@@ -59,16 +59,10 @@ def translate(lines: Sequence[str], language: str) -> str:
 
 
 class Writer:
-    """Base class of the languages. The text of a node begins with the comments before it.
+    """Base class of the languages. The text of a node begins with the comments before it."""
 
-    Attributes
-    ----------
-    head : first lines of a file
-    types, functions : names of types and of functions in the target language, keyed by the GLSL
-        name; entries with the same name in both languages may be missing
-    """
-
-    head = ""
+    head = ""  # first lines of a file
+    # Names in the target language, keyed by the GLSL name; equal names may be missing.
     types: ClassVar[Mapping[str, str]] = {}
     functions: ClassVar[Mapping[str, str]] = {}
 

@@ -169,14 +169,7 @@ def _checked_exr(path: Path, start: bytes, size: int) -> Mapping[bytes, bytes]:
 
 
 def openexr(path: str | os.PathLike[str]) -> Any:
-    """Return the package OpenEXR.
-
-    path : path of the EXR file, for the message
-
-    Raises
-    ------
-    InputError : OpenEXR is not installed
-    """
+    """Return the package OpenEXR. Raise InputError if it is not installed."""
     try:
         import OpenEXR
     except ImportError:

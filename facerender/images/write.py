@@ -29,12 +29,7 @@ _INTERPRETED = ("alpha", "background")  # ImageMagick reads these keys of a PNG 
 
 
 def format_of(path: str | os.PathLike[str]) -> Format:
-    """Return the output format for a path, from its suffix.
-
-    Raises
-    ------
-    InputError : unknown suffix
-    """
+    """Return the output format for a path. Raise InputError if its suffix is unknown."""
     return WRITTEN[check_suffix(path, (*WRITTEN,), "image")]
 
 

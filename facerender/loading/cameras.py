@@ -82,21 +82,19 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     InputError : the file is damaged, has no camera, or has an orthographic camera
     """
     document = document_of(chunks(content, name)[0], name)
-    cameras = []
     try:
-        for node in scene_nodes(document)[1]:
-            if "camera" in node.properties:
-                camera = document["cameras"][node.properties["camera"]]
-                label = node.properties.get("name") or camera.get("name") or ""
-                if "perspective" not in camera:
-                    raise InputError(
-                        f"camera {shown(label)} of {name} is orthographic: give a perspective one"
-                    )
-                cameras.append(_looking(node.world, camera["perspective"]["yfov"], label))
+        nodes = [node for node in scene_nodes(document)[1] if "camera" in node.properties]
     except ValueError as error:
-        if isinstance(error, InputError):
-            raise
         raise damaged(name, str(error)) from None
+    cameras = []
+    for node in nodes:
+        camera = document["cameras"][node.properties["camera"]]
+        label = node.properties.get("name") or camera.get("name") or ""
+        if "perspective" not in camera:
+            raise InputError(
+                f"camera {shown(label)} of {name} is orthographic: give a perspective one"
+            )
+        cameras.append(_looking(node.world, camera["perspective"]["yfov"], label))
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
     return named(cameras, "camera")

@@ -27,7 +27,7 @@ _DRACO = "KHR_draco_mesh_compression"
 _BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
 
 Float = NDArray[np.float64]
-_Joints = tuple[tuple[int, ...], Float | None]
+_Joints = tuple[tuple[int, ...], Float | None]  # joints and inverse bind matrices (J, 4, 4)
 _Head = tuple[NDArray[np.bool_], float]  # mask of the joints of a head, height of the first
 
 
@@ -223,22 +223,15 @@ def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Pie
 
 @dataclass(frozen=True)
 class _Instance:
-    """An instance of a mesh, placed by a node.
-
-    node : number of the node
-    offset : transform of the instance within the node's space; None: no transform
-    weights : weights of the morph targets
-    skin : index of the skin, whose joints place the mesh; None: the node places the mesh
-    joints : joints and inverse bind matrices (J, 4, 4) of the skin
-    """
+    """An instance of a mesh, placed by a node."""
 
     mesh: int
     name: str
     node: int
-    offset: Float | None
+    offset: Float | None  # transform of the instance within the node's space; None: no transform
     world: Float
-    weights: tuple[float, ...]
-    skin: int | None
+    weights: tuple[float, ...]  # of the morph targets
+    skin: int | None  # index of the skin, whose joints place the mesh; None: the node places it
     joints: _Joints | None
 
 
@@ -405,10 +398,7 @@ class _File:
         self, properties: Doc, where: str, instance: _Instance, head: _Head | None
     ) -> Piece | None:
         """Return a primitive as a piece in mesh space, or in scene space if it is skinned. Return
-        None for a primitive without triangles.
-
-        head : result of :meth:`_head_joints`; None without a skin
-        """
+        None for a primitive without triangles."""
         attributes = properties["attributes"]
         if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
             self.warn(f"{self.name} has points, lines or vertices without positions: not drawn")

@@ -178,22 +178,20 @@ def _is_number(value: Any) -> bool:
     return number and -1e300 < value < 1e300
 
 
+def _is_size(value: Any) -> bool:
+    return _is_number(value) and 0 <= value < 1 << 53 and value == int(value)
+
+
 # Keyed by type: check of a value, description for messages. A size such as 3 may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (lambda value: isinstance(value, str), "text"),
     "name": (lambda value: True, "text"),  # only for display: values of other types become ""
     "switch": (lambda value: isinstance(value, bool), "true or false"),
     "number": (_is_number, "a number"),
-    "size": (
-        lambda value: _is_number(value) and 0 <= value < 1 << 53 and value == int(value),
-        "an integer >= 0",
-    ),
-    "component": (
-        lambda value: _is_number(value) and value in COMPONENTS,
-        "a glTF component type",
-    ),
+    "size": (_is_size, "an integer >= 0"),
+    "component": (lambda value: _is_size(value) and value in COMPONENTS, "a glTF component type"),
     "type": (lambda value: isinstance(value, str) and value in TYPES, "a glTF accessor type"),
-    "mode": (lambda value: _is_number(value) and value in range(7), "a glTF primitive mode"),
+    "mode": (lambda value: _is_size(value) and value in range(7), "a glTF primitive mode"),
 }
 
 
@@ -295,14 +293,10 @@ def document_of(text: bytes, name: str) -> Doc:
 
 def checked_animation(document: Doc, index: int) -> Doc:
     """Check an animation of a document from :func:`document_of`, which does not check animations.
-
-    Raises
-    ------
-    ValueError : the animation has an invalid property
-    """
-    where = f"animations[{index}]"
-    animation: Doc = _checked(document["animations"][index], "animation", where, _counts(document))
-    return animation
+    Raise ValueError for an invalid property."""
+    animation, where = document["animations"][index], f"animations[{index}]"
+    result: Doc = _checked(animation, "animation", where, _counts(document))
+    return result
 
 
 def _counts(document: Doc) -> dict[str, int]:
@@ -340,7 +334,7 @@ def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[s
         return [_checked(entry, inner, f"{where}[{i}]", counts) for i, entry in enumerate(value)]
     if shape[0] == "#":
         count = counts.get(shape[1:], 0)
-        good = _VALUES["size"][0](value) and value < count
+        good = _is_size(value) and value < count
         _expect(good, value, where, f"an index into the {count} {shape[1:]}")
         return int(value)
     if shape == "any":

@@ -64,16 +64,10 @@ class LoadOptions:
 
 @dataclass(frozen=True)
 class MeshFiles:
-    """The files from which a mesh is loaded.
-
-    Attributes
-    ----------
-    source : the mesh file
-    maps : image files that replace the mesh file's maps, keyed by the field of :class:`Material`
-    """
+    """The files from which a mesh is loaded."""
 
     source: Source
-    maps: Mapping[str, Any]
+    maps: Mapping[str, Any]  # image files that replace maps, keyed by the field of Material
     options: LoadOptions = LoadOptions()
 
     def digest(self) -> str | None:

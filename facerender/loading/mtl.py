@@ -138,10 +138,7 @@ class UvSpread(NamedTuple):
 
 @dataclass
 class _Map:
-    """The statement of a map: file name and options.
-
-    uv : transform of the texture coordinates
-    """
+    """The statement of a map: file name and options."""
 
     name: str
     uv: UvSpread = UvSpread()
@@ -157,12 +154,7 @@ class Library:
     """
 
     def __init__(self, data: bytes, referred: References, name: str, albedo_given: bool) -> None:
-        """Read the MTL files that an OBJ file names.
-
-        Raises
-        ------
-        InputError : an MTL file is not a regular file, or all files together are too large
-        """
+        """Read the MTL files that an OBJ file names; errors as of :meth:`References.read`."""
         self.referred = referred
         self.name = name
         self.albedo_given = albedo_given
@@ -344,10 +336,8 @@ class Library:
     # --- maps ------------------------------------------------------------------------------------
 
     def warn_of_tiles(self, name: str, uv: NDArray[np.float64]) -> None:
-        """Warn if a map of a material is a UDIM tile and its faces are on several tiles.
-
-        uv : (faces, 3, 2) texture coordinates
-        """
+        """Warn if a map of a material is a UDIM tile and its faces, with the texture coordinates
+        (F, 3, 2), are on several tiles."""
         maps = [text for key, text in self.materials.get(name, {}).items() if key in _MAPS]
         if not any(re.search(r"(?<!\d)1001(?!\d)", text) for text in maps):
             return

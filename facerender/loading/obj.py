@@ -31,8 +31,6 @@ def normalized(data: bytes, file: str) -> bytes:
     """Return an OBJ file as UTF-8 with the line ends and spaces that trimesh expects: it reads
     neither tabs after keywords nor indented lines nor comments behind numbers.
 
-    file : name of the file, for messages
-
     Raises
     ------
     InputError : the file is UTF-16 without a byte order mark
@@ -123,8 +121,6 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str], list[str]]:
 
     A part is named after its group, or else its object, or else its material. Parts with the same
     name are renamed to group.material or, if they share this name, too, to object.group.material.
-
-    file : name of the file, for the warning about too many groups
     """
     owners = {b"o": b"", b"g": b"", b"usemtl": b""}
     starts, ends, keys, heads = [0], [0], [tuple(owners.values())], [b""]

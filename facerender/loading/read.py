@@ -66,8 +66,6 @@ def checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
     the names that trimesh reads, and edges another name, because trimesh would load a file with
     edges as a 2D drawing.
 
-    name : name of the file, for messages
-
     Raises
     ------
     ValueError : the header is damaged, or declares more elements than the bytes can hold
@@ -444,12 +442,7 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
 
 def _checked_stl(data: bytes, name: str) -> bytes:
     """Return the content of an STL file: text in UTF-8, or binary data without the bytes after
-    the last triangle.
-
-    Raises
-    ------
-    ValueError : a binary file is too short
-    """
+    the last triangle. Raise ValueError if a binary file is too short."""
     if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
         return text_of(data).encode()
     (count,) = struct.unpack_from("<I", data, 80)

@@ -59,8 +59,7 @@ class References:
         if (cached := self.files.get(name)) is not None:
             return cached
         self.files[name] = None
-        path = self.folder and _place(self.folder, name, self.allow_outside)
-        if path is None or self.folder is None:
+        if not self.folder or (path := _place(self.folder, name, self.allow_outside)) is None:
             raise FileNotFoundError(self.why_not(name))
         if path not in (self.folder / spelling for spelling in _spellings(name)):
             used = os.path.relpath(path, self.folder)
@@ -94,12 +93,8 @@ def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
 
 
 def inline(uri: str) -> bytes | None:
-    """Return the content of a data: URI, or None for another URI.
-
-    Raises
-    ------
-    ValueError : the data are damaged
-    """
+    """Return the content of a data: URI, or None for another URI. Raise ValueError if the data are
+    damaged."""
     head, comma, content = uri.partition(",")
     if not head.lower().startswith("data:"):
         return None
@@ -196,7 +191,7 @@ def _uris(path: Path) -> list[str]:
     """Return the external URIs of a glTF file. The file may be invalid."""
     document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
     tables = document if isinstance(document, dict) else {}
-    entries = [entry for key in ("buffers", "images") for entry in tables.get(key) or ()]
+    entries = (entry for key in ("buffers", "images") for entry in tables.get(key) or ())
     uris = [entry.get("uri") for entry in entries if isinstance(entry, dict)]
     return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
 
@@ -204,12 +199,11 @@ def _uris(path: Path) -> list[str]:
 def _maps(library: Path) -> list[Path]:
     """Return possible paths of the maps of an MTL file. Options may precede the name of a
     map: both the whole text and the last word of each statement are used as names."""
-    try:
+    with suppress(InputError):
         lines = _names(_MAP, library)
-    except InputError:
-        return []
-    names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
-    return _paths(library.parent, sorted(names))
+        names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
+        return _paths(library.parent, sorted(names))
+    return []
 
 
 def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:

@@ -79,12 +79,7 @@ class Source:
         return clipped(self.path.name, 80)
 
     def read(self) -> bytes:
-        """Return the content.
-
-        Raises
-        ------
-        InputError : the file cannot be read, or its format is not supported
-        """
+        """Return the content; errors as of :func:`read_file`."""
         return read_file(self.path, "a mesh file") if self.content is None else self.content
 
 
@@ -181,12 +176,10 @@ def check_format(data: bytes, suffix: str | None, name: str) -> None:
         raise InputError(f"{subject} an XML file; download the file itself")
     if data[257:262] == b"ustar":
         raise InputError(f"{subject} a tar archive; unpack it")
-    if format_name is None:
-        return
-    for beginning, actual_suffix in _MESHES:
+    for beginning, actual_suffix in _MESHES if format_name else ():
         if start.startswith(beginning) and FORMATS[actual_suffix] != format_name:
             raise InputError(f"{subject} {FORMATS[actual_suffix]}; name it {actual_suffix}")
-    if format_name != "glTF" and start.startswith(b"{"):
+    if format_name not in (None, "glTF") and start.startswith(b"{"):
         raise InputError(f"{subject} {_json(data)}")
 
 
