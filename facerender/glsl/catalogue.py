@@ -17,26 +17,16 @@ _KEYED = re.compile(r"^   (\w+(?:, \w+)*): +(\S.*(?:\n {5,}\S.*)*)", re.MULTILIN
 
 @dataclass(frozen=True)
 class Function:
-    """A public function of the library.
+    """A public function of the library, with the texts of its comments."""
 
-    Attributes
-    ----------
-    name, signature : such as "fr_ward" and its GLSL declaration
-    file : path in an include line
-    summary : first sentence of the comment
-    parameters : meaning, unit and domain of each parameter, keyed by the parameter name
-    formula, unit, error, source : texts of the keys with these names
-    result : text of the key "returns"; "" if the comment lacks this key
-    """
-
-    name: str
-    signature: str
-    file: str
-    summary: str
-    parameters: dict[str, str]
+    name: str  # such as "fr_ward"
+    signature: str  # GLSL declaration
+    file: str  # path in an include line
+    summary: str  # first sentence of the comment
+    parameters: dict[str, str]  # meaning, unit and domain, keyed by the parameter name
     formula: str
     unit: str
-    result: str
+    result: str  # text of the key "returns"; "" if the comment lacks this key
     error: str
     source: str
 

@@ -321,10 +321,8 @@ class Parser:
     def _add(self, name: str, function: Function) -> None:
         """Store the signature of a function or prototype."""
         declared = self.functions.setdefault(name, function)
-        declared_types, types = (
-            [kind for _, kind, _ in signature.parameters] for signature in (declared, function)
-        )
-        if declared_types != types:
+        types = [[kind for _, kind, _ in f.parameters] for f in (declared, function)]
+        if types[0] != types[1]:
             raise self._error(f"an overload of the function {name!r}: give it another name")
         self.functions[name] = function
 
@@ -474,7 +472,7 @@ class Parser:
                     raise self._error(f"'[' of a {node.type}")
                 scalar, count = VECTORS.get(node.type, ("float", 0))
                 type_ = scalar if count else _vector(scalar, MATRICES[node.type][1])
-                parts = [node, self._take(), self._expression(), self._take("]")]
+                parts: list[Part] = [node, self._take(), self._expression(), self._take("]")]
                 node = Node("index", parts, type_)
             else:
                 dot, field_ = self._take(), self._take()

@@ -273,7 +273,12 @@ class _File:
             for piece in meshes[key]:
                 self._count_drawn(len(piece.positions) + len(piece.faces))
                 name = ".".join(filter(None, (instance.name, piece.name)))
-                rig = self._rig_of(instance, piece)
+                if rig := piece.rig:
+                    nodes = {instance.node} if rig.skin is None else {*rig.skin.joints}
+                    moves = rig.shapes or self.moving is None or self.moving & nodes
+                    rig = (
+                        replace(rig, node=instance.node, offset=instance.offset) if moves else None
+                    )
                 pieces.append(replace(placed(piece, instance.world), name=name, rig=rig))
         return pieces
 
@@ -287,16 +292,6 @@ class _File:
         if len(pieces) == 1:
             pieces[0].name = ""  # the material's name is only needed to distinguish several pieces
         return pieces
-
-    def _rig_of(self, instance: _Instance, piece: Piece) -> Rig | None:
-        """Return the rig of a piece at an instance; None if no shape and no clip moves it."""
-        rig = piece.rig
-        if rig is None:
-            return None
-        nodes = {instance.node} if rig.skin is None else {*rig.skin.joints}
-        if not rig.shapes and self.moving is not None and self.moving.isdisjoint(nodes):
-            return None
-        return replace(rig, node=instance.node, offset=instance.offset)
 
     def _count_drawn(self, count: int) -> None:
         self.drawn += count

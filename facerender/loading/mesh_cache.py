@@ -9,7 +9,7 @@ import json
 import math
 import struct
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -127,7 +127,8 @@ class MeshFiles:
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of a missing image depends on other files in the mesh's folder
-        if any(math.prod(texture.size) > LARGE for texture in _maps(mesh)):
+        maps = (getattr(material, name) for material in mesh.materials for name in MAPS)
+        if any(texture and math.prod(texture.size) > LARGE for texture in maps):
             return  # storing the mesh would decode large maps at full resolution
         files = {file: None if data is None else digest_of(data) for file, data in referred.items()}
         chains = _start(mesh)
@@ -154,11 +155,6 @@ def _code() -> list[tuple[str, int, int]]:
     return [(str(path), status.st_size, status.st_mtime_ns) for path, status in facts]
 
 
-def _maps(mesh: Mesh) -> Iterator[Texture]:
-    for material in mesh.materials:
-        yield from filter(None, (getattr(material, name) for name in MAPS))
-
-
 def _start(mesh: Mesh) -> Chains:
     """Start to decode every map, and return the futures of the mip chains."""
     chains: Chains = {}
@@ -178,7 +174,9 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
     textures = []
     for texture, futures in chains.items():
         levels = {kind: future.result() for kind, future in futures.items()}
-        texels = None if levels else _grey_or_rgb(np.asarray(texture.rgb()))
+        texels = None if levels else np.asarray(texture.rgb())
+        if texels is not None and (texels == texels[..., :1]).all():
+            texels = texels[..., 0]  # grey
         textures.append((texture.name, texture.wrap, texture.nearest, levels, texels))
     facts |= {
         "textures": writer.packed(textures),
@@ -228,11 +226,6 @@ class _Writer:
                 self.objects.append((type(value).__name__, attributes))
             self.known[id(value)] = reference, value
         return self.known[id(value)][0]
-
-
-def _grey_or_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    grey = texels[..., 0]
-    return grey if (texels == grey[..., None]).all() else texels
 
 
 def _arrays(

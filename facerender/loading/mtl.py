@@ -219,19 +219,16 @@ class Library:
     def look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
         """Return a material and the transform of its texture coordinates, or the default material
         if the name is not defined."""
-        statements = self.materials.get(name)
-        if statements is None:
-            return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO), UvSpread()
-        key = name, has_colors
-        if key not in self.looks:
-            self.looks[key] = self._look(name, statements, has_colors)
-        return self.looks[key]
+        if (name, has_colors) not in self.looks:
+            self.looks[name, has_colors] = self._look(name, has_colors)
+        return self.looks[name, has_colors]
 
     # --- factors ---------------------------------------------------------------------------------
 
-    def _look(
-        self, name: str, statements: Mapping[str, str], has_colors: bool
-    ) -> tuple[Material, UvSpread]:
+    def _look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
+        white = (1.0, 1.0, 1.0)
+        if (statements := self.materials.get(name)) is None:
+            return Material(albedo=white if has_colors else SKIN_ALBEDO), UvSpread()
         for key in statements.keys() - _READ - _IGNORED:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
@@ -246,7 +243,6 @@ class Library:
                     f"than {clipped(first.name, 80)}: ignored, because all maps of a material have "
                     "one scale and offset"
                 )
-        white = (1.0, 1.0, 1.0)
         albedo = self._color(statements, "kd") or white
         if "map_kd" in statements and not has_albedo_map and min(albedo) > 0.99:
             albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map

@@ -184,6 +184,8 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
                 pieces = _read_obj(data, name, references, albedo_given)
             else:
                 pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
+        for missing in () if albedo_given else references.missing():
+            missing_image(references, missing)
     except InputError:
         raise
     except (ValueError, LookupError, ArithmeticError) as error:
@@ -213,7 +215,6 @@ def _read_ply_or_stl(
         pieces = [piece_of(geometry, name, {}, False) for geometry in geometries]
         _clear(*geometries)
     check_count(len(pieces), name)
-    _warn_of_missing(references, albedo_given)
     return pieces
 
 
@@ -231,7 +232,7 @@ def _ply_pieces(
     for of, values in colors.items():
         if values and visual.kind == of:
             setattr(visual, f"{of}_colors", color_bytes(np.stack(values, axis=1)))
-    textures = [_ply_texture(name, references, not albedo_given) for name in names]
+    materials = [_ply_material(name, references, not albedo_given) for name in names]
     numbers = _ply_values(geometry, "face", ("texnumber",)) if len(names) > 1 else None
     if numbers:
         geometry.face_attributes["texnumber"] = numbers[0]
@@ -240,7 +241,7 @@ def _ply_pieces(
     if sources is not None:
         piece.sources = sources
         piece.source_count = geometry.metadata["_ply_raw"]["vertex"]["length"]
-    if not any(textures):
+    if not any(materials):
         # trimesh drops the colours of a file with texture coordinates, whose vertices it may split.
         of = next(filter(colors.get, colors), "")
         if sources is None or piece.out_of_range or not of:
@@ -260,26 +261,20 @@ def _ply_pieces(
                 f"{file} names {len(names)} textures, but its faces have no texnumber: all get "
                 f"{clipped(names[0], 60)}"
             )
-        return [_textured(piece, textures[0])]
+        return [replace(piece, material=materials[0] or piece.material)]
     number = geometry.face_attributes["texnumber"]
     pieces = []
     for value in np.unique(number).astype(np.int64).tolist():
         part = subset(piece, number == value)
         if 0 <= value < len(names):
             part.name = PurePath(names[value]).stem
-            part = _textured(part, textures[value])
+            part.material = materials[value] or part.material
         else:
-            warn(f"{file} has {len(part.faces)} faces whose texnumber {value} names no texture")
             part.name = ""
+            warn(f"{file} has {len(part.faces)} faces whose texnumber {value} names no texture")
         pieces.append(part)
     pieces[0].out_of_range = piece.out_of_range
     return pieces
-
-
-def _textured(piece: Piece, texture: Texture | None) -> Piece:
-    if texture is None:
-        return piece
-    return replace(piece, material=Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture))
 
 
 def _ply_values(
@@ -323,8 +318,8 @@ def _ply_sources(geometry: trimesh.Trimesh) -> NDArray[np.int64] | None:
     return sources
 
 
-def _ply_texture(name: str, references: References, fatal: bool) -> Texture | None:
-    """Return a texture of a PLY file, or None if it is missing.
+def _ply_material(name: str, references: References, fatal: bool) -> Material | None:
+    """Return a material with a texture of a PLY file, or None if the texture is missing.
 
     fatal : whether a texture that is not an image raises InputError instead of a warning
     """
@@ -337,7 +332,7 @@ def _ply_texture(name: str, references: References, fatal: bool) -> Texture | No
     except ValueError as error:
         unreadable(f"{clipped(name, 80)} (named by {references.name})", "albedo", error, fatal)
         return None
-    return Texture.of(content, clipped(name, 80))
+    return Material(albedo=(1.0, 1.0, 1.0), albedo_map=Texture.of(content, clipped(name, 80)))
 
 
 def _read_obj(data: bytes, name: str, references: References, albedo_given: bool) -> list[Piece]:
@@ -374,14 +369,7 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     _clear(*geometries.values())
     pieces = [piece for _, piece in sorted(numbered, key=lambda pair: pair[0])]
     number_vertices(data, pieces, colors)
-    _warn_of_missing(references, albedo_given)
     return pieces
-
-
-def _warn_of_missing(references: References, albedo_given: bool) -> None:
-    if not albedo_given:
-        for missing in references.missing():
-            missing_image(references, missing)
 
 
 def _clear(*loaded: object) -> None:

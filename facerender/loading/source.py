@@ -59,20 +59,12 @@ def check_normal_map_y(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Source:
-    """A mesh file, or its content.
+    """A mesh file, or its content."""
 
-    Attributes
-    ----------
-    path : path of the file; for content in memory, a name for messages
-    suffix : .glb, .gltf, .obj, .ply or .stl for the format; may differ from the suffix of ``path``
-    content : bytes of the file; None to read the file at ``path``
-    folder : folder of the files that the mesh refers to; None if unknown
-    """
-
-    path: Path
-    suffix: str
-    content: bytes | None
-    folder: Path | None
+    path: Path  # for content in memory, a name for messages
+    suffix: str  # .glb, .gltf, .obj, .ply or .stl for the format; may differ from that of the path
+    content: bytes | None  # None to read the file
+    folder: Path | None  # folder of the files that the mesh refers to; None if unknown
 
     @property
     def name(self) -> str:
