@@ -228,7 +228,7 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
             changes["roughness_factor"] = 1.0
         materials[i] = replace(materials[i], **changes)
     if normal_map_y == "down":
-        turned = {None: None}
+        turned: dict[Texture | None, Texture | None] = {None: None}
         turned |= {old: old.turned_green() for m in materials if (old := m.normal_map)}
         materials = [replace(m, normal_map=turned[m.normal_map]) for m in materials]
     return replace(mesh, parts=tuple(parts), materials=tuple(materials))

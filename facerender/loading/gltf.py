@@ -256,7 +256,7 @@ class _File:
         self.rigs = RigReader(self.buffers)
         self.skeleton = Skeleton(())
         self.moving: set[int] | None = set()  # nodes that clips move; None: all
-        self.skins: dict[int, _Joints | None] = {}
+        self.skins: dict[int | None, _Joints | None] = {}
         self.shapes: dict[str, tuple[Shape, ...]] = {}  # keyed by the primitive's path
         self.own: dict[int, int] = {}  # number of stored elements, keyed by the accessor's index
         self.drawn = 0  # number of drawn vertices and faces
@@ -427,8 +427,8 @@ class _File:
         rig = None
         if shapes or self.skeleton.clips:
             arrays = np.array(base), None if base_normals is None else np.array(base_normals)
-            pose = instance.weights, shapes, skin, instance.skin is None
-            rig = Rig(self.skeleton, instance.node, *arrays, *pose)
+            weights, by_node = instance.weights, instance.skin is None
+            rig = Rig(self.skeleton, instance.node, *arrays, weights, shapes, skin, by_node)
         return Piece(
             positions=np.asarray(shape, dtype=np.float64),
             faces=faces,

@@ -263,7 +263,7 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
     return mesh
 
 
-def _type_of(name: str) -> type:
+def _type_of(name: str) -> Any:
     if name in _RIG:
         from facerender.scenes import rig  # most meshes have none: this saves 5 ms
 

@@ -243,10 +243,10 @@ def _ply_pieces(
         piece.source_count = geometry.metadata["_ply_raw"]["vertex"]["length"]
     if not any(materials):
         # trimesh drops the colours of a file with texture coordinates, whose vertices it may split.
-        of = next(filter(colors.get, colors), "")
-        if sources is None or piece.out_of_range or not of:
+        of, values = next(((of, values) for of, values in colors.items() if values), ("", None))
+        if sources is None or piece.out_of_range or not values:
             return [piece]
-        levels = srgb_to_linear(color_bytes(np.stack(colors[of], axis=1)) / 255.0)
+        levels = srgb_to_linear(color_bytes(np.stack(values, axis=1)) / 255.0)
         piece.material = Material(albedo=(1.0, 1.0, 1.0))
         if of == "face":
             return [with_face_colors(piece, levels)]
