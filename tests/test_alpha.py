@@ -18,7 +18,7 @@ from facerender.errors import InputError
 from facerender.explorer.mesh import drawable, lost_features
 from facerender.job import Job
 from facerender.loading.mesh_cache import MeshFiles
-from facerender.loading.source import Orientation, source_of
+from facerender.loading.source import source_of
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import parse_light
 from facerender.scenes.material import MAPS, Material
@@ -183,7 +183,7 @@ def test_meshes_survive_pickles_and_the_cache(tmp_path, cache_folder):
     mesh = mesh_of([replace(part, uv2=part.uv[::-1].copy())], [full_material()])
     file = tmp_path / "head.obj"
     file.write_text("v 0 0 0\n")
-    files = MeshFiles(source_of(file), {}, Orientation(), False)
+    files = MeshFiles(source_of(file), {})
     files.store(files.digest(), mesh, {}, [])
     wait_for_cache()
     kept = files.find()

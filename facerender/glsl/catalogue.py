@@ -17,26 +17,16 @@ _KEYED = re.compile(r"^   (\w+(?:, \w+)*): +(\S.*(?:\n {5,}\S.*)*)", re.MULTILIN
 
 @dataclass(frozen=True)
 class Function:
-    """A public function of the library.
+    """A public function of the library, with the texts of its comments."""
 
-    Attributes
-    ----------
-    name, signature : such as "fr_ward" and its GLSL declaration
-    file : path in an include line
-    summary : first sentence of the comment
-    parameters : meaning, unit and domain of each parameter, keyed by the parameter name
-    formula, unit, error, source : texts of the keys with these names
-    result : text of the key "returns"; "" if the comment lacks this key
-    """
-
-    name: str
-    signature: str
-    file: str
-    summary: str
-    parameters: dict[str, str]
+    name: str  # such as "fr_ward"
+    signature: str  # GLSL declaration
+    file: str  # path in an include line
+    summary: str  # first sentence of the comment
+    parameters: dict[str, str]  # meaning, unit and domain, keyed by the parameter name
     formula: str
     unit: str
-    result: str
+    result: str  # text of the key "returns"; "" if the comment lacks this key
     error: str
     source: str
 
@@ -55,6 +45,7 @@ def _functions(name: str) -> list[Function]:
     for comment, kind, function, parameters in _FUNCTION.findall(text):
         description = _comment(comment)
         texts = _keyed(header) | _keyed(description)
+        paragraph = (description or header).split("\n\n")[0]
         parameters = " ".join(parameters.split())
         names = [parameter.split()[1] for parameter in parameters.split(", ")]
         result.append(
@@ -62,7 +53,7 @@ def _functions(name: str) -> list[Function]:
                 function,
                 f"{kind} {function}({parameters})",
                 file,
-                _sentence(description or header),
+                re.split(r"(?<=\.) (?=[A-Z])", " ".join(paragraph.split()))[0],
                 {name: texts[name] for name in names},
                 texts["formula"],
                 texts["unit"],
@@ -84,8 +75,3 @@ def _keyed(comment: str) -> dict[str, str]:
         for keys, text in _KEYED.findall(comment)
         for key in keys.split(", ")
     }
-
-
-def _sentence(comment: str) -> str:
-    """Return the first sentence of a comment."""
-    return re.split(r"(?<=\.) (?=[A-Z])", " ".join(comment.split("\n\n")[0].split()))[0]

@@ -22,10 +22,7 @@ def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
 
 def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
     """Return the macros that make the function of a model, such as ``fr_cook_torrance``, compute a
-    term.
-
-    smallest_m : lowest m of the material; used if the term has no constant m
-    """
+    term; ``smallest_m`` as in :func:`prelude`."""
     macros = _macros(term, smallest_m)
     if term.entry.factors:
         macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro
@@ -57,15 +54,10 @@ def call(term: Term, second_slope: float | None = None) -> str:
     second_slope : ratio of the second lobe's m to the first lobe's m; the expression then also
         uses float second_m and lobe_weight. None for materials with one lobe
     """
-    macros = {
-        "lobe": lobe_entry(term.lobe).macro,
-        "fresnel": FRESNEL[term.fresnel].macro,
-        "masking": MASKING[term.masking].macro,
-    }
-    m, second = _slopes(term, second_slope)
     if second_slope is not None and term.entry.two:
-        return term.entry.two.call.format(m=m, second=second, **macros)
-    return _lobes(term.entry.call, m, second, macros)
+        m, second = _slopes(term, second_slope)
+        return term.entry.two.call.format(m=m, second=second, **_names(term))
+    return _lobes(term.entry.call, term, second_slope)
 
 
 def environment_call(term: Term, second_slope: float | None = None) -> str:
@@ -82,30 +74,34 @@ def environment_call(term: Term, second_slope: float | None = None) -> str:
             f"the model {term.model} has no specular term for environment maps: set "
             "environment_samples to 0, or choose another model"
         )
-    code = term.entry.environment.call
-    macros = {"fresnel": FRESNEL[term.fresnel].macro, "masking": MASKING[term.masking].macro}
-    return _lobes(code, *_slopes(term, second_slope), macros)
+    return _lobes(term.entry.environment.call, term, second_slope)
+
+
+def _names(term: Term) -> dict[str, str]:
+    """Return the names that the code of a call contains in braces, and their macros."""
+    return {
+        "lobe": lobe_entry(term.lobe).macro,
+        "fresnel": FRESNEL[term.fresnel].macro,
+        "masking": MASKING[term.masking].macro,
+    }
 
 
 def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
     """Return m of both lobes as GLSL: numbers if the term has a constant m, otherwise variables.
     The second string is "" if there is one lobe."""
     second = None if second_slope is None else term.second(second_slope).slope("second_m")
-    first_m, second_m = (
-        slope if isinstance(slope, str) else repr(float(slope))
-        for slope in (term.slope("m"), second or "")
-    )
-    return first_m, second_m
+    slopes = term.slope("m"), second or ""
+    m, second_m = (x if isinstance(x, str) else repr(float(x)) for x in slopes)
+    return m, second_m
 
 
-def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
+def _lobes(code: str, term: Term, second_slope: float | None) -> str:
     """Return the call for one lobe, or for two lobes the weighted mean of both calls."""
-    first_call, second_call = (code.format(m=slope, **macros) for slope in (m, second))
-    return (
-        f"lobe_weight * {first_call} + (1.0 - lobe_weight) * {second_call}"
-        if second
-        else first_call
-    )
+    m, second = _slopes(term, second_slope)
+    first_call, second_call = (code.format(m=slope, **_names(term)) for slope in (m, second))
+    if not second:
+        return first_call
+    return f"lobe_weight * {first_call} + (1.0 - lobe_weight) * {second_call}"
 
 
 def _macros(term: Term, smallest_m: float) -> dict[str, str]:

@@ -29,18 +29,13 @@ _Identity = tuple[int, int]  # Device and inode number of a file.
 
 
 class Directive(NamedTuple):
-    """A preprocessor line.
+    """A preprocessor line."""
 
-    Attributes
-    ----------
-    start, end : indices in the text at which the line starts and ends, without the newline
-    name, rest : words of the line, without comments, such as "define" and "FR_LOBE 1"
-    """
-
-    start: int
-    end: int
-    name: str
-    rest: str
+    start: int  # index in the text at which the line starts
+    end: int  # index in the text at which the line ends, without the newline
+    line: int  # number of the line, from 1
+    name: str  # first word, such as "define"
+    rest: str  # other words, without comments, such as "FR_LOBE 1"
 
 
 class Scan(NamedTuple):
@@ -69,9 +64,12 @@ def scan(text: str) -> Scan:
         text = _COMMENT_OR_STRING.sub(_blank_behind_directive, text)
         code = _blanked(text)
     directives = []
+    line, position = 1, 0
     for match in _DIRECTIVE.finditer(code):
+        line += code.count("\n", position, match.start())
+        position = match.start()
         words = _blanked(match[2]) if "//" in match[2] else match[2]
-        directives.append(Directive(match.start(), match.end(), match[1], words.strip()))
+        directives.append(Directive(position, match.end(), line, match[1], words.strip()))
     skipped = {*_skipped(directives)}
     for start, end, *_ in skipped:  # moderngl would include these files.
         text = text[:start] + " " * (end - start) + text[end:]
@@ -98,7 +96,7 @@ def _skipped(directives: Sequence[Directive]) -> Iterator[Directive]:
 
 
 def _guard(code: str, directives: list[Directive]) -> int:
-    depths = [*accumulate((name in IF) - (name == "endif") for _, _, name, _ in directives)]
+    depths = [*accumulate((line.name in IF) - (line.name == "endif") for line in directives)]
     end = depths.index(0) if 0 in depths else 0
     if end < 2:
         return 0
@@ -167,7 +165,7 @@ class Includes:
         self._folders = [*(os.fspath(folder) for folder in paths), self._root]
         self._late = False  # Whether the text has one of the versions _LATE.
         self._tailed: set[_Identity] = set()  # Included files with directives after their guard.
-        self._chain: list[tuple[_Identity, str]] = []  # Files being read, outermost first.
+        self._chain: dict[_Identity, str] = {}  # Paths of the files being read, outermost first.
         # The first set holds the files included outside all conditions. Each further set holds the
         # files included in one open branch.
         self._scopes: list[set[_Identity]] = [set()]
@@ -177,6 +175,11 @@ class Includes:
         """The resolved text."""
         # NVIDIA's compiler rejects #line at the end of the text.
         return _LAST_LINES.sub("\n", "".join(self._parts))
+
+    @property
+    def _path(self) -> str:
+        """Path of the file being read; "" for text without a file."""
+        return next(reversed(self._chain.values()), "")
 
     def append_file(self, path: str | Path, again: bool = False) -> None:
         """Append a file with its includes.
@@ -195,62 +198,56 @@ class Includes:
             self.files.append(self._name(path))
         if 0 < scan(text).guard < len(scan(text).directives) - 1:
             self._tailed.add(identity)
-        self._chain.append((identity, path))
-        self.append(text, path, again)
-        self._chain.pop()
+        self._chain[identity] = path
+        self.append(text, again)
+        self._chain.popitem()
 
-    def append(self, text: str, path: str = "", again: bool = False) -> None:
-        """Append text with its includes. For errors see :meth:`append_file`.
-
-        path : path of the text's file; "" for text without a file
-        """
+    def append(self, text: str, again: bool = False) -> None:
+        """Append text with its includes; see :meth:`append_file`."""
         text, directives, guard = scan(text)
-        source = self.files.index(self._name(path)) + 1 if path else 0
+        source = self.files.index(self._name(self._path)) + 1 if self._chain else 0
         start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
         counts: list[int] = []  # Number of inserted files before each open condition.
-        if path:
+        if source:
             line = text.count("\n", 0, position) + 1
             self._parts.append(f"{self._numbered(line, source)}  // {self.files[source - 1]}\n")
         for index, directive in enumerate(directives[start:], start):
             if guard and index in (0, guard):
                 continue
+            next_line = f"\n{self._numbered(directive.line + 1, source)}"
             if directive.name == "version":
                 self._late = directive.rest[:3] in _LATE
             elif directive.name in IF:
                 self._scopes.append(set())
                 counts.append(len(self.files))
             elif directive.name in ("elif", "else", "endif"):
-                self._check_open(bool(counts), directive, text, path)
+                self._check_open(bool(counts), directive)
                 self._scopes[-1] = set()
                 count = counts[-1]
                 if directive.name == "endif":
                     self._scopes.pop()
                     counts.pop()
                 if len(self.files) > count:  # Compilers ignore #line in a skipped branch.
-                    self._parts += (
-                        text[position : directive.end],
-                        f"\n{self._numbered(_line(text, directive) + 1, source)}",
-                    )
+                    self._parts += text[position : directive.end], next_line
                     position = directive.end
             elif directive.name == "include":
                 self._parts.append(text[position : directive.start])
                 position = directive.end
-                if self._include(directive, text, path):
-                    self._parts.append(f"\n{self._numbered(_line(text, directive) + 1, source)}")
+                if self._include(directive):
+                    self._parts.append(next_line)
         self._parts.append(text[position:])
-        self._check_closed(not counts, path)
+        self._check_closed(not counts)
 
     def _numbered(self, line: int, source: int) -> str:
         """Return a directive that gives the next line a number."""
         return f"#line {line - self._late} {source}"
 
-    def _include(self, include: Directive, text: str, path: str) -> bool:
+    def _include(self, include: Directive) -> bool:
         """Insert an included file. Return False if the text already contains the file."""
         match = _INCLUDE.fullmatch(include.rest)
         if match is None:
-            message = f'#include {include.rest}: write #include "FILE" or <FILE>'
-            return self._fail(include, text, path, message)
-        name = match[1] or match[2]
+            return self._fail(include, f'#include {include.rest}: write #include "FILE" or <FILE>')
+        name, path = match[1] or match[2], self._path
         beside = [os.path.dirname(path) or "."] if path and match[1] else []
         folders = [*beside, *self._folders]
         try:
@@ -259,19 +256,16 @@ class Includes:
                 folders.insert(1, os.path.dirname(os.path.realpath(path)))
                 file = _first(name, folders)
         except OSError as error:
-            return self._fail(include, text, path, f"cannot read {name}: {reason(error)}")
+            return self._fail(include, f"cannot read {name}: {reason(error)}")
         if file is None:
-            message = f"no file {name} in {' or '.join(dict.fromkeys(folders))}"
-            return self._fail(include, text, path, message)
+            return self._fail(include, f"no file {name} in {' or '.join(dict.fromkeys(folders))}")
         place, identity = file
-        being_read = [file_identity for file_identity, _ in self._chain]
-        if identity in being_read:
-            cycle = [file_path for _, file_path in self._chain[being_read.index(identity) :]]
-            message = f"include cycle {' -> '.join(map(self._name, [*cycle, place]))}"
-            raise self._error(include, text, path, message)
+        if identity in self._chain:
+            cycle = [*self._chain.values()][[*self._chain].index(identity) :]
+            names = " -> ".join(map(self._name, [*cycle, place]))
+            raise self._error(include, f"include cycle {names}")
         if len(self._chain) == DEEPEST:
-            message = f"more than {DEEPEST} nested includes"
-            raise self._error(include, text, path, message)
+            raise self._error(include, f"more than {DEEPEST} nested includes")
         again = any(identity in scope for scope in self._scopes)
         if again and identity not in self._tailed:
             return False
@@ -279,10 +273,10 @@ class Includes:
         self.append_file(place, again)
         return True
 
-    def _fail(self, include: Directive, text: str, path: str, message: str) -> bool:
+    def _fail(self, include: Directive, message: str) -> bool:
         """Raise InputError. Within a condition, which the compiler may skip, insert ``#error``."""
         if len(self._scopes) == 1:
-            raise self._error(include, text, path, message)
+            raise self._error(include, message)
         self._parts.append("#error " + re.sub("[\"']", "", message))  # naga reads quotes.
         return True
 
@@ -295,24 +289,21 @@ class Includes:
         inside = location.startswith(root)
         return location.removeprefix(root).replace(os.sep, "/") if inside else path
 
-    def _place(self, directive: Directive, text: str, path: str) -> str:
-        line = _line(text, directive)
-        return f"{self._name(path)}:{line}" if path else f"line {line}"
+    def _place(self, directive: Directive) -> str:
+        path = f"{self._name(self._path)}:" if self._chain else "line "
+        return f"{path}{directive.line}"
 
-    def _error(self, directive: Directive, text: str, path: str, message: str) -> InputError:
-        return InputError(f"{self._place(directive, text, path)}: {message}")
+    def _error(self, directive: Directive, message: str) -> InputError:
+        return InputError(f"{self._place(directive)}: {message}")
 
-    def _check_open(self, is_open: bool, directive: Directive, text: str, path: str) -> None:
+    def _check_open(self, is_open: bool, directive: Directive) -> None:
         if not is_open:
-            raise self._error(directive, text, path, f"#{directive.name} without #if")
+            raise self._error(directive, f"#{directive.name} without #if")
 
-    def _check_closed(self, closed: bool, path: str) -> None:
+    def _check_closed(self, closed: bool) -> None:
         if not closed:
-            raise InputError(f"{self._name(path) if path else 'text'}: #if without #endif")
-
-
-def _line(text: str, directive: Directive) -> int:
-    return text.count("\n", 0, directive.start) + 1
+            file = self._name(self._path) if self._chain else "text"
+            raise InputError(f"{file}: #if without #endif")
 
 
 def _identity(status: os.stat_result) -> _Identity:

@@ -48,9 +48,8 @@ def shader_dir() -> Path:
 def library() -> tuple[str, ...]:
     """Return the names of the library's files, such as "cook_torrance" and "lobe/exact"."""
     root = shader_dir() / "facerender"
-    return tuple(
-        sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.glsl"))
-    )
+    files = (path.relative_to(root).with_suffix("") for path in root.rglob("*.glsl"))
+    return tuple(sorted(file.as_posix() for file in files))
 
 
 def shader_source(
@@ -124,9 +123,8 @@ def _flat(
         check_known("target", target, (*TARGETS, *LANGUAGES))
     check_type("name", name, str, "the name of a library file or function, or a path, as a string")
     path = _path(name)
-    standard_input = (
-        decoded(sys.stdin.buffer.read(), str(path)) if path == _STANDARD_INPUT else None
-    )
+    is_standard = path == _STANDARD_INPUT
+    standard_input = decoded(sys.stdin.buffer.read(), str(path)) if is_standard else None
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
     if m is not None:
         coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
@@ -171,13 +169,10 @@ def _flat(
         try:
             text = translate(text.split("\n"), target)
         except InputError as error:
-            language = target.upper()
-            remedy = f"write this code in {language}"
-            if target != "wgsl":
-                remedy += ", or convert the SPIR-V of target vulkan with spirv-cross"
-            raise InputError(
-                f"{label if in_library else name} in {language}: {error}; {remedy}"
-            ) from None
+            language, file = target.upper(), label if in_library else name
+            spirv = ", or convert the SPIR-V of target vulkan with spirv-cross"
+            remedy = f"write this code in {language}{spirv * (target != 'wgsl')}"
+            raise InputError(f"{file} in {language}: {error}; {remedy}") from None
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 

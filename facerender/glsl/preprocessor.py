@@ -83,16 +83,9 @@ class Preprocessor(Includes):
         """Return whether the text or `chosen` defines a macro."""
         return macro in self._macros
 
-    def append(self, text: str, path: str = "", again: bool = False) -> None:
-        """Append text with its includes.
-
-        path : path of the text's file; "" for text without a file
-        again : see :meth:`append_file`
-
-        Raises
-        ------
-        InputError : see :meth:`Includes.append_file`; or a line defines a macro of `chosen`
-        """
+    def append(self, text: str, again: bool = False) -> None:
+        """Append text with its includes; see :meth:`append_file`. Raise InputError also if a line
+        defines a macro of `chosen`."""
         text, directives, guard = scan(text)
         start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
         depth = len(self._conditionals)
@@ -106,35 +99,35 @@ class Preprocessor(Includes):
                 self._conditionals.append(_Conditional(not self._active, is_guard))
                 self._branch(directive, line)
             elif directive.name in ("elif", "else", "endif"):
-                self._check_open(len(self._conditionals) > depth, directive, text, path)
+                self._check_open(len(self._conditionals) > depth, directive)
                 if directive.name != "endif":
                     self._branch(directive, line)
                 elif self._conditionals.pop().stays:
                     self._parts.append(line)
             elif self._active:
-                self._directive(directive, line, text, path)
+                self._directive(directive, line)
         if self._active:
             self._parts.append(text[position:])
-        self._check_closed(len(self._conditionals) == depth, path)
+        self._check_closed(len(self._conditionals) == depth)
 
-    def _directive(self, directive: Directive, line: str, text: str, path: str) -> None:
+    def _directive(self, directive: Directive, line: str) -> None:
         """Process a directive, other than #if to #endif, in a branch that may be taken."""
         if directive.name == "include":
             self._scopes[1:] = [
                 conditional.included for conditional in self._conditionals if conditional.open
             ]
-            if self._include(directive, text, path):
+            if self._include(directive):
                 self._parts.append("\n")
             return
         if directive.name == "error" and not any(branch.open for branch in self._conditionals):
-            raise self._error(directive, text, path, directive.rest)
+            raise self._error(directive, directive.rest)
         if directive.name == "version":
             if self.version:
-                raise self._error(directive, text, path, "a second #version: remove one of them")
+                raise self._error(directive, "a second #version: remove one of them")
             self.version = line.strip()
             return
         if directive.name in ("define", "undef"):
-            self._store(directive, text, path)
+            self._store(directive)
         self._parts.append(line)
 
     @property
@@ -165,14 +158,8 @@ class Preprocessor(Includes):
         if directive == "else":
             return True
         if directive in ("ifdef", "ifndef"):
-            return (
-                (directive == "ifdef")
-                if condition in self._macros
-                else self._undefined(directive == "ifndef")
-            )
-        condition = _DEFINED.sub(
-            lambda match: f" {match[1]}defined {match[2] or match[3]} ", condition
-        )
+            return self._if_defined(condition, directive == "ifdef")
+        condition = _DEFINED.sub(r" \1defined \2\3 ", condition)
         if re.search(r"[()\\]", condition):
             return None
         either = {
@@ -183,16 +170,16 @@ class Preprocessor(Includes):
 
     def _comparison(self, term: str) -> bool | None:
         if match := _DEFINED.fullmatch(term):
-            return (not match[1]) if match[3] in self._macros else self._undefined(bool(match[1]))
+            return self._if_defined(match[3], not match[1])
         match = _COMPARISON.fullmatch(term)
         a, sign, b = match.groups() if match else (term, "!=", "0")
         left, right = self._value(a), self._value(b)
         return None if left is None or right is None else bool(_COMPARE[sign](left, right))
 
-    def _undefined(self, truth: bool) -> bool | None:
-        """Return the value of a condition on an undefined macro: `truth`, or None if the host may
-        still define the macro."""
-        return truth if self._closed else None
+    def _if_defined(self, macro: str, truth: bool) -> bool | None:
+        """Return `truth` if a macro is defined, or else its opposite, or None if the host may still
+        define the macro."""
+        return truth if macro in self._macros else not truth if self._closed else None
 
     def _value(self, word: str) -> int | None:
         for _ in self._macros:
@@ -201,12 +188,12 @@ class Preprocessor(Includes):
             return 0
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
-    def _store(self, directive: Directive, text: str, path: str) -> None:
+    def _store(self, directive: Directive) -> None:
         """Store a macro's value, unless a condition that remains in the text encloses the line."""
         match = _MACRO.match(directive.rest)
         if match and match[1] in self._chosen:
             message = f"defines {match[1]}, which lobe or m sets: remove the line or the argument"
-            raise InputError(f"{self._place(directive, text, path)} {message}")
+            raise InputError(f"{self._place(directive)} {message}")
         if match and directive.name == "undef":
             self._macros.pop(match[1], None)
         elif match and not any(conditional.open for conditional in self._conditionals):

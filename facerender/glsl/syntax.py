@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 from facerender.errors import InputError
 
@@ -16,18 +17,18 @@ _TOKEN = re.compile(
     r"(?P<space>(?:\s|//[^\n]*|/\*.*?\*/)+)"
     r"|(?P<number>(?:(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)[fF]?|0[xX][\da-fA-F]+[uU]?|\d+[uU]?)"
     r"|(?P<name>[A-Za-z_]\w*)"
-    r"|(?P<sign>\+\+|--|<<=|>>=|<<|>>|[-+*/%&|^<>=!]=|&&|\|\||\^\^|[-+*/%<>=!&|^~?:;,.(){}\[\]#])",
+    r"|(?P<sign>\+\+|--|<<=|>>=|<<|>>|[-+*/%&|^<>=!]=|&&|\|\||\^\^|[-+*/%<>=!&|^~?:;,.(){}\[\]#])"
+    r"|(?P<other>.)",
     re.DOTALL,
 )
 _DIRECTIVE = re.compile(r"[ \t]*#[ \t]*(\w+)[ \t]*(.*)")
 _DEFINE = re.compile(r"(\w+)(?:\(([^)]*)\))?[ \t]*(.*)")
 _NUMBER = re.compile(r"\(?(-?(?:[\d.]+(?:[eE][-+]?\d+)?))\)?")
 
-SCALARS = ("float", "int", "uint", "bool")
+_PREFIXES = {"float": "", "int": "i", "uint": "u", "bool": "b"}  # of vectors
+SCALARS = (*_PREFIXES,)
 VECTORS = {
-    f"{prefix}vec{n}": (scalar, n)
-    for prefix, scalar in zip(["", "i", "u", "b"], SCALARS, strict=True)
-    for n in (2, 3, 4)
+    f"{prefix}vec{n}": (scalar, n) for scalar, prefix in _PREFIXES.items() for n in (2, 3, 4)
 }
 MATRICES = {f"mat{c}x{r}": (c, r) for c in (2, 3, 4) for r in (2, 3, 4)}
 SQUARE = {f"mat{n}": f"mat{n}x{n}" for n in (2, 3, 4)}
@@ -60,59 +61,55 @@ class Token:
     before: str = ""  # Comments and spaces before the token.
 
 
+Part: TypeAlias = "Token | Node"
+
+
 @dataclass
 class Node:
-    """A node of the syntax tree.
+    """A node of the syntax tree."""
 
-    Attributes
-    ----------
-    kind : such as "call", "ternary" or "if"
-    parts : tokens and child nodes, in source order
-    type : type of an expression, variable, parameter or result; matrices are written matCxR
-    name : name of a call, function, variable or parameter, or the components of a swizzle
-    """
+    kind: str  # such as "call", "ternary" or "if"
+    parts: list[Part]  # in source order
+    type: str = ""  # of an expression, variable, parameter or result; matrices are written matCxR
+    name: str = ""  # of a call, function, variable or parameter, or the components of a swizzle
 
-    kind: str
-    parts: list[Token | Node]
-    type: str = ""
-    name: str = ""
+    @property
+    def before(self) -> str:
+        """Comments and spaces before the node."""
+        return self.parts[0].before
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The child nodes, such as the arguments of a call."""
+        return [part for part in self.parts if isinstance(part, Node)]
+
+    @property
+    def sign(self) -> str:
+        """The first token, such as the operator of an expression."""
+        return next((part.text for part in self.parts if isinstance(part, Token)), "")
 
 
 @dataclass
 class Function:
-    """The signature of a function.
+    """The signature of a function."""
 
-    Attributes
-    ----------
-    type : return type
-    parameters : (qualifier, type, name) of each parameter
-    assigned : names of the variables that the body assigns
-    """
-
-    type: str
-    parameters: list[tuple[str, str, str]]
-    assigned: set[str] = field(default_factory=set)
+    type: str  # return type
+    parameters: list[tuple[str, str, str]]  # qualifier, type and name
+    assigned: set[str] = field(default_factory=set)  # variables that the body assigns
 
 
 def tokens(text: str) -> list[Token]:
-    """Split text into tokens.
-
-    Raises
-    ------
-    InputError : the text contains a character that GLSL does not allow
-    """
-    result, space, position = [], "", 0
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None:
-            raise InputError(f"not translated: {text[position]!r} is not a character of GLSL")
-        if match.lastgroup == "space":
-            space = match[0]
-        else:
-            word = _number(match[0]) if match.lastgroup == "number" else match[0]
-            result.append(Token(match.lastgroup or "", word, space))
-            space = ""
-        position = match.end()
+    """Split text into tokens. Raise InputError for a character that GLSL does not allow."""
+    result, space = [], ""
+    for match in _TOKEN.finditer(text):
+        kind, word = str(match.lastgroup), match[0]
+        if kind == "other":
+            raise InputError(f"not translated: {word!r} is not a character of GLSL")
+        if kind == "space":
+            space = word
+            continue
+        result.append(Token(kind, _number(word) if kind == "number" else word, space))
+        space = ""
     result.append(Token("end", "", space))
     return result
 
@@ -127,10 +124,7 @@ def _number(text: str) -> str:
     return digits + "u" * (text[-1] in "uU")
 
 
-@dataclass(frozen=True)
-class _Macro:
-    parameters: tuple[str, ...] | None
-    body: tuple[Token, ...]
+_Macro = tuple[list[str] | None, list[Token]]  # parameters, body
 
 
 def expanded(lines: Sequence[str]) -> list[Token]:
@@ -164,8 +158,8 @@ def expanded(lines: Sequence[str]) -> list[Token]:
         flush()
         macros.pop(name, None)
         if directive == "define":
-            names = None if parameters is None else tuple(map(str.strip, parameters.split(",")))
-            macros[name] = _Macro(names, tuple(tokens(body)[:-1]))
+            names = None if parameters is None else [*map(str.strip, parameters.split(","))]
+            macros[name] = names, tokens(body)[:-1]
     flush()
     return list(_exact([*result, Token("end", "", chunk[0])]))
 
@@ -195,16 +189,15 @@ def _replaced(
         called = index < len(code) and code[index].text == "("
         if macro and token.text in within:
             token, macro = replace(token, kind="final name"), None  # never expanded again
-        if macro is None or (macro.parameters is not None and not called):
+        if macro is None or (macro[0] is not None and not called):
             result.append(token)
             continue
-        body = list(macro.body)
-        if macro.parameters is not None:
+        parameters, body = macro
+        if parameters is not None:
             arguments, index = _arguments(code, index)
             arguments = [_replaced(argument, macros, within) for argument in arguments]
-            values = dict(zip(macro.parameters, arguments, strict=False))
+            values = dict(zip(parameters, arguments, strict=False))
             body = [part for word in body for part in _with(values.get(word.text, [word]), word)]
-            body = [replace(word, before=word.before if i else "") for i, word in enumerate(body)]
         if len(body) == 3 and (body[0].text, body[2].text) == ("(", ")"):
             body = body[1:2]
         result += _with(_replaced(body, macros, within | {token.text}), token)
@@ -219,10 +212,8 @@ def _with(code: Sequence[Token], place: Token) -> list[Token]:
 
 
 def _arguments(code: Sequence[Token], index: int) -> tuple[list[list[Token]], int]:
-    """Return the arguments of a macro call, and the index of the token after the call.
-
-    index : index of the opening parenthesis
-    """
+    """Return the arguments of a macro call, whose opening parenthesis has an index, and the index
+    of the token after the call."""
     arguments: list[list[Token]] = [[]]
     depth = 0
     while index < len(code):
@@ -238,30 +229,19 @@ def _arguments(code: Sequence[Token], index: int) -> tuple[list[list[Token]], in
 
 
 class Parser:
-    """Parser of functions and constants.
-
-    Attributes
-    ----------
-    functions : signatures of the parsed functions, keyed by the function name
-    """
+    """Parser of functions and constants."""
 
     def __init__(self, code: list[Token]) -> None:
         self._code, self._at = code, 0
         self._scopes: list[dict[str, str]] = [{}]
-        self.functions: dict[str, Function] = {}
+        self.functions: dict[str, Function] = {}  # Signatures of the parsed functions, by name.
         self._function = Function("", [])
         self._name = ""  # The function that is parsed, for messages.
         self._conditions = 0  # Number of enclosing ?:, && and || expressions.
 
     def program(self) -> list[Node]:
         """Return the declarations; the last node holds the comments and spaces after the last
-        declaration.
-
-        Raises
-        ------
-        InputError : a declaration is neither a function nor a constant, or contains unsupported
-            GLSL
-        """
+        declaration. Raise InputError for GLSL that is not supported."""
         nodes = []
         while self._next.kind != "end":
             nodes.append(self._declaration())
@@ -286,8 +266,9 @@ class Parser:
         place = f"function {self._name}: " if self._name else ""
         return InputError(f"not translated: {place}{message}")
 
-    def _array(self) -> InputError:
-        return self._error("an array; only numbers, vectors and matrices are supported")
+    def _refuse_array(self) -> None:
+        if self._next.text == "[":
+            raise self._error("an array; only numbers, vectors and matrices are supported")
 
     def _type(self) -> str:
         token = self._take()
@@ -296,8 +277,7 @@ class Parser:
                 f"{token.text!r}; only functions and constants of numbers, vectors and matrices "
                 "are supported"
             )
-        if self._next.text == "[":
-            raise self._array()
+        self._refuse_array()
         return SQUARE.get(token.text, token.text)
 
     def _declaration(self) -> Node:
@@ -310,7 +290,7 @@ class Parser:
             raise self._error(f"{name.text!r}; only functions and constants are supported")
         self._name = name.text
         self._take("(")
-        parameters: list[Token | Node] = []
+        parameters: list[Part] = []
         function = Function(type_, [])
         if self._next.text == "void":
             parameters.append(self._take())
@@ -323,13 +303,12 @@ class Parser:
             if self._next.kind != "name":
                 raise self._error("a parameter without a name")
             parameter = self._take().text
-            if self._next.text == "[":
-                raise self._array()
+            self._refuse_array()
             function.parameters.append((qualifier, kind, parameter))
             parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, parameter))
             if self._next.text == ",":
                 parameters.append(self._take())
-        head: list[Token | Node] = [*self._code[start : start + 3], *parameters, self._take(")")]
+        head: list[Part] = [*self._code[start : start + 3], *parameters, self._take(")")]
         self._add(name.text, function)
         if self._next.text == ";":
             return Node("prototype", [*head, self._take()], type_, name.text)
@@ -342,17 +321,15 @@ class Parser:
     def _add(self, name: str, function: Function) -> None:
         """Store the signature of a function or prototype."""
         declared = self.functions.setdefault(name, function)
-        declared_types, types = (
-            [kind for _, kind, _ in signature.parameters] for signature in (declared, function)
-        )
-        if declared_types != types:
+        types = [[kind for _, kind, _ in f.parameters] for f in (declared, function)]
+        if types[0] != types[1]:
             raise self._error(f"an overload of the function {name!r}: give it another name")
         self.functions[name] = function
 
     # --- statements ---
 
     def _block(self) -> Node:
-        parts: list[Token | Node] = [self._take("{")]
+        parts: list[Part] = [self._take("{")]
         self._scopes.append({})
         while self._next.text != "}":
             parts.append(self._statement())
@@ -363,7 +340,7 @@ class Parser:
         word = self._next.text
         if word == "{":
             return self._block()
-        parts: list[Token | Node]
+        parts: list[Part]
         if word == "if":
             parts = [self._take(), self._take("("), self._expression(), self._take(")")]
             parts.append(self._statement())
@@ -408,17 +385,16 @@ class Parser:
         while self._next.text in QUALIFIERS:
             constant |= self._take().text == "const"
         type_ = self._type()
-        parts: list[Token | Node] = list(self._code[start : self._at])
+        parts: list[Part] = list(self._code[start : self._at])
         while True:
             name = self._take()
-            variable_parts: list[Token | Node] = [name]
-            if self._next.text == "[":
-                raise self._array()
+            variable_parts: list[Part] = [name]
+            self._refuse_array()
             if self._next.text == "=":
                 variable_parts += [self._take(), self._expression()]
             self._scopes[-1][name.text] = type_
             parts += [Node("variable", variable_parts, type_, name.text), self._take(",", ";")]
-            if parts[-1] == self._code[self._at - 1] and self._code[self._at - 1].text == ";":
+            if self._code[self._at - 1].text == ";":
                 return Node("constants" if constant else "variables", parts, type_)
 
     # --- expressions ---
@@ -494,10 +470,10 @@ class Parser:
             if self._next.text == "[":
                 if node.type not in VECTORS and node.type not in MATRICES:
                     raise self._error(f"'[' of a {node.type}")
-                type_ = _element(node.type)
-                node = Node(
-                    "index", [node, self._take(), self._expression(), self._take("]")], type_
-                )
+                scalar, count = VECTORS.get(node.type, ("float", 0))
+                type_ = scalar if count else _vector(scalar, MATRICES[node.type][1])
+                parts: list[Part] = [node, self._take(), self._expression(), self._take("]")]
+                node = Node("index", parts, type_)
             else:
                 dot, field_ = self._take(), self._take()
                 components = field_.text.translate(_COMPONENTS)
@@ -521,8 +497,8 @@ class Parser:
             return Node("number", [token], "bool")
         if token.kind != "name":
             raise self._error(f"{token.text!r}")
-        if token.text in TYPES and self._next.text == "[":
-            raise self._array()
+        if token.text in TYPES:
+            self._refuse_array()
         if self._next.text == "(":
             return self._call(token)
         for scope in reversed(self._scopes):
@@ -531,13 +507,13 @@ class Parser:
         raise self._error(f"{token.text!r} is not declared")
 
     def _call(self, name: Token) -> Node:
-        parts: list[Token | Node] = [name, self._take("(")]
+        parts: list[Part] = [name, self._take("(")]
         while self._next.text != ")":
             parts.append(self._expression())
             if self._next.text == ",":
                 parts.append(self._take())
         parts.append(self._take(")"))
-        arguments = [part for part in parts if isinstance(part, Node)]
+        arguments = Node("call", parts).nodes
         type_ = SQUARE.get(name.text, name.text)
         if type_ in TYPES:
             return Node("construct", parts, type_, type_)
@@ -562,20 +538,12 @@ class Parser:
         return Node("built-in", parts, result, name.text)
 
 
-def _several(part: Token | Node) -> bool:
+def _several(part: Part) -> bool:
     return isinstance(part, Node) and part.kind == "swizzle" and len(part.name) > 1
 
 
 def _vector(scalar: str, count: int) -> str:
-    if count == 1:
-        return scalar
-    return next(name for name, kind in VECTORS.items() if kind == (scalar, count))
-
-
-def _element(type_: str) -> str:
-    if type_ in MATRICES:
-        return _vector("float", MATRICES[type_][1])
-    return VECTORS[type_][0]
+    return scalar if count == 1 else f"{_PREFIXES[scalar]}vec{count}"
 
 
 def _product(sign: str, left: str, right: str) -> str:

@@ -5,25 +5,24 @@ names."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from facerender.errors import InputError
 from facerender.glsl.syntax import (
     MATRICES,
     SCALARS,
+    SQUARE,
     VECTORS,
     Node,
     Parser,
+    Part,
     Token,
     expanded,
 )
 
 # Words that GLSL allows as names, but that at least one of the other languages reserves.
-_RESERVED = frozenset(
-    re.findall(
-        r"\w+",
-        """alias array as async auto await become binding buffer cast catch char class clip
+_WORDS = """alias array as async auto await become binding buffer cast catch char class clip
         compile constant constexpr crate ddx ddy delete demote device dyn enum explicit
         export extends extern external final finally fma fn fragment friend from
         function get half handle impl implements import instanceof interface kernel lerp
@@ -34,11 +33,8 @@ _RESERVED = frozenset(
         select self set shared short signed sizeof snorm static std string super target
         technique template texture thread threadgroup throw trait triangle try type
         typedef typename union unless unorm unsafe unsigned use using var vector vertex
-        virtual volatile where with workgroup write yield""",
-    )
-)
-
-
+        virtual volatile where with workgroup write yield"""
+_RESERVED = frozenset(_WORDS.split())
 # Built-in functions of WGSL that accept integers or bool.
 _OF_ALL_SCALARS = ("abs", "sign", "min", "max", "clamp", "any", "all")
 
@@ -59,25 +55,14 @@ def translate(lines: Sequence[str], language: str) -> str:
     parser = Parser(expanded(lines))
     program = parser.program()
     writer = LANGUAGES[language](parser)
-    return writer.head + "".join(map(writer.text, program))
-
-
-def _before(part: Token | Node) -> str:
-    """Return the comments and spaces at the start of a part."""
-    return part.before if isinstance(part, Token) else _before(part.parts[0])
+    return writer.head + writer.joined(program)
 
 
 class Writer:
-    """Base class of the languages. The text of a node begins with the comments before it.
+    """Base class of the languages. The text of a node begins with the comments before it."""
 
-    Attributes
-    ----------
-    head : first lines of a file
-    types, functions : names of types and of functions in the target language, keyed by the GLSL
-        name; entries with the same name in both languages may be missing
-    """
-
-    head = ""
+    head = ""  # first lines of a file
+    # Names in the target language, keyed by the GLSL name; equal names may be missing.
     types: ClassVar[Mapping[str, str]] = {}
     functions: ClassVar[Mapping[str, str]] = {}
 
@@ -85,19 +70,22 @@ class Writer:
         self._known = parser.functions
         self._function = ""
 
-    def text(self, part: Token | Node) -> str:
+    def text(self, part: Part) -> str:
         if isinstance(part, Token):
             return part.before + self.word(part.text)
         self.check(part)
         write = getattr(self, f"write_{part.kind.replace('-', '_')}", None)
-        return str(write(part)) if write else "".join(map(self.text, part.parts))
+        return str(write(part)) if write else self.joined(part.parts)
+
+    def joined(self, parts: Iterable[Part]) -> str:
+        return "".join(map(self.text, parts))
 
     def check(self, node: Node) -> None:
         """Raise InputError with a construct and its types, such as "mat3(float)", that the target
         language lacks."""
         if self.lacks(node):
-            types = [argument.type for argument in self.arguments(node)]
-            text = f" {_sign(node)} ".join(types if types[1:] else ["", *types])
+            types = [argument.type for argument in node.nodes]
+            text = f" {node.sign} ".join(types if types[1:] else ["", *types])
             if node.kind in ("construct", "built-in", "call"):
                 text = f"{node.name}({', '.join(types)})"
             elif node.kind == "variable":
@@ -108,22 +96,19 @@ class Writer:
 
     def lacks(self, node: Node) -> bool:
         """Return whether the target language lacks the construct of a node."""
-        types = [argument.type for argument in self.arguments(node)]
+        types = [argument.type for argument in node.nodes]
         if node.kind == "construct":
             return not _constructs(node.type, types)
         if node.kind == "built-in":
             return node.name == "mix" and _scalar(types[2]) == "bool"
-        return node.kind == "binary" and _sign(node) in ("==", "!=") and types[0] in MATRICES
+        return node.kind == "binary" and node.sign in ("==", "!=") and types[0] in MATRICES
 
-    def bare(self, part: Token | Node) -> str:
+    def bare(self, part: Part) -> str:
         """Return the text of a part without the comments and spaces before it."""
-        return self.text(part)[len(_before(part)) :]
+        return self.text(part)[len(part.before) :]
 
     def word(self, word: str) -> str:
         return self.types.get(word, f"{word}_" if word in _RESERVED else word)
-
-    def arguments(self, node: Node) -> list[Node]:
-        return [part for part in node.parts if isinstance(part, Node)]
 
     def splat(self, type_: str, text: str) -> str:
         """Return the text of a vector whose components all have the same value."""
@@ -132,30 +117,25 @@ class Writer:
     def write_built_in(self, node: Node) -> str:
         """Write a call of a built-in function. Scalars among vector arguments become vectors,
         except the third argument of mix."""
-        arguments = self.arguments(node)
+        arguments = node.nodes
         texts = [self.bare(argument) for argument in arguments]
         widest = next((argument.type for argument in arguments if argument.type in VECTORS), "")
         for i, argument in enumerate(arguments):
             if widest and argument.type in SCALARS and not (node.name == "mix" and i == 2):
                 texts[i] = self.splat(widest, texts[i])
-            elif "\n" in _before(argument):
-                texts[i] = _before(argument) + texts[i]
+            elif "\n" in argument.before:
+                texts[i] = argument.before + texts[i]
         name = "atan2" if node.name == "atan" and len(arguments) == 2 else node.name
-        closing = _before(node.parts[-1])
+        closing = node.parts[-1].before
         called = self.functions.get(name, name)
-        return f"{_before(node)}{called}({_joined(texts)}{closing})"
+        return f"{node.before}{called}({_joined(texts)}{closing})"
 
     def write_binary(self, node: Node) -> str:
         left, sign, right = node.parts
-        every = {"==": "all", "!=": "any"}.get(self.bare(sign))
-        if every and isinstance(left, Node) and left.type in VECTORS:
-            return f"{_before(node)}{every}({self.bare(left)}{self.text(sign)}{self.text(right)})"
-        return "".join(map(self.text, node.parts))
-
-
-def _sign(node: Node) -> str:
-    """Return the operator of a node."""
-    return next((part.text for part in node.parts if isinstance(part, Token)), "")
+        every = {"==": "all", "!=": "any"}.get(node.sign)
+        if every and node.nodes[0].type in VECTORS:
+            return f"{node.before}{every}({self.bare(left)}{self.text(sign)}{self.text(right)})"
+        return self.joined(node.parts)
 
 
 def _scalar(type_: str) -> str:
@@ -174,8 +154,7 @@ def _constructs(type_: str, types: Sequence[str]) -> bool:
 
 def _is_literal(node: Node) -> bool:
     """Return whether a node is a constant expression of integers, which WGSL converts."""
-    parts = [part for part in node.parts if isinstance(part, Node)]
-    inner = node.kind in ("group", "unary", "binary") and all(map(_is_literal, parts))
+    inner = node.kind in ("group", "unary", "binary") and all(map(_is_literal, node.nodes))
     return node.type == "int" and (node.kind == "number" or inner)
 
 
@@ -193,13 +172,10 @@ def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, s
     scalars : names of the scalar types, keyed by the GLSL name
     """
     vectors = {
-        name: form["vector"].format(scalars[scalar], count)
-        for name, (scalar, count) in VECTORS.items()
+        name: form["vector"].format(scalars[scalar], n) for name, (scalar, n) in VECTORS.items()
     }
-    matrices = {
-        name: form["matrix"].format(columns, rows) for name, (columns, rows) in MATRICES.items()
-    }
-    squares = {f"mat{n}": matrices[f"mat{n}x{n}"] for n in (2, 3, 4)}
+    matrices = {name: form["matrix"].format(*sides) for name, sides in MATRICES.items()}
+    squares = {name: matrices[full] for name, full in SQUARE.items()}
     return {**scalars, **vectors, **matrices, **squares}
 
 
@@ -213,18 +189,18 @@ class _CLike(Writer):
 
     def write_constants(self, node: Node) -> str:
         word, *parts = map(self.text, node.parts)
-        constant = word if self._function else _before(node) + self.constant
+        constant = word if self._function else node.before + self.constant
         return constant + "".join(parts)
 
     def write_construct(self, node: Node) -> str:
-        arguments = self.arguments(node)
+        arguments = node.nodes
         if node.name in VECTORS and len(arguments) == 1 and arguments[0].type in SCALARS:
-            return _before(node) + self.splat(node.name, self.bare(arguments[0]))
-        return "".join(map(self.text, node.parts))
+            return node.before + self.splat(node.name, self.bare(arguments[0]))
+        return self.joined(node.parts)
 
     def write_function(self, node: Node) -> str:
         self._function = node.name
-        text = "".join(map(self.text, node.parts))
+        text = self.joined(node.parts)
         self._function = ""
         return text
 
@@ -245,20 +221,17 @@ class Hlsl(_CLike):
 
     def lacks(self, node: Node) -> bool:
         """HLSL multiplies the components in ``*=`` of matrices."""
-        product = node.kind == "assign" and _sign(node) == "*="
-        matrix = product and self.arguments(node)[1].type in MATRICES
-        return matrix or super().lacks(node)
+        product = node.kind == "assign" and node.sign == "*="
+        return (product and node.nodes[1].type in MATRICES) or super().lacks(node)
 
     def splat(self, type_: str, text: str) -> str:
         return f"(({self.types[type_]})({text}))"
 
     def write_binary(self, node: Node) -> str:
-        left, sign, right = node.parts
-        types = [operand.type for operand in (left, right) if isinstance(operand, Node)]
-        matrices = [type_ in MATRICES for type_ in types]
-        numbers = any(type_ in SCALARS for type_ in types)
-        if isinstance(sign, Token) and sign.text == "*" and any(matrices) and not numbers:
-            return f"{_before(node)}mul({self.bare(right)}, {self.bare(left)})"
+        left, _, right = node.parts
+        types = {operand.type for operand in node.nodes}
+        if node.sign == "*" and types & {*MATRICES} and not types & {*SCALARS}:
+            return f"{node.before}mul({self.bare(right)}, {self.bare(left)})"
         return super().write_binary(node)
 
 
@@ -272,10 +245,10 @@ class Msl(_CLike):
     }
 
     def write_in(self, node: Node) -> str:
-        return f"{_before(node)}{self.types[node.type]} {self.word(node.name)}"
+        return f"{node.before}{self.types[node.type]} {self.word(node.name)}"
 
     def write_out(self, node: Node) -> str:
-        return f"{_before(node)}thread {self.types[node.type]} &{self.word(node.name)}"
+        return f"{node.before}thread {self.types[node.type]} &{self.word(node.name)}"
 
     write_inout = write_out
 
@@ -297,7 +270,7 @@ class Wgsl(Writer):
         self._assigned: set[str] = set()
 
     def lacks(self, node: Node) -> bool:
-        operands, kind, sign = self.arguments(node), node.kind, _sign(node).removesuffix("=")
+        operands, kind, sign = node.nodes, node.kind, node.sign.removesuffix("=")
         if kind == "call":
             parameters = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
             return any(
@@ -327,10 +300,10 @@ class Wgsl(Writer):
 
     def write_name(self, node: Node) -> str:
         name = self.word(node.name)
-        return _before(node) + (f"(*{name})" if node.name in self._pointers else name)
+        return node.before + (f"(*{name})" if node.name in self._pointers else name)
 
     def write_prototype(self, node: Node) -> str:
-        return _before(node).rstrip(" \n")
+        return node.before.rstrip(" \n")
 
     def write_function(self, node: Node) -> str:
         function = self._known[node.name]
@@ -339,21 +312,21 @@ class Wgsl(Writer):
         self._assigned = function.assigned
         parameters: list[str] = []
         copies = []
-        for part in self.arguments(node)[:-1]:
+        for part in node.nodes[:-1]:
             name, type_ = self.word(part.name), self.types[part.type]
             if part.kind != "in":
                 type_ = f"ptr<function, {type_}>"
             elif part.name in function.assigned:
                 copies.append(f"\n    var {name} = {name}_given;")
                 name += "_given"
-            gap = _before(part)
+            gap = part.before
             parameters.append(f"{gap if chr(10) in gap else ' ' * bool(parameters)}{name}: {type_}")
         body = self.text(node.parts[-1])
         start = body.index("{") + 1
-        gap = _before(node.parts[-2])
+        gap = node.parts[-2].before
         result = "" if node.type == "void" else f" -> {self.types[node.type]}"
         self._pointers, self._assigned, self._function = set(), set(), ""
-        head = f"{_before(node)}fn {self.word(node.name)}({','.join(parameters)}{gap}){result}"
+        head = f"{node.before}fn {self.word(node.name)}({','.join(parameters)}{gap}){result}"
         return head + body[:start] + "".join(copies) + body[start:]
 
     def write_constants(self, node: Node) -> str:
@@ -363,71 +336,64 @@ class Wgsl(Writer):
         """Write a declaration for each variable. Variables that are never reassigned are declared
         with `fixed`."""
         texts = []
-        for part in self.arguments(node):
+        for part in node.nodes:
             self.check(part)
-            value = "".join(map(self.text, part.parts[1:]))
-            word = "var" if part.name in self._assigned or not value else fixed
-            # One item: the value.
-            same_type = [node.type == part.type for node in self.arguments(part)]
-            type_ = "" if word == "let" and same_type == [True] else f": {self.types[part.type]}"
-            texts.append(f"{word} {self.word(part.name)}{type_}{value};")
-        return _before(node) + " ".join(texts)
+            text = self.joined(part.parts[1:])
+            word = "var" if part.name in self._assigned or not text else fixed
+            implied = word == "let" and [value.type for value in part.nodes] == [part.type]
+            type_ = "" if implied else f": {self.types[part.type]}"
+            texts.append(f"{word} {self.word(part.name)}{type_}{text};")
+        return node.before + " ".join(texts)
 
     def write_ternary(self, node: Node) -> str:
         condition, _, if_true, _, if_false = (self.bare(part) for part in node.parts)
-        return f"{_before(node)}select({if_false}, {if_true}, {condition})"
-
-    def write_prefix(self, node: Node) -> str:
-        sign, operand = node.parts
-        return self._step(_before(node), operand, self.bare(sign))
+        return f"{node.before}select({if_false}, {if_true}, {condition})"
 
     def write_postfix(self, node: Node) -> str:
-        operand, sign = node.parts
-        return self._step(_before(node), operand, self.bare(sign))
-
-    def _step(self, gap: str, operand: Token | Node, sign: str) -> str:
         """Write ++ or --. WGSL has them only for integers, so other types add or subtract 1.0."""
-        if isinstance(operand, Node) and operand.type not in ("int", "uint"):
-            step = Node("number", [Token("number", "1.0", " ")], "float")
-            added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), step], operand.type)
-            return gap + self.bare(added)
-        return gap + self.bare(operand) + sign
+        (operand,) = node.nodes
+        if operand.type in ("int", "uint"):
+            return node.before + self.bare(operand) + node.sign
+        step = Node("number", [Token("number", "1.0", " ")], "float")
+        sign = Token("sign", f"{node.sign[0]}=", " ")
+        return node.before + self.bare(Node("assign", [operand, sign, step], operand.type))
+
+    write_prefix = write_postfix
 
     def write_call(self, node: Node) -> str:
-        out = [qualifier != "in" for qualifier, _, _ in self._known[node.name].parameters]
         texts = []
-        for argument, pointer in zip(self.arguments(node), out, strict=False):
-            text = self.bare(argument)
-            gap = _before(argument)
-            texts.append((gap if "\n" in gap else "") + ("&" * pointer) + text)
-        closing = _before(node.parts[-1])
-        return f"{_before(node)}{self.word(node.name)}({_joined(texts)}{closing})"
+        parameters = self._known[node.name].parameters
+        for argument, (qualifier, _, _) in zip(node.nodes, parameters, strict=False):
+            gap = argument.before if "\n" in argument.before else ""
+            texts.append(f"{gap}{'&' * (qualifier != 'in')}{self.bare(argument)}")
+        closing = node.parts[-1].before
+        return f"{node.before}{self.word(node.name)}({_joined(texts)}{closing})"
 
     def write_assign(self, node: Node) -> str:
         target, sign, value = node.parts
         if not (isinstance(target, Node) and target.kind == "swizzle" and len(target.name) > 1):
-            return "".join(map(self.text, node.parts))
+            return self.joined(node.parts)
         vector, text, operator = (self.bare(part) for part in (target.parts[0], value, sign))
         if operator != "=":
             text = f"{self.bare(target)} {operator[:-1]} ({text})"
         parts = " ".join(
             f"{vector}.{component} = parts.{'xyzw'[i]};" for i, component in enumerate(target.name)
         )
-        return f"{_before(node)}{{ let parts = {text}; {parts} }}"
+        return f"{node.before}{{ let parts = {text}; {parts} }}"
 
     def write_expression(self, node: Node) -> str:
         text = self.text(node.parts[0])
         return text if text.endswith("}") else text + self.text(node.parts[1])
 
-    def _braced(self, part: Token | Node) -> str:
+    def _braced(self, part: Part) -> str:
         if isinstance(part, Token) or part.kind == "block":
             return self.text(part)
-        gap = _before(part)
-        return f" {{ {self.bare(part)} }}" if "\n" not in gap else f" {{{self.text(part)} }}"
+        text = self.text(part) if "\n" in part.before else f" {self.bare(part)}"
+        return f" {{{text} }}"
 
     def write_if(self, node: Node) -> str:
         parts = node.parts
-        text = "".join(map(self.text, parts[:4])) + self._braced(parts[4])
+        text = self.joined(parts[:4]) + self._braced(parts[4])
         if len(parts) > 5:
             branch = parts[6]
             chained = isinstance(branch, Node) and branch.kind == "if"
@@ -436,17 +402,17 @@ class Wgsl(Writer):
 
     def write_for(self, node: Node) -> str:
         head = node.parts[2]
-        if isinstance(head, Node) and head.kind == "variables" and len(self.arguments(head)) > 1:
+        if isinstance(head, Node) and head.kind == "variables" and len(head.nodes) > 1:
             raise InputError("not translated: several variables in the head of for")
-        return "".join(map(self.text, node.parts[:-1])) + self._braced(node.parts[-1])
+        return self.joined(node.parts[:-1]) + self._braced(node.parts[-1])
 
     write_while = write_for
 
     def write_binary(self, node: Node) -> str:
-        left, sign, right = node.parts
-        if isinstance(sign, Token) and sign.text in ("<<", ">>"):
-            return f"{self.text(left)} {sign.text} u32({self.bare(right)})"
-        if isinstance(sign, Token) and sign.text == "^^":
+        left, _, right = node.parts
+        if node.sign in ("<<", ">>"):
+            return f"{self.text(left)} {node.sign} u32({self.bare(right)})"
+        if node.sign == "^^":
             return f"{self.text(left)} !={self.text(right)}"
         return super().write_binary(node)
 

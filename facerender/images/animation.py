@@ -32,7 +32,6 @@ from facerender.system.standard_error import redirected_stderr
 
 MOVING = (".gif", ".webp", ".mp4")
 _HIGHEST = 16383  # largest side of a WebP, in pixels
-_CRF = "16"  # constant rate factor of H.264, which sets the quality of an MP4
 
 
 def save_animation(
@@ -57,8 +56,7 @@ def save_animation(
     suffix = check_animation(path, fps)
     check_type("images", images, Iterable, "several arrays (H, W, 3) of uint8")
     checked = _checked(images, os.fspath(path))
-    first = next(checked, None)
-    if first is None:
+    if (first := next(checked, None)) is None:
         raise InputError(f"no images for {path}: give at least one")
     if suffix != ".webp":
         check_opaque(suffix, first.shape[-1] == 4)
@@ -113,18 +111,11 @@ def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], 
     output = [
         *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"),
         *("-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-colorspace", "bt709"),
-        *("-crf", _CRF, "-f", "mp4"),
+        *("-crf", "16", "-f", "mp4"),  # the rate factor sets the quality
     ]
-    encoder = ffmpeg.write_frames(
-        name,
-        (size[1], size[0]),
-        fps=fps,
-        codec="libx264",
-        quality=None,
-        macro_block_size=1,
-        ffmpeg_log_level="error",
-        output_params=output,
-    )
+    options = {"codec": "libx264", "quality": None, "macro_block_size": 1}
+    logs = {"ffmpeg_log_level": "error", "output_params": output}
+    encoder = ffmpeg.write_frames(name, size[::-1], fps=fps, **options, **logs)
     with TemporaryFile() as log, _sigpipe_ignored():
         try:
             with redirected_stderr(log):
@@ -140,8 +131,7 @@ def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], 
                     failed = "it ended early"
                     break
         log.seek(0)
-        if lines := log.read().decode(errors="replace").strip().splitlines():
-            failed = lines[-1]
+        failed = [failed, *log.read().decode(errors="replace").strip().splitlines()][-1]
     if failed or not _has_index(name):
         failed = failed or "the file is incomplete"
         raise InputError(f"ffmpeg wrote no .mp4 ({clipped(failed)}): give .gif or .webp")

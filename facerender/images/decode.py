@@ -118,7 +118,6 @@ def texels(image: Image, mode: str) -> NDArray[np.uint8]:
     for top in range(0, image.height, _STRIP):
         strip = image.crop((0, top, image.width, min(top + _STRIP, image.height)))
         rows = pixels[top : top + _STRIP]
-        rows[:] = np.asarray(strip if strip.mode == mode else strip.convert(mode)).reshape(
-            rows.shape
-        )
+        strip = strip if strip.mode == mode else strip.convert(mode)
+        rows[:] = np.asarray(strip).reshape(rows.shape)
     return pixels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from io import BytesIO
 from pathlib import Path
@@ -78,7 +78,7 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
     """
     OpenEXR = openexr(path)
     try:
-        raw = _checked_exr(path, _exr_headers(start), size)
+        raw = _checked_exr(path, start, size)
         kinds = _exr_channels(raw)
         names = [name for name in "RGBA" if name in kinds and "R" in kinds]
         names = names or sorted(kinds, reverse=True)
@@ -100,7 +100,7 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
         noise = 2.0**-16 / 3.0**0.5 if raw[b"compression"][0] == _PXR24 else 0.0
-        noise = HALVED if any(kinds[name] == _HALF for name in names) else noise
+        noise = HALVED if _HALF in map(kinds.get, names) else noise
     except InputError:
         raise
     except Exception as error:  # from OpenEXR, or from parsing a damaged header
@@ -149,11 +149,10 @@ def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
     return kinds
 
 
-def _checked_exr(
-    path: Path, headers: Sequence[Mapping[bytes, bytes]], size: int
-) -> Mapping[bytes, bytes]:
+def _checked_exr(path: Path, start: bytes, size: int) -> Mapping[bytes, bytes]:
     """Return the header of a flat image with one part. Raise InputError for an image that is deep,
     has several parts or two windows, or is too large, before OpenEXR reads the pixels."""
+    headers = _exr_headers(start)
     if len(headers) > 1:
         raise InputError(f"{path} has {len(headers)} parts: save one part as a file")
     (header,) = headers
@@ -170,14 +169,7 @@ def _checked_exr(
 
 
 def openexr(path: str | os.PathLike[str]) -> Any:
-    """Return the package OpenEXR.
-
-    path : path of the EXR file, for the message
-
-    Raises
-    ------
-    InputError : OpenEXR is not installed
-    """
+    """Return the package OpenEXR. Raise InputError if it is not installed."""
     try:
         import OpenEXR
     except ImportError:

@@ -38,7 +38,6 @@ _DECODERS = ("PNG", "JPEG", "WEBP", "TIFF", "GIF", "BMP", "TGA")
 _MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's modes that are read as they are
 _MODE_NAMES = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
 SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
-_CONVERTED = 0.5  # RMS error of a colour conversion from 8 bits to 8 bits, in 8-bit levels
 _NPY = b"\x93NUMPY"
 _LONGEST_HEADER = 1 << 16  # largest header of a NumPy array, in bytes
 _LONGEST_EXR = 1 << 24  # largest header of an EXR file, in bytes
@@ -77,18 +76,12 @@ def _read_numpy(path: Path, content: bytes) -> ImageData:
         if content.startswith(_NPY):
             return image_from_array(_array(BytesIO(content), str(path), len(content)), str(path))
         with ZipFile(BytesIO(content)) as file:
-            names = [name.removesuffix(".npy") for name in file.namelist()]
-            if len(names) > 1 and "linear" in names:
-                names = ["linear"]
-            if len(names) != 1:
-                listing = clipped(", ".join(names)) or "no array"
+            names = file.namelist()
+            stems = [name.removesuffix(".npy") for name in names]
+            if len(names) != 1 and "linear" not in stems:
+                listing = clipped(", ".join(stems)) or "no array"
                 raise InputError(f"{path} contains {listing}: name one array 'linear'")
-            (entry,) = (
-                zip_entry
-                for zip_entry in file.infolist()
-                if zip_entry.filename.removesuffix(".npy") == names[0]
-            )
-            with file.open(entry) as member:
+            with file.open(names[stems.index("linear") if len(names) > 1 else 0]) as member:
                 return image_from_array(_array(member, str(path), len(content)), str(path))
     except InputError:
         raise
@@ -105,8 +98,7 @@ def _array(file: IO[bytes], name: str, size: int) -> NDArray[Any]:
     ------
     InputError : the array contains Python objects, does not have an image's shape, or is too large
     """
-    start = file.read(_LONGEST_HEADER)
-    head = BytesIO(start)
+    head = BytesIO(file.read(_LONGEST_HEADER))
     read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0}
     shape, _, kind = read[npy.read_magic(head)[0]](head)
     if kind.hasobject:
@@ -161,12 +153,9 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
     texts = {
         str(key).removeprefix(PREFIX): value
         for key, value in image.info.items()
-        if isinstance(value, str)
+        if isinstance(value, str) and key != "compression"  # of TIFF and TGA; changes no pixel
     }
-    texts.pop("compression", None)  # of TIFF and TGA; it changes no pixel
-    image_data = replace(
-        image_from_array(pixels, name), metadata=texts, jpeg=image.format == "JPEG"
-    )
+    result = replace(image_from_array(pixels, name), metadata=texts, jpeg=image.format == "JPEG")
     if "icc_profile" in image.info:
         try:
             pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
@@ -174,33 +163,22 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
             raise InputError(
                 f"{name} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
             ) from None
-        return replace(
-            image_data, pixels=pixels, profile=profile, noise=_CONVERTED if profile else 0.0
-        )
+        noise = 0.5 if profile else 0.0  # of a conversion from 8 bits to 8 bits, in 8-bit levels
+        return replace(result, pixels=pixels, profile=profile, noise=noise)
     gamma = image.info.get("gamma", SRGB_GAMMA)
-    return (
-        image_data
-        if abs(gamma - SRGB_GAMMA) <= 1e-4
-        else replace(image_data, color_space=f"gamma {gamma:.4g}")
-    )
+    is_srgb = abs(gamma - SRGB_GAMMA) <= 1e-4
+    return result if is_srgb else replace(result, color_space=f"gamma {gamma:.4g}")
 
 
 def _to_srgb(pixels: NDArray[np.uint8], content: bytes) -> tuple[NDArray[np.uint8], str]:
-    """Convert 8-bit pixels (H, W, 1 to 4) from an ICC profile to sRGB; clip to the sRGB gamut.
-
-    Return the pixels, with their alpha unchanged, and the name of the profile. The name is "" if
-    the conversion changes no pixel.
-
-    Raises
-    ------
-    OSError, ImageCms.PyCMSError : the profile is damaged, or does not match the channels
-    """
+    """Convert 8-bit pixels (H, W, 1 to 4) from an ICC profile to sRGB, with errors as of
+    :func:`in_srgb`. Return the pixels, with their alpha unchanged, and the name of the profile. The
+    name is "" if the conversion changes no pixel."""
     from PIL import Image
 
     grey = pixels.shape[2] < 3
     colors = pixels[..., 0] if grey else np.ascontiguousarray(pixels[..., :3])
     image, name = in_srgb(Image.fromarray(colors), content)
-    converted = np.asarray(image)
-    result = pixels.copy()
+    converted, result = np.asarray(image), pixels.copy()
     result[..., : 1 if grey else 3] = converted[..., 1:2] if grey else converted
     return result, "" if np.array_equal(result, pixels) else name

@@ -26,16 +26,10 @@ QUALITY = 95  # quality setting of JPEG and WebP, at most 100
 FRAME_RATES = (0.1, 100.0)  # images per second; a GIF stores delays in hundredths of a second
 PREFIX = "facerender:"
 _INTERPRETED = ("alpha", "background")  # ImageMagick reads these keys of a PNG as settings
-_DESCRIPTION = 0x010E  # Exif tag ImageDescription
 
 
 def format_of(path: str | os.PathLike[str]) -> Format:
-    """Return the output format for a path, from its suffix.
-
-    Raises
-    ------
-    InputError : unknown suffix
-    """
+    """Return the output format for a path. Raise InputError if its suffix is unknown."""
     return WRITTEN[check_suffix(path, (*WRITTEN,), "image")]
 
 
@@ -98,7 +92,7 @@ def lossy_bytes(
     if kind == "jpeg":
         check_opaque("JPEG", pixels.shape[-1] == 4)
     exif = Image.Exif()
-    exif[_DESCRIPTION] = json.dumps(dict(metadata))
+    exif[0x010E] = json.dumps(dict(metadata))  # ImageDescription
     file = BytesIO()
     try:
         Image.fromarray(pixels).save(file, kind, quality=QUALITY, subsampling=0, exif=exif)

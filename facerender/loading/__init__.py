@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, check_path, check_switch, check_type, noting, warn
 from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
-from facerender.loading.mesh_cache import MeshFiles
+from facerender.loading.mesh_cache import LoadOptions, MeshFiles
 from facerender.loading.references import References
-from facerender.loading.source import GLTF, Orientation, source_of
+from facerender.loading.source import GLTF, Source, source_of
 from facerender.scenes.framing import find_regions
 from facerender.scenes.hints import remember
 from facerender.scenes.mesh import Mesh, names_of
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     Map = Path_ | Texture | NDArray[Any] | Image
 else:
     Map = Any
+_MAPS = ("albedo_map", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
 def load_mesh(
@@ -90,16 +91,18 @@ def load_mesh(
         no faces; no part has a name of ``parts`` or ``hide``; millimetres is outside [1e-6, 1e6];
         normal_map_y is invalid
     """
-    maps = _maps(
-        albedo_map=albedo,
-        normal_map=normal_map,
-        specular_map=specular_map,
-        roughness_map=roughness_map,
-        lobe_map=lobe_map,
-    )
-    orientation = Orientation(flip_v, normal_map_y)
+    maps = _maps(albedo, normal_map, specular_map, roughness_map, lobe_map)
+    check_switch("cache", cache)
+    check_switch("double_sided", double_sided)
     selected = names_of("parts", parts), names_of("hide", hide)
-    mesh = _loaded(source, kind, *maps, orientation, allow_outside, cache, as_is, selected)
+    options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected)
+    if is_object(source):
+        name, textures = name_of(source), _opened(maps)
+        with np.errstate(all="ignore"):
+            pieces = pieces_of(source, name)
+            mesh = _assembled(pieces, name, millimetres_of(source), textures, options)
+    else:
+        mesh = _loaded(source_of(source, kind), maps, options, cache)
     return _finished(mesh, millimetres, double_sided)
 
 
@@ -107,120 +110,96 @@ def cached_mesh(
     source: Path_ | None = None,
     *,
     millimetres: float | None = None,
-    flip_v: bool = False,
-    allow_outside: bool = False,
-    normal_map_y: str = "up",
-    as_is: bool = False,
-    parts: str | Iterable[str] = (),
-    hide: str | Iterable[str] = (),
     double_sided: bool = False,
-    **maps: Path_ | None,
+    **options: Any,
 ) -> Mesh | None:
     """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
-    paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: path for n, path in maps.items()})
-    orientation = Orientation(flip_v, normal_map_y)
-    selected = names_of("parts", parts), names_of("hide", hide)
-    files = MeshFiles(source_of(source), paths, orientation, allow_outside, as_is, *selected)
-    mesh = files.find()
+    maps = _maps(*(options.pop(name, None) for name in ("albedo", *_MAPS[1:])))
+    mesh = MeshFiles(source_of(source), maps, LoadOptions(**options)).find()
     return None if mesh is None else _finished(mesh, millimetres, double_sided)
 
 
-def _loaded(
-    source: MeshSource | None,
-    kind: str | None,
-    paths: Mapping[str, Path],
-    textures: Mapping[str, Texture],
-    orientation: Orientation,
-    allow_outside: bool,
-    cache: bool,
-    as_is: bool,
-    selected: tuple[tuple[str, ...], tuple[str, ...]],
-) -> Mesh:
-    """Return the mesh of a source; ``paths`` and ``textures`` replace maps of the source.
+def _finished(mesh: Mesh, millimetres: float | None, double_sided: bool) -> Mesh:
+    if double_sided:
+        mesh = mesh.with_material(double_sided=True)
+    return remember(mesh if millimetres is None else replace(mesh, millimetres=millimetres))
 
-    selected : arguments of :meth:`Mesh.select`
+
+def _maps(*sources: Map | None) -> dict[str, Path | Texture]:
+    """Return image files and textures, keyed by the field of :class:`Material`.
+
+    sources : in the order of _MAPS
     """
-    check_switch("cache", cache)
-    check_switch("allow_outside", allow_outside)
-    check_switch("as_is", as_is)
-    if is_object(source):
-        name = name_of(source)
-        overrides = {key: Texture.open(path) for key, path in paths.items()} | {**textures}
-        with np.errstate(all="ignore"):
-            pieces = pieces_of(source, name)
-            unit = millimetres_of(source)
-            mesh = _assembled(pieces, name, orientation.flip_v, unit, as_is)
-            return _mapped(mesh.select(*selected), overrides, orientation.normal_map_y)
-    file = source_of(source, kind)
-    files = MeshFiles(file, paths, orientation, allow_outside, as_is, *selected)
-    if not cache or textures:
-        return _read(files, textures)[0]
+    maps: dict[str, Path | Texture] = {}
+    for name, source in zip(_MAPS, sources, strict=True):
+        if source is None:
+            continue
+        if isinstance(source, Texture):
+            maps[name] = source
+        elif isinstance(source, np.ndarray):
+            maps[name] = Texture.from_array(source, f"the array of {name}")
+        elif isinstance(source, str | os.PathLike):
+            check_path(name, source)
+            maps[name] = Path(source)
+        elif hasattr(source, "getbands"):  # a Pillow image: isinstance would import Pillow
+            maps[name] = Texture.from_image(source, f"the image of {name}")
+        else:
+            check_type(name, source, (), "a path, a texture, an array or a Pillow image")
+    return maps
+
+
+def _opened(maps: Mapping[str, Path | Texture]) -> dict[str, Texture]:
+    return {n: a if isinstance(a, Texture) else Texture.open(a) for n, a in maps.items()}
+
+
+def _loaded(
+    source: Source, maps: Mapping[str, Path | Texture], options: LoadOptions, cache: bool
+) -> Mesh:
+    files = MeshFiles(source, maps, options)
+    if not cache or any(isinstance(file, Texture) for file in maps.values()):
+        return _read(source, maps, options)[0]
     if (stored_mesh := files.find()) is not None:
         return stored_mesh
     digest = files.digest()
     with noting() as warnings:
-        mesh, references = _read(files, {})
+        mesh, references = _read(source, maps, options)
     if digest is not None:
         mesh = replace(mesh, regions=find_regions(mesh))
         files.store(digest, mesh, references.files, warnings)
     return mesh
 
 
-def _finished(mesh: Mesh, millimetres: float | None, double_sided: bool) -> Mesh:
-    check_switch("double_sided", double_sided)
-    if double_sided:
-        mesh = mesh.with_material(double_sided=True)
-    return remember(mesh if millimetres is None else replace(mesh, millimetres=millimetres))
-
-
-def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
-    """Split maps into image files and textures, both keyed by the field of :class:`Material`."""
-    paths: dict[str, Path] = {}
-    textures: dict[str, Texture] = {}
-    for name, source in sources.items():
-        if source is None:
-            continue
-        if isinstance(source, Texture):
-            textures[name] = source
-        elif isinstance(source, np.ndarray):
-            textures[name] = Texture.from_array(source, f"the array of {name}")
-        elif isinstance(source, str | os.PathLike):
-            check_path(name, source)
-            paths[name] = Path(source)
-        elif hasattr(source, "getbands"):  # a Pillow image: isinstance would import Pillow
-            textures[name] = Texture.from_image(source, f"the image of {name}")
-        else:
-            check_type(name, source, (), "a path, a texture, an array or a Pillow image")
-    return paths, textures
-
-
-def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
+def _read(
+    source: Source, maps: Mapping[str, Path | Texture], options: LoadOptions
+) -> tuple[Mesh, References]:
     """Return the mesh of a mesh file, and the files to which the mesh file refers."""
     from facerender.loading.read import read  # a mesh from the cache does not need it
 
-    source = files.source
-    overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
+    textures = _opened(maps)
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        pieces, references = read(source, "albedo_map" in overrides, files.allow_outside)
+        pieces, references = read(source, "albedo_map" in maps, options.allow_outside)
         millimetres = 1000.0 if source.suffix in GLTF else None
-        options = files.orientation.flip_v, millimetres, files.as_is
-        mesh = _assembled(pieces, source.name, *options).select(files.parts, files.hide)
-        return _mapped(mesh, overrides, files.orientation.normal_map_y), references
+        return _assembled(pieces, source.name, millimetres, textures, options), references
 
 
 def _assembled(
-    raw_pieces: Sequence[Piece], name: str, flip_v: bool, millimetres: float | None, as_is: bool
+    raw_pieces: Sequence[Piece],
+    name: str,
+    millimetres: float | None,
+    textures: Mapping[str, Texture],
+    options: LoadOptions,
 ) -> Mesh:
     pieces = clean(raw_pieces, name)
     mark_skin(pieces)
-    if not as_is:
+    if not options.as_is:
         give_presets(pieces, name)
     for piece in pieces:
         piece.faces = in_space_order(piece.faces, piece.positions)
         for key in ("uv", "uv2"):
-            if flip_v and (uv := getattr(piece, key)) is not None:
+            if options.flip_v and (uv := getattr(piece, key)) is not None:
                 setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
-    return Mesh.assembled(pieces, name, millimetres)
+    mesh = Mesh.assembled(pieces, name, millimetres).select(options.parts, options.hide)
+    return _mapped(mesh, textures, options.normal_map_y)
 
 
 def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
@@ -249,11 +228,7 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
             changes["roughness_factor"] = 1.0
         materials[i] = replace(materials[i], **changes)
     if normal_map_y == "down":
-        turned = {
-            original: original and original.turned_green()
-            for original in {material.normal_map for material in materials}
-        }
-        materials = [
-            replace(material, normal_map=turned[material.normal_map]) for material in materials
-        ]
+        turned: dict[Texture | None, Texture | None] = {None: None}
+        turned |= {old: old.turned_green() for m in materials if (old := m.normal_map)}
+        materials = [replace(m, normal_map=turned[m.normal_map]) for m in materials]
     return replace(mesh, parts=tuple(parts), materials=tuple(materials))

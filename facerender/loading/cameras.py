@@ -24,7 +24,6 @@ from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file, suffix_of
 
 _DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
-_IGNORED = ("transform_matrix",)  # in records of batches, where Rt also holds the pose
 
 
 def load_cameras(
@@ -83,21 +82,19 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     InputError : the file is damaged, has no camera, or has an orthographic camera
     """
     document = document_of(chunks(content, name)[0], name)
-    cameras = []
     try:
-        for node in scene_nodes(document)[1]:
-            if "camera" in node.properties:
-                camera = document["cameras"][node.properties["camera"]]
-                label = node.properties.get("name") or camera.get("name") or ""
-                if "perspective" not in camera:
-                    raise InputError(
-                        f"camera {shown(label)} of {name} is orthographic: give a perspective one"
-                    )
-                cameras.append(_looking(node.world, camera["perspective"]["yfov"], label))
+        nodes = [node for node in scene_nodes(document)[1] if "camera" in node.properties]
     except ValueError as error:
-        if isinstance(error, InputError):
-            raise
         raise damaged(name, str(error)) from None
+    cameras = []
+    for node in nodes:
+        camera = document["cameras"][node.properties["camera"]]
+        label = node.properties.get("name") or camera.get("name") or ""
+        if "perspective" not in camera:
+            raise InputError(
+                f"camera {shown(label)} of {name} is orthographic: give a perspective one"
+            )
+        cameras.append(_looking(node.world, camera["perspective"]["yfov"], label))
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
     return named(cameras, "camera")
@@ -139,17 +136,13 @@ def _of_frame(
     """Convert an item of "frames" in a transforms.json of nerfstudio or instant-ngp to a table with
     matrices.
 
-    Parameters
-    ----------
     shared : the file's table, whose intrinsics apply to frames without their own
-    size : size of the image, for a file without w and h
     """
     table = dict(zip("wh", size or (), strict=False))
     table |= {**shared, **frame} if isinstance(frame, Mapping) else {}
     model = table.get("camera_model", "OPENCV")
-    if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE") or any(
-        table.get(key) for key in ("k4", "is_fisheye")
-    ):
+    is_fisheye = table.get("k4") or table.get("is_fisheye")
+    if is_fisheye or model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
         raise InputError(f"camera_model = {shown(model)}, or k4: give OPENCV, without fisheye")
     try:
         to_world = np.array(table["transform_matrix"], dtype=np.float64)
@@ -159,20 +152,17 @@ def _of_frame(
         focal_y = focal
         if "camera_angle_y" in table:
             focal_y = height / 2.0 / math.tan(float(table["camera_angle_y"]) / 2.0)
-        k = [
-            [focal, 0.0, table.get("cx", width / 2.0)],
-            [0.0, table.get("fl_y", focal_y), table.get("cy", height / 2.0)],
-            [0.0, 0.0, 1.0],
-        ]
+        x, y = table.get("cx", width / 2.0), table.get("cy", height / 2.0)
+        k = [[focal, 0.0, x], [0.0, table.get("fl_y", focal_y), y], [0.0, 0.0, 1.0]]
         coefficients = [float(table.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3")]
-        pixels = int(width), int(height)
+        size = int(width), int(height)
     except (KeyError, IndexError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(
             f"a frame cannot be read ({type(error).__name__} {reason(error)}): give "
             "transform_matrix, w, h (or --size), and fl_x or camera_angle_x"
         ) from None
     lens = {"distortion": coefficients} if any(coefficients) else {}
-    return {"K": k, "Rt": pose.tolist(), "width": pixels[0], "height": pixels[1], **lens}
+    return {"K": k, "Rt": pose.tolist(), "width": size[0], "height": size[1], **lens}
 
 
 def _arrays(content: bytes) -> list[dict[str, Any]]:
@@ -214,7 +204,8 @@ def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
     """Convert a table with matrices, or with fields of Camera, to a camera."""
     if not isinstance(table, Mapping):
         raise InputError(f"camera = {shown(table)}: give a table")
-    fields = {key: value for key, value in table.items() if key not in _IGNORED}
+    fields = {**table}
+    fields.pop("transform_matrix", None)  # in records of batches, where Rt also holds the pose
     if "R" in fields and "t" in fields:
         turn, shift = fields.pop("R"), fields.pop("t")
         try:
@@ -230,13 +221,10 @@ def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
         fields["intrinsics"] = fields.pop("K")
     for key in _DISTORTION:
         if key in fields:
-            coefficients = fields.pop(key)
-            nested = isinstance(coefficients, list) and all(
-                isinstance(row, list) for row in coefficients
-            )
-            fields["distortion"] = (
-                [number for row in coefficients for number in row] if nested else coefficients
-            )
+            numbers = fields.pop(key)
+            if isinstance(numbers, list) and all(isinstance(row, list) for row in numbers):
+                numbers = [number for row in numbers for number in row]
+            fields["distortion"] = numbers
     if "width" in fields and "height" in fields:
         fields["size"] = [fields.pop("width"), fields.pop("height")]
     if "intrinsics" in fields and size is not None:

@@ -23,8 +23,6 @@ from facerender.scenes.presets import PRESETS, changed
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture
 
-_LONGEST = 400  # characters of the warning
-_GREY = 0.02  # largest difference of the channels of an albedo that counts as no colour
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 _SIDES = {"l", "r", "left", "right", "upper", "lower"}
 _AFFIXES = {
@@ -108,19 +106,17 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
         if preset is None or not _is_bare(piece):
             continue
         piece.material, piece.preset = changed(piece.material, {"preset": preset}), preset
-        if preset == "skin" and np.ptp(piece.material.albedo) < _GREY:
+        if preset == "skin" and np.ptp(piece.material.albedo) < 0.02:  # grey
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
         if eye_map and any(piece is eye for eye in eyes):
             _close_pupil(piece)
-            white = (1.0, 1.0, 1.0)
-            piece.material = replace(piece.material, albedo=white, albedo_map=eye_map)
+            piece.material = replace(piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=eye_map)
         elif _stem(piece) == _LASHES and piece.uv is not None:
             piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
-        called = part_names.setdefault(preset, [])
-        called.append(piece.name or piece.material_name)
+        part_names.setdefault(preset, []).append(piece.name or piece.material_name)
     if part_names:
         all_ = "; ".join(f"{preset} for {', '.join(names)}" for preset, names in part_names.items())
-        warn(f"{name}: presets by name: {clipped(all_, _LONGEST)}; --as-is keeps the file's own")
+        warn(f"{name}: presets by name: {clipped(all_, 400)}; --as-is keeps the file's own")
 
 
 def _presets_of(pieces: Sequence[Piece]) -> list[str | None]:

@@ -52,18 +52,14 @@ def _state(path: str) -> tuple[int, int]:
 
 
 @lru_cache(2)
-def _panorama(path: str, written: int, size: int) -> Panorama:
-    return Panorama(path, _read(Path(path)))
-
-
-def _read(path: Path) -> NDArray[np.float32]:
-    description = wanted(str(path))
+def _panorama(file: str, written: int, size: int) -> Panorama:
+    path, description = Path(file), wanted(file)
     if suffix_of(path, _SUFFIXES, "environment", description, MAX_BYTES) == ".hdr":
-        return _read_hdr(read_file(path, description, MAX_BYTES), path)
+        return Panorama(file, _read_hdr(read_file(path, description, MAX_BYTES), path))
     picture = read_image(path)
     if picture.encoding != "linear":
         raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
-    return picture.color
+    return Panorama(file, picture.color)
 
 
 def _read_hdr(content: bytes, path: Path) -> NDArray[np.float32]:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from facerender.loading.mtl import Library
 
-Instance = tuple[str, "trimesh.Trimesh", NDArray[np.float64]]
-
 
 def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
     """Return whether a source is a trimesh mesh or scene, without importing trimesh."""
@@ -58,9 +56,10 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
     pieces = []
     try:
         for called, mesh, world in _instances(source):
+            if not len(getattr(mesh, "faces", ())):  # not a mesh, such as a path
+                continue
             piece = placed(piece_of(mesh, name, textures, False), world)
-            piece.name = called
-            pieces.append(piece)
+            pieces.append(replace(piece, name=called))
             check_count(len(pieces), name)
     except InputError:
         raise
@@ -71,18 +70,15 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
     return pieces
 
 
-def _instances(source: trimesh.Trimesh | trimesh.Scene) -> Iterator[Instance]:
-    import trimesh
-
-    if isinstance(source, trimesh.Trimesh):
-        if len(source.faces):
-            yield str(source.metadata.get("name") or ""), source, np.eye(4)
+def _instances(
+    source: trimesh.Trimesh | trimesh.Scene,
+) -> Iterator[tuple[str, trimesh.Trimesh, NDArray[np.float64]]]:
+    if hasattr(source, "faces"):
+        yield str(source.metadata.get("name") or ""), source, np.eye(4)
         return
     for node in source.graph.nodes_geometry:
         world, key = source.graph[node]
-        mesh = source.geometry[key]
-        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            yield str(node), mesh, np.asarray(world, dtype=np.float64)
+        yield str(node), source.geometry[key], np.asarray(world, dtype=np.float64)
 
 
 def has_normals(geometry: trimesh.Trimesh) -> bool:
@@ -119,16 +115,14 @@ def piece_of(
     if not valid.all():  # also drop the colours of these faces, which trimesh converts later
         geometry.update_faces(valid)
         faces = np.asarray(geometry.faces, dtype=np.int64)
-    normals = None
-    if has_normals(geometry):
-        normals = np.asarray(geometry.vertex_normals, dtype=np.float64)
+    normals = geometry.vertex_normals if has_normals(geometry) else None
     visual = geometry.visual
     uv = getattr(visual, "uv", None)
-    if uv is not None and len(uv) == len(geometry.vertices):
+    if uv is not None and len(uv) != len(vertices):
+        uv = None
+    if uv is not None:
         uv = np.array(uv, dtype=np.float64)[:, :2]
         uv = np.pad(uv, ((0, 0), (0, 2 - uv.shape[1])))  # v of a 1D coordinate is 0
-    else:
-        uv = None
     has_colors = colored or visual.kind in ("vertex", "face")
     colors = None
     if visual.kind == "vertex":
@@ -150,7 +144,7 @@ def piece_of(
     piece = Piece(
         positions=vertices,
         faces=faces,
-        normals=normals,
+        normals=None if normals is None else np.asarray(normals, dtype=np.float64),
         uv=uv,
         colors=colors,
         material=material,
@@ -180,8 +174,8 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
             return Material(albedo=SKIN_ALBEDO)
         return Material(albedo=tuple(srgb_to_linear(np.asarray(source.diffuse)[:3] / 255.0)))
     name = clipped(image.info.get("file_path", f"the albedo map of {file}"), 80)
-    texture = Texture(lambda: image, name, profile=profile_of(image))
-    texture = textures.setdefault(id(image), texture)
+    new_texture = Texture(lambda: image, name, profile=profile_of(image))
+    texture = textures.setdefault(id(image), new_texture)
     return Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture)
 
 

@@ -13,7 +13,7 @@ from facerender.errors import InputError, clipped, reason
 from facerender.loading.gltf_animation import RigReader
 from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import Doc, chunks, damaged, document_of
-from facerender.loading.gltf_features import EXTENSIONS, unsupported
+from facerender.loading.gltf_features import EXTENSIONS
 from facerender.loading.gltf_material import Look, Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes
 from facerender.loading.references import References
@@ -27,6 +27,8 @@ _DRACO = "KHR_draco_mesh_compression"
 _BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
 
 Float = NDArray[np.float64]
+_Joints = tuple[tuple[int, ...], Float | None]  # joints and inverse bind matrices (J, 4, 4)
+_Head = tuple[NDArray[np.bool_], float]  # mask of the joints of a head, height of the first
 
 
 class Primitive:
@@ -59,11 +61,10 @@ class Primitive:
         accessors = self.properties["attributes"]
         if key not in accessors:
             return None
-        values = self.decoded.get(key)
-        if values is None:
-            values = self.buffers.accessor(accessors[key])
+        if key in self.decoded:
+            values = self.buffers.converted(self.decoded[key], accessors[key])
         else:
-            values = self.buffers.converted(values, accessors[key])
+            values = self.buffers.accessor(accessors[key])
         if values.ndim != 2 or values.shape[1] not in widths:
             raise ValueError(f"{self.where}: {key} has the wrong type")
         return values
@@ -163,13 +164,6 @@ def _compact(
     return inverse.reshape(-1, 3), vertices, out_of_range
 
 
-def unit_colors(colors: NDArray[Any]) -> NDArray[np.float64]:
-    """Return vertex colours as linear RGB in [0, 1]."""
-    if colors.dtype.kind != "f":  # normalise integers even without the flag "normalized"
-        colors = colors / np.iinfo(colors.dtype).max
-    return np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
-
-
 def head_bounds(
     positions: Float,
     joints: NDArray[Any],
@@ -214,10 +208,11 @@ def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Pie
     name = referred.name
     text, binary = chunks(data, name)
     document = document_of(text, name)
-    if unknown := unsupported(document.get("extensionsRequired", ())):
-        raise InputError(
-            f"{name} requires the extension {clipped(unknown[0], 60)}; export it without this"
-        )
+    for extension in sorted(document.get("extensionsRequired", ())):
+        if extension not in EXTENSIONS or EXTENSIONS[extension].fate == "refused":
+            raise InputError(
+                f"{name} requires the extension {clipped(extension, 60)}; export it without this"
+            )
     try:
         return _File(name, document, binary, referred, albedo_given).pieces()
     except ValueError as error:
@@ -228,21 +223,16 @@ def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Pie
 
 @dataclass(frozen=True)
 class _Instance:
-    """An instance of a mesh, placed by a node.
-
-    node : number of the node
-    offset : transform of the instance within the node's space; None: no transform
-    weights : weights of the morph targets
-    skin : index of the skin, whose joints place the mesh; None: the node places the mesh
-    """
+    """An instance of a mesh, placed by a node."""
 
     mesh: int
     name: str
     node: int
-    offset: NDArray[np.float64] | None
-    world: NDArray[np.float64]
-    weights: tuple[float, ...]
-    skin: int | None
+    offset: Float | None  # transform of the instance within the node's space; None: no transform
+    world: Float
+    weights: tuple[float, ...]  # of the morph targets
+    skin: int | None  # index of the skin, whose joints place the mesh; None: the node places it
+    joints: _Joints | None
 
 
 class _File:
@@ -262,11 +252,11 @@ class _File:
         self.buffers = Buffers(name, document, binary, referred)
         self.materials = Materials(self.buffers, albedo_given)
         self.warn = self.materials.warn
-        self.worlds: dict[int, NDArray[np.float64]] = {}  # matrices, keyed by the node's index
+        self.worlds: dict[int, Float] = {}  # matrices, keyed by the node's index
         self.rigs = RigReader(self.buffers)
         self.skeleton = Skeleton(())
         self.moving: set[int] | None = set()  # nodes that clips move; None: all
-        self.skins: dict[int, tuple[tuple[int, ...], Float | None] | None] = {}
+        self.skins: dict[int | None, _Joints | None] = {}
         self.shapes: dict[str, tuple[Shape, ...]] = {}  # keyed by the primitive's path
         self.own: dict[int, int] = {}  # number of stored elements, keyed by the accessor's index
         self.drawn = 0  # number of drawn vertices and faces
@@ -283,31 +273,25 @@ class _File:
             for piece in meshes[key]:
                 self._count_drawn(len(piece.positions) + len(piece.faces))
                 name = ".".join(filter(None, (instance.name, piece.name)))
-                rig = self._rig_of(instance, piece)
+                if rig := piece.rig:
+                    nodes = {instance.node} if rig.skin is None else {*rig.skin.joints}
+                    moves = rig.shapes or self.moving is None or self.moving & nodes
+                    rig = (
+                        replace(rig, node=instance.node, offset=instance.offset) if moves else None
+                    )
                 pieces.append(replace(placed(piece, instance.world), name=name, rig=rig))
         return pieces
 
     def _mesh(self, instance: _Instance) -> list[Piece]:
         mesh = self.document["meshes"][instance.mesh]
-        head = None if instance.skin is None else self._head_joints(instance.skin)
-        pieces = []
-        for i, primitive in enumerate(mesh["primitives"]):
-            where = f"meshes[{instance.mesh}].primitives[{i}]"
-            if piece := self._piece(primitive, where, instance, head):
-                pieces.append(piece)
+        head = None if instance.joints is None else self._head_joints(instance.joints[0])
+        where = f"meshes[{instance.mesh}].primitives"
+        primitives = enumerate(mesh["primitives"])
+        found = [self._piece(p, f"{where}[{i}]", instance, head) for i, p in primitives]
+        pieces = [piece for piece in found if piece is not None]
         if len(pieces) == 1:
             pieces[0].name = ""  # the material's name is only needed to distinguish several pieces
         return pieces
-
-    def _rig_of(self, instance: _Instance, piece: Piece) -> Rig | None:
-        """Return the rig of a piece at an instance; None if no shape and no clip moves it."""
-        rig = piece.rig
-        if rig is None:
-            return None
-        nodes = {instance.node} if rig.skin is None else {*rig.skin.joints}
-        if not rig.shapes and self.moving is not None and self.moving.isdisjoint(nodes):
-            return None
-        return replace(rig, node=instance.node, offset=instance.offset)
 
     def _count_drawn(self, count: int) -> None:
         self.drawn += count
@@ -325,7 +309,13 @@ class _File:
         count = 0
         self.skeleton, nodes = scene_nodes(self.document)
         self.worlds = {scene_node.number: scene_node.world for scene_node in nodes}
-        self._read_clips()
+        if clips := self.rigs.clips():
+            self.skeleton = replace(self.skeleton, clips=clips)
+            # A damaged clip may move any node. Parts need a rig to report the damage.
+            self.moving = None
+            if not any(clip.fault for clip in clips):
+                moved = {track.node for clip in clips for track in clip.tracks}
+                self.moving = self.skeleton.below(moved)
         for scene_node in nodes:
             node = scene_node.properties
             extensions = node.get("extensions", {})
@@ -339,57 +329,37 @@ class _File:
             check_count(count, self.name)
             name = node.get("name") or mesh.get("name") or ""
             weights = tuple(map(float, node.get("weights", mesh.get("weights", ()))))
-            skin = node.get("skin")
-            if skin is not None and self._joints(skin) is None:
+            skin, number = node.get("skin"), scene_node.number
+            if skin is not None and skin not in self.skins:
+                self.skins[skin] = self._joints(skin)
+            if (joints := self.skins.get(skin)) is None:
                 skin = None
             for offset in places:
                 world = scene_node.world if offset is None else scene_node.world @ offset
-                if skin is not None:
+                if joints is not None:
                     world = np.eye(4)  # a skinned mesh ignores its node's transform
                 instances.append(
-                    _Instance(node["mesh"], name, scene_node.number, offset, world, weights, skin)
+                    _Instance(node["mesh"], name, number, offset, world, weights, skin, joints)
                 )
         return instances
 
-    def _read_clips(self) -> None:
-        clips = self.rigs.clips()
-        if not clips:
-            return
-        self.skeleton = replace(self.skeleton, clips=clips)
-        # A damaged clip may move any node. Parts need a rig to report the damage.
-        self.moving = None
-        if not any(clip.fault for clip in clips):
-            moved = {track.node for clip in clips for track in clip.tracks}
-            self.moving = self.skeleton.below(moved)
-
-    def _places(self, index: int, instances: Doc | None) -> Sequence[NDArray[np.float64] | None]:
-        """Return the transform of each instance of a node's mesh (EXT_mesh_gpu_instancing) within
-        the node's space."""
+    def _places(self, index: int, instances: Doc | None) -> Sequence[Float | None]:
+        """Return the transform of each instance of a node's mesh within the node's space."""
         if instances is None:
             return [None]
-        columns = {
-            key.lower(): self.buffers.accessor(instances["attributes"][key])
-            for key in ("TRANSLATION", "ROTATION", "SCALE")
-            if key in instances["attributes"]
-        }
+        accessors, keys = instances["attributes"], ("TRANSLATION", "ROTATION", "SCALE")
+        columns = {k.lower(): self.buffers.accessor(accessors[k]) for k in keys if k in accessors}
         for key, values in columns.items():
             if values.shape[1] != (4 if key == "rotation" else 3):
                 raise ValueError(f"nodes[{index}]: the {key} of its instances has the wrong type")
         count = min((len(values) for values in columns.values()), default=0)
         check_count(count, self.name)
-        return [
-            local_matrix(**{key: values[i] for key, values in columns.items()})
-            for i in range(count)
-        ]
+        rows = ({key: values[i] for key, values in columns.items()} for i in range(count))
+        return [local_matrix(**row) for row in rows]
 
-    def _joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
+    def _joints(self, index: int) -> _Joints | None:
         """Return the joints and the inverse bind matrices (J, 4, 4) of a skin. Warn and return None
         if a joint is not in the scene."""
-        if index not in self.skins:
-            self.skins[index] = self._checked_joints(index)
-        return self.skins[index]
-
-    def _checked_joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
         skin = self.document["skins"][index]
         joints = tuple(skin["joints"])
         if not joints or not self.worlds.keys() >= set(joints):
@@ -403,16 +373,15 @@ class _File:
         columns = inverse[: len(joints)].reshape(-1, 4, 4).astype(np.float64)
         return joints, columns.transpose(0, 2, 1)
 
-    def _head_joints(self, index: int) -> tuple[NDArray[np.bool_], float] | None:
-        """Return a mask of the joints of a skin that belong to a head by their names or by the name
-        of an ancestor, and the height of the first of them; None without such a joint."""
+    def _head_joints(self, joints: tuple[int, ...]) -> _Head | None:
+        """Return a mask of the joints that belong to a head by their names or by the name of an
+        ancestor, and the height of the first of them; None without such a joint."""
         nodes = self.document["nodes"]
         heads = [i for i in self.worlds if names_head(nodes[i].get("name", ""))]
         inside, queue = set(heads), heads
         while queue:
             queue = [child for i in queue for child in nodes[i].get("children", ())]
             inside.update(queue)
-        joints = self.document["skins"][index]["joints"]
         mask = np.array([joint in inside for joint in joints])
         if not mask.any():
             return None
@@ -421,17 +390,10 @@ class _File:
     # --- triangles -------------------------------------------------------------------------------
 
     def _piece(
-        self,
-        properties: Doc,
-        where: str,
-        instance: _Instance,
-        head: tuple[NDArray[np.bool_], float] | None,
+        self, properties: Doc, where: str, instance: _Instance, head: _Head | None
     ) -> Piece | None:
         """Return a primitive as a piece in mesh space, or in scene space if it is skinned. Return
-        None for a primitive without triangles.
-
-        head : result of :meth:`_head_joints`; None without a skin
-        """
+        None for a primitive without triangles."""
         attributes = properties["attributes"]
         if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
             self.warn(f"{self.name} has points, lines or vertices without positions: not drawn")
@@ -443,12 +405,11 @@ class _File:
         shapes = self._shapes(primitive, base_normals is not None, instance)
         shape, normals = morphed(base, base_normals, shapes, instance.weights)
         faces, bounds, skin = primitive.faces, None, None
-        joints = None if instance.skin is None else self._joints(instance.skin)
-        if instance.skin is not None and joints is not None:
+        if instance.joints is not None:
             if "JOINTS_2" in attributes:
                 self.warn(f"{self.name} has more than eight joints per vertex: only eight are used")
             if influences := primitive.influences():
-                skin = Skin.of(*joints, *influences)
+                skin = Skin.of(*instance.joints, *influences)
                 shape, normals, mirrored = skinned(shape, normals, skin, self.worlds)
                 faces = faces[:, ::-1] if mirrored else faces
                 bounds = head and head_bounds(shape, *influences, *head)
@@ -458,20 +419,29 @@ class _File:
         look = self.materials.look(number, colors is not None)
         if colors is not None and colors.shape[1] == 4 and look.material.alpha != "opaque":
             self.warn(f"{self.name} has alpha in its vertex colours: ignored")
+        if colors is not None:
+            if colors.dtype.kind != "f":  # normalise integers even without the flag "normalized"
+                colors = colors / np.iinfo(colors.dtype).max
+            colors = np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
         uv, uv2 = primitive.uv(look.first), primitive.uv(look.second)
+        rig = None
+        if shapes or self.skeleton.clips:
+            arrays = np.array(base), None if base_normals is None else np.array(base_normals)
+            weights, by_node = instance.weights, instance.skin is None
+            rig = Rig(self.skeleton, instance.node, *arrays, weights, shapes, skin, by_node)
         return Piece(
             positions=np.asarray(shape, dtype=np.float64),
             faces=faces,
             normals=normals,
             uv=uv,
-            colors=None if colors is None else unit_colors(colors),
+            colors=colors,
             material=self._drawn_material(look, uv is not None, uv2 is not None),
             out_of_range=primitive.out_of_range,
             name=called,
             uv2=None if uv is None else uv2,
             material_name=called,
             head=bounds,
-            rig=self._rig(base, base_normals, shapes, skin, instance),
+            rig=rig,
         )
 
     def _drawn_material(self, look: Look, has_uv: bool, has_uv2: bool) -> Material:
@@ -495,14 +465,8 @@ class _File:
         targets = primitive.properties.get("targets", ())
         if targets and primitive.where not in self.shapes:
             mesh = self.document["meshes"][instance.mesh]
-            self.shapes[primitive.where] = self.rigs.shapes(
-                targets,
-                (mesh.get("extras"), primitive.properties.get("extras")),
-                len(primitive.positions),
-                primitive.vertices,
-                has_normals,
-                primitive.where,
-            )
+            extras = mesh.get("extras")
+            self.shapes[primitive.where] = self.rigs.shapes(primitive, extras, has_normals)
         for target, weight in zip(targets, instance.weights, strict=False):
             for key in ("POSITION", "NORMAL"):
                 if weight and key in target and (has_normals or key == "POSITION"):
@@ -510,27 +474,3 @@ class _File:
                     self.own[target[key]] = count
                     self._count_drawn(count)
         return self.shapes.get(primitive.where, ())
-
-    def _rig(
-        self,
-        positions: NDArray[Any],
-        normals: NDArray[Any] | None,
-        shapes: tuple[Shape, ...],
-        skin: Skin | None,
-        instance: _Instance,
-    ) -> Rig | None:
-        if not shapes and not self.skeleton.clips:
-            return None
-        normals_copy = None if normals is None else np.array(normals)
-        weights = instance.weights
-        placed = instance.skin is None
-        return Rig(
-            self.skeleton,
-            instance.node,
-            np.array(positions),
-            normals_copy,
-            weights,
-            shapes,
-            skin,
-            placed,
-        )

@@ -4,7 +4,7 @@ returned with a description of the damage, so that the stored pose can still be 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import TYPES, Doc, checked_animation
 from facerender.scenes.repair import unique
 from facerender.scenes.rig import Clip, Interpolation, Path, Shape, Track
+
+if TYPE_CHECKING:
+    from facerender.loading.gltf import Primitive
 
 _T = TypeVar("_T")
 _WIDTHS: dict[Path, int] = {"translation": 3, "rotation": 4, "scale": 3}
@@ -55,12 +58,8 @@ class RigReader:
         animations = self.document.get("animations")
         if not isinstance(animations, list):
             return ()
-        stored_names = [
-            animation.get("name") if isinstance(animation, dict) else None
-            for animation in animations
-        ]
-        names = _named(stored_names, "clip")
-        return tuple(self._clip(i, name) for i, name in enumerate(names))
+        stored_names = (clip.get("name") if isinstance(clip, dict) else None for clip in animations)
+        return tuple(self._clip(i, name) for i, name in enumerate(_named(stored_names, "clip")))
 
     def _clip(self, index: int, name: str) -> Clip:
         try:
@@ -93,12 +92,8 @@ class RigReader:
             return _WIDTHS[path]
         if path != "weights":
             raise ValueError(f"{where}.target.path = {clipped(path, 40)!r} is unknown")
-        targets = 0
-        if "mesh" in node:
-            primitives = self.document["meshes"][node["mesh"]]["primitives"]
-            targets = max(
-                (len(primitive.get("targets", ())) for primitive in primitives), default=0
-            )
+        mesh = self.document["meshes"][node["mesh"]] if "mesh" in node else {"primitives": []}
+        targets = max((len(part.get("targets", ())) for part in mesh["primitives"]), default=0)
         if not targets:
             raise ValueError(f"{where} has weights for nodes[{number}], which has no morph targets")
         return targets
@@ -141,26 +136,17 @@ class RigReader:
 
     # --- shapes ----------------------------------------------------------------------------------
 
-    def shapes(
-        self,
-        targets: Sequence[Doc],
-        extras: Iterable[Any],
-        count: int,
-        kept: NDArray[np.int64] | slice,
-        has_normals: bool,
-        where: str,
-    ) -> tuple[Shape, ...]:
-        """Return the morph targets of a primitive.
+    def shapes(self, primitive: Primitive, extras: Any, has_normals: bool) -> tuple[Shape, ...]:
+        """Return the morph targets of a primitive. The first list targetNames in the extras of the
+        mesh and of the primitive names them. Otherwise the accessors do, if their names differ.
 
         Parameters
         ----------
-        extras : extras of the mesh and of the primitive, of any type. The first of them with
-            targetNames names the shapes. Otherwise the accessors do, if their names differ
-        count : number of vertices in the file
-        kept : indices of the vertices that the part keeps, in increasing order, or all
-        has_normals : whether the part has normals, which targets may move
-        where : path of the primitive, for messages
+        extras : extras of the mesh, of any type
+        has_normals : whether the primitive has normals, which targets may move
         """
+        targets: Sequence[Doc] = primitive.properties["targets"]
+        extras = extras, primitive.properties.get("extras")
         lists = [table.get("targetNames") for table in extras if isinstance(table, dict)]
         accessors = self.document["accessors"]
         of_accessors = [accessors[t["POSITION"]].get("name") for t in targets if "POSITION" in t]
@@ -174,8 +160,8 @@ class RigReader:
             try:
                 for key in ("POSITION", "NORMAL"):
                     if key in target and (has_normals or key == "POSITION"):
-                        target_path = f"{where}.targets[{i}]: {key}"
-                        rows[key] = self._moves(target[key], count, kept, target_path)
+                        where = f"{primitive.where}.targets[{i}]: {key}"
+                        rows[key] = self._moves(target[key], primitive, where)
             except ValueError as error:
                 shapes.append(Shape(name, fault=clipped(str(error))))
                 continue
@@ -183,21 +169,19 @@ class RigReader:
             shapes.append(Shape(name, *rows.get("POSITION", none), *rows.get("NORMAL", none)))
         return tuple(shapes)
 
-    def _moves(
-        self, index: int, count: int, vertices: NDArray[np.int64] | slice, where: str
-    ) -> _Rows:
-        """Return the kept rows of an accessor that are not 0."""
+    def _moves(self, index: int, primitive: Primitive, where: str) -> _Rows:
+        """Return the rows of an accessor that are not 0, of the vertices that the part keeps."""
         accessor = self.document["accessors"][index]
-        if (accessor["count"], TYPES[accessor["type"]]) != (count, 3):
+        if (accessor["count"], TYPES[accessor["type"]]) != (len(primitive.positions), 3):
             raise ValueError(f"{where} has the wrong number of entries")
         if index not in self.rows:
             rows, moves = self._read(index, self.buffers.rows)
             self.rows[index] = rows.astype(np.uint32), moves.astype(np.float32)
         rows, moves = self.rows[index]
-        if isinstance(vertices, slice):
+        if isinstance(primitive.vertices, slice):
             return rows, moves
-        places = np.searchsorted(vertices, rows)
-        mask = np.isin(rows, vertices)
+        places = np.searchsorted(primitive.vertices, rows)
+        mask = np.isin(rows, primitive.vertices)
         return places[mask].astype(np.uint32), moves[mask]
 
 

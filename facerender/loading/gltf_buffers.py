@@ -23,6 +23,7 @@ _MODES = {
     "INDICES": ("decodeIndexSequence", (2, 4), 1),
 }
 _FILTERS = {
+    "NONE": ("", range(1, 257)),
     "OCTAHEDRAL": ("decodeFilterOct", (4, 8)),
     "QUATERNION": ("decodeFilterQuat", (8,)),
     "EXPONENTIAL": ("decodeFilterExp", range(4, 257, 4)),
@@ -47,9 +48,7 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
     mode, filter_ = view["mode"], view.get("filter", "NONE")
     shown = f"a view compressed with meshopt ({mode}, {count} x {size} bytes)"
     function, sizes, multiple = _MODES.get(mode, ("", (), 1))
-    filter_function, filter_sizes = _FILTERS.get(
-        filter_, ("", (size,) if filter_ == "NONE" else ())
-    )
+    filter_function, filter_sizes = _FILTERS.get(filter_, ("", ()))
     if size not in sizes or size not in filter_sizes or count % multiple:
         raise ValueError(f"{shown} has an invalid mode, filter ({filter_}), count or size")
     if filter_ != "NONE" and mode != "ATTRIBUTES":
@@ -110,13 +109,13 @@ class Buffers:
     def _buffer(self, index: int) -> memoryview:
         if index not in self.buffers:
             declared = self.document["buffers"][index]
-            content = self._buffer_content(index, declared.get("uri"), declared["byteLength"])
-            if len(content) < declared["byteLength"]:
+            size = declared["byteLength"]
+            content = self._buffer_content(index, declared.get("uri"), size)
+            if len(content) < size:
                 raise ValueError(
-                    f"buffers[{index}] should have {declared['byteLength']} bytes, but has "
-                    f"{len(content)}"
+                    f"buffers[{index}] should have {size} bytes, but has {len(content)}"
                 )
-            self.buffers[index] = content[: declared["byteLength"]]
+            self.buffers[index] = content[:size]
         return self.buffers[index]
 
     def _buffer_content(self, index: int, uri: str | None, size: int) -> memoryview:
@@ -124,8 +123,7 @@ class Buffers:
             if index or self.binary is None:
                 raise ValueError(f"buffers[{index}] has no uri")
             return self.binary
-        content = inline(uri)
-        if content is None:
+        if (content := inline(uri)) is None:
             try:
                 content = self.referred.read(uri, "a buffer of a glTF file")
             except FileNotFoundError as error:
@@ -175,22 +173,19 @@ class Buffers:
 
     def accessor(self, index: int) -> NDArray[Any]:
         """Return the values of an accessor, (count, components)."""
-        accessor = self.document["accessors"][index]
-        where = f"accessors[{index}]"
-        kind = COMPONENTS[accessor["componentType"]]
-        shape = accessor["count"], TYPES[accessor["type"]]
-        sparse = accessor.get("sparse")
+        accessor, where = self.document["accessors"][index], f"accessors[{index}]"
+        kind, shape = _layout(accessor)
         if "bufferView" in accessor:
             start = accessor.get("byteOffset", 0)
             values = self._elements(where, accessor["bufferView"], start, kind, shape)
-        elif sparse is None:
+        elif "sparse" not in accessor:
             raise ValueError(f"{where} has no bufferView")
         elif shape[0] * shape[1] * np.dtype(kind).itemsize > _MOST_ZEROS:
             raise ValueError(f"{where}.count = {shape[0]} is too large without a bufferView")
         else:
             values = np.zeros(shape, dtype=kind)
-        if sparse is not None:
-            indices, replacing = self._replacements(sparse, kind, shape, where)
+        if "sparse" in accessor:
+            indices, replacing = self._replacements(index)
             values = values.copy()
             values[indices] = replacing
         return _normalized(values, accessor)
@@ -214,33 +209,32 @@ class Buffers:
             values = self.accessor(index)
             indices = np.arange(len(values))
         else:
-            kind = COMPONENTS[accessor["componentType"]]
-            shape = accessor["count"], TYPES[accessor["type"]]
-            where = f"accessors[{index}]"
-            all_indices, replacing = self._replacements(accessor["sparse"], kind, shape, where)
+            all_indices, replacing = self._replacements(index)
             indices, last = np.unique(all_indices[::-1], return_index=True)
             values = _normalized(replacing[::-1][last], accessor)
-        moves = np.zeros(len(values), dtype=bool)
-        for column in values.T:
-            moves |= column != 0
+        moves = np.logical_or.reduce([column != 0 for column in values.T])
         return indices[moves], values[moves]
 
-    def _replacements(
-        self, sparse: Doc, kind: str, shape: tuple[int, int], where: str
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the indices and values of the rows that a sparse accessor of a shape (count,
-        components) replaces."""
+    def _replacements(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the indices and values of the rows that a sparse accessor replaces."""
+        accessor, where = self.document["accessors"][index], f"accessors[{index}].sparse"
+        sparse, (kind, (count, width)) = accessor["sparse"], _layout(accessor)
 
         def part(properties: Doc, kind: str, width: int) -> NDArray[Any]:
             start, shape = properties.get("byteOffset", 0), (sparse["count"], width)
-            return self._elements(f"{where}.sparse", properties["bufferView"], start, kind, shape)
+            return self._elements(where, properties["bufferView"], start, kind, shape)
 
         kind_of_index = COMPONENTS[sparse["indices"].get("componentType", 5125)]
         indices = part(sparse["indices"], kind_of_index, 1)[:, 0]
-        replacing = part(sparse["values"], kind, shape[1])
-        if indices.dtype.kind != "u" or (indices >= shape[0]).any():
-            raise ValueError(f"{where}.sparse replaces entries that do not exist")
+        replacing = part(sparse["values"], kind, width)
+        if indices.dtype.kind != "u" or (indices >= count).any():
+            raise ValueError(f"{where} replaces entries that do not exist")
         return indices, replacing
+
+
+def _layout(accessor: Doc) -> tuple[str, tuple[int, int]]:
+    """Return the type of an accessor's values, and their shape (count, components)."""
+    return COMPONENTS[accessor["componentType"]], (accessor["count"], TYPES[accessor["type"]])
 
 
 def _normalized(values: NDArray[Any], accessor: Doc) -> NDArray[Any]:

@@ -20,6 +20,14 @@ _SURE = 4.0  # CRLFs that data hold by chance, above which data without any were
 MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 
+# The lists of a document; each has objects of the type of its name.
+_LISTS = (
+    *("buffers", "bufferViews", "accessors", "images", "textures", "samplers", "materials"),
+    *("meshes", "skins", "cameras", "nodes", "scenes"),
+)
+_IMAGE_EXTENSIONS = (
+    *("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds", "KHR_texture_basisu"),
+)
 # The properties of each JSON object and their types; ! marks required properties. Type "#nodes" is
 # an index into the list "nodes"; "[x]" is a list of values of type x; "3 x" is a list of three
 # values of type x. Type "{x}" is an object with any keys and values of type x. All other types are
@@ -27,41 +35,23 @@ MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nod
 # Type "any" accepts any value and does not check it.
 _OBJECTS: dict[str, dict[str, Any]] = {
     "document": {
-        "extensionsRequired": "[text]",
-        "extensionsUsed": "[text]",
-        "buffers": "[buffer]",
-        "bufferViews": "[view]",
-        "accessors": "[accessor]",
-        "images": "[image]",
-        "textures": "[texture]",
-        "samplers": "[sampler]",
-        "materials": "[material]",
-        "meshes": "[mesh]",
-        "skins": "[skin]",
+        **dict.fromkeys(("extensionsRequired", "extensionsUsed"), "[text]"),
+        **{name: f"[{name}]" for name in _LISTS},
         "animations": "any",
-        "cameras": "[camera]",
-        "nodes": "[node]",
-        "scenes": "[scene]",
         "scene": "#scenes",
     },
-    "buffer": {"byteLength!": "size", "uri": "text"},
-    "view": {
+    "buffers": {"byteLength!": "size", "uri": "text"},
+    "bufferViews": {
         "buffer!": "#buffers",
-        "byteOffset": "size",
-        "byteLength!": "size",
-        "byteStride": "size",
+        **dict.fromkeys(("byteOffset", "byteLength!", "byteStride"), "size"),
         "extensions": {"EXT_meshopt_compression": "packed", "KHR_meshopt_compression": "packed"},
     },
     "packed": {
         "buffer!": "#buffers",
-        "byteOffset": "size",
-        "byteLength!": "size",
-        "byteStride!": "size",
-        "count!": "size",
-        "mode!": "text",
-        "filter": "text",
+        **dict.fromkeys(("byteOffset", "byteLength!", "byteStride!", "count!"), "size"),
+        **dict.fromkeys(("mode!", "filter"), "text"),
     },
-    "accessor": {
+    "accessors": {
         "name": "name",
         "bufferView": "#bufferViews",
         "byteOffset": "size",
@@ -77,20 +67,14 @@ _OBJECTS: dict[str, dict[str, Any]] = {
         "byteOffset": "size",
         "componentType": "component",
     },
-    "image": {"uri": "text", "bufferView": "#bufferViews"},
-    "sampler": {"magFilter": "size", "wrapS": "size", "wrapT": "size"},
-    "texture": {
+    "images": {"uri": "text", "bufferView": "#bufferViews"},
+    "samplers": dict.fromkeys(("magFilter", "wrapS", "wrapT"), "size"),
+    "textures": {
         "source": "#images",
         "sampler": "#samplers",
-        "extensions": {
-            "EXT_texture_webp": "other image",
-            "EXT_texture_avif": "other image",
-            "MSFT_texture_dds": "other image",
-            "KHR_texture_basisu": "other image",
-        },
+        "extensions": {name: {"source": "#images"} for name in _IMAGE_EXTENSIONS},
     },
-    "other image": {"source": "#images"},
-    "material": {
+    "materials": {
         "name": "name",
         "pbrMetallicRoughness": {
             "baseColorFactor": "4 number",
@@ -99,9 +83,7 @@ _OBJECTS: dict[str, dict[str, Any]] = {
             "metallicRoughnessTexture": "map",
             "roughnessFactor": "number",
         },
-        "normalTexture": "map",
-        "occlusionTexture": "map",
-        "emissiveTexture": "map",
+        **dict.fromkeys(("normalTexture", "occlusionTexture", "emissiveTexture"), "map"),
         "emissiveFactor": "3 number",
         "alphaMode": "text",
         "alphaCutoff": "number",
@@ -147,7 +129,7 @@ _OBJECTS: dict[str, dict[str, Any]] = {
             }
         },
     },
-    "mesh": {
+    "meshes": {
         "primitives!": "[primitive]",
         "name": "name",
         "weights": "[number]",
@@ -164,8 +146,8 @@ _OBJECTS: dict[str, dict[str, Any]] = {
             "KHR_draco_mesh_compression": {"bufferView!": "#bufferViews", "attributes!": "{size}"}
         },
     },
-    "camera": {"name": "text", "perspective": {"yfov!": "number"}},
-    "node": {
+    "cameras": {"name": "text", "perspective": {"yfov!": "number"}},
+    "nodes": {
         "name": "name",
         "mesh": "#meshes",
         "skin": "#skins",
@@ -173,17 +155,16 @@ _OBJECTS: dict[str, dict[str, Any]] = {
         "camera": "#cameras",
         "children": "[#nodes]",
         "matrix": "16 number",
-        "translation": "3 number",
+        **dict.fromkeys(("translation", "scale"), "3 number"),
         "rotation": "4 number",
-        "scale": "3 number",
         "extensions": {
             "EXT_mesh_gpu_instancing": {"attributes!": "{#accessors}"},
             "KHR_node_visibility": {"visible": "switch"},
             "KHR_lights_punctual": {},
         },
     },
-    "skin": {"joints!": "[#nodes]", "inverseBindMatrices": "#accessors"},
-    "scene": {"nodes": "[#nodes]"},
+    "skins": {"joints!": "[#nodes]", "inverseBindMatrices": "#accessors"},
+    "scenes": {"nodes": "[#nodes]"},
     "animation": {"channels!": "[channel]", "samplers!": "[keys]"},
     "channel": {"sampler!": "size", "target!": {"node": "#nodes", "path!": "text"}},
     "keys": {"input!": "#accessors", "output!": "#accessors", "interpolation": "text"},
@@ -197,22 +178,20 @@ def _is_number(value: Any) -> bool:
     return number and -1e300 < value < 1e300
 
 
+def _is_size(value: Any) -> bool:
+    return _is_number(value) and 0 <= value < 1 << 53 and value == int(value)
+
+
 # Keyed by type: check of a value, description for messages. A size such as 3 may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (lambda value: isinstance(value, str), "text"),
     "name": (lambda value: True, "text"),  # only for display: values of other types become ""
     "switch": (lambda value: isinstance(value, bool), "true or false"),
     "number": (_is_number, "a number"),
-    "size": (
-        lambda value: _is_number(value) and 0 <= value < 1 << 53 and value == int(value),
-        "an integer >= 0",
-    ),
-    "component": (
-        lambda value: _is_number(value) and value in COMPONENTS,
-        "a glTF component type",
-    ),
+    "size": (_is_size, "an integer >= 0"),
+    "component": (lambda value: _is_size(value) and value in COMPONENTS, "a glTF component type"),
     "type": (lambda value: isinstance(value, str) and value in TYPES, "a glTF accessor type"),
-    "mode": (lambda value: _is_number(value) and value in range(7), "a glTF primitive mode"),
+    "mode": (lambda value: _is_size(value) and value in range(7), "a glTF primitive mode"),
 }
 
 
@@ -299,7 +278,7 @@ def document_of(text: bytes, name: str) -> Doc:
         raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
     if document.get("meshes", []) == []:
         raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
-    counts = {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
+    counts = _counts(document)
     for key in tables.keys() & counts.keys():
         if counts[key] > MOST_ENTRIES:
             raise InputError(
@@ -314,15 +293,14 @@ def document_of(text: bytes, name: str) -> Doc:
 
 def checked_animation(document: Doc, index: int) -> Doc:
     """Check an animation of a document from :func:`document_of`, which does not check animations.
+    Raise ValueError for an invalid property."""
+    animation, where = document["animations"][index], f"animations[{index}]"
+    result: Doc = _checked(animation, "animation", where, _counts(document))
+    return result
 
-    Raises
-    ------
-    ValueError : the animation has an invalid property
-    """
-    counts = {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
-    where = f"animations[{index}]"
-    animation: Doc = _checked(document["animations"][index], "animation", where, counts)
-    return animation
+
+def _counts(document: Doc) -> dict[str, int]:
+    return {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
 
 
 def damaged(name: str, what: str) -> InputError:
@@ -349,22 +327,16 @@ def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[s
             key: _checked(entry, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
             for key, entry in value.items()
         }
-    if shape[0] == "[":
-        _expect(isinstance(value, list), value, where, "a list")
-        return [
-            _checked(entry, shape[1:-1], f"{where}[{i}]", counts) for i, entry in enumerate(value)
-        ]
+    if shape[0] == "[" or shape[0].isdigit():
+        length, inner = ("", shape[1:-1]) if shape[0] == "[" else shape.split(" ", 1)
+        good = isinstance(value, list) and length in ("", str(len(value)))
+        _expect(good, value, where, f"{length} numbers" if length else "a list")
+        return [_checked(entry, inner, f"{where}[{i}]", counts) for i, entry in enumerate(value)]
     if shape[0] == "#":
         count = counts.get(shape[1:], 0)
-        good = _VALUES["size"][0](value) and value < count
+        good = _is_size(value) and value < count
         _expect(good, value, where, f"an index into the {count} {shape[1:]}")
         return int(value)
-    if shape[0].isdigit():
-        length, inner = shape.split(" ", 1)
-        _expect(
-            isinstance(value, list) and len(value) == int(length), value, where, f"{length} numbers"
-        )
-        return [_checked(number, inner, f"{where}[{i}]", counts) for i, number in enumerate(value)]
     if shape == "any":
         return value
     check, description = _VALUES[shape]

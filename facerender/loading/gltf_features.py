@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -128,12 +127,3 @@ FEATURES = (
     ),
 )
 EXTENSIONS = {feature.name: feature for feature in FEATURES if feature.is_extension}
-
-
-def unsupported(required: Sequence[str]) -> list[str]:
-    """Return the required extensions that are not supported, sorted by name."""
-    return sorted(
-        name
-        for name in set(required)
-        if name not in EXTENSIONS or EXTENSIONS[name].fate == "refused"
-    )

@@ -81,7 +81,7 @@ class Materials:
         self.document = buffers.document
         self.buffers = buffers
         self.albedo_given = albedo_given
-        self.images: dict[int, tuple[Image, Texture, Texture | None] | None] = {}
+        self.images: dict[int | None, tuple[Image, Texture, Texture | None] | None] = {}
         self.sampled: dict[tuple[int, Any, Any], Texture] = {}
         self.looks: dict[tuple[int | None, bool], Look] = {}
         self.lost_images = False
@@ -117,18 +117,23 @@ class Materials:
             "specular_map": specular.get("specularTexture"),
         }
         places = {key: TextureTransform.of(use) for key, use in uses.items() if use is not None}
-        first = (
-            TextureTransform.of(base) if base else next(iter(places.values()), TextureTransform())
-        )
+        first = places.get("albedo_map") or next(iter(places.values()), TextureTransform())
         second = next((place for place in places.values() if place != first), None)
-        maps = self._maps(uses, places, (first, second))
+        maps: dict[str, Any] = {}
+        for key, place in places.items():
+            if place in (first, second):
+                maps[key] = self._map(uses[key], _kind(key), _CHANNELS.get(key))
+            else:
+                self.warn(
+                    f"the {_kind(key)} map of {self.name} needs a third set or transform of "
+                    "texture coordinates: ignored, because a material can have only two"
+                )
         if not glossy:
             self._look_for_metal(metallic)
         factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
         red, green, blue, opacity = (self._factor("albedo", channel) for channel in factor)
         albedo = (red, green, blue)
-        lost = self.lost_images and maps.get("albedo_map") is None
-        if lost and min(albedo) > 0.99:
+        if self.lost_images and maps.get("albedo_map") is None and min(albedo) > 0.99:
             albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map
         material = Material(
             albedo=albedo,
@@ -148,25 +153,6 @@ class Materials:
             **maps,
         )
         return Look(material, first, second)
-
-    def _maps(
-        self,
-        uses: Mapping[str, Doc | None],
-        places: Mapping[str, TextureTransform],
-        drawn: tuple[TextureTransform | None, ...],
-    ) -> dict[str, Any]:
-        """Return the maps whose transform is in ``drawn``, keyed by the field of the material."""
-        maps: dict[str, Any] = {}
-        for key, place in places.items():
-            kind = _kind(key)
-            if place in drawn:
-                maps[key] = self._map(uses[key], kind, _CHANNELS.get(key))
-            else:
-                self.warn(
-                    f"the {kind} map of {self.name} needs a third set or transform of texture "
-                    "coordinates: ignored, because a material can have only two"
-                )
-        return maps
 
     # --- factors ---------------------------------------------------------------------------------
 
@@ -188,19 +174,18 @@ class Materials:
         return self._factor(f"{use}.{key}", source.get(use, {}).get(key, 1.0), high)
 
     def _emissive(self, source: Doc, extensions: Doc) -> tuple[float, float, float]:
-        extension = extensions.get("KHR_materials_emissive_strength", {})
-        strength = self._factor(
-            "emissiveStrength", extension.get("emissiveStrength", 1.0), MOST_RADIANCE
+        strength = extensions.get("KHR_materials_emissive_strength", {}).get(
+            "emissiveStrength", 1.0
         )
+        strength = self._factor("emissiveStrength", strength, MOST_RADIANCE)
         factor = source.get("emissiveFactor", (0.0, 0.0, 0.0))
         red, green, blue = (strength * self._factor("emissive", channel) for channel in factor)
         return red, green, blue
 
     def _f0(self, extensions: Doc) -> float:
-        ior = extensions.get("KHR_materials_ior")
         f0 = _F0
-        if ior is not None:
-            n = ior.get("ior", 1.5)
+        if "KHR_materials_ior" in extensions:
+            n = extensions["KHR_materials_ior"].get("ior", 1.5)
             if n and n < 1.0:
                 warn(f"the ior {n:.6g} of {self.name} is below 1: clamped to 1")
                 n = 1.0
@@ -235,8 +220,7 @@ class Materials:
         if factor <= 0.0:
             return
         source = None if use is None else self._source(self.document["textures"][use["index"]])
-        record = None if source is None else self.images.get(source)
-        if record is not None:
+        if (record := self.images.get(source)) is not None:
             image = record[0]
             if image.width * image.height > _MOST_LOOKED_AT:
                 self.warn(f"{self.name} has a metallic map: ignored, drawn as a dielectric")
@@ -262,7 +246,6 @@ class Materials:
         return index
 
     def _replaces(self, kind: str) -> bool:
-        """Return whether the caller replaces the maps of a kind."""
         return kind == "albedo" and self.albedo_given
 
     def _map(
@@ -287,9 +270,7 @@ class Materials:
             self.images[source] = self._image(source, kind)
         if (record := self.images[source]) is None:
             return None
-        sampler = {}
-        if "sampler" in texture:
-            sampler = self.document["samplers"][texture["sampler"]]
+        sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
         u, v = (_WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
         sampling: tuple[tuple[Wrap, Wrap], bool] = (u, v), sampler.get("magFilter") == _NEAREST
         key = source, channel, sampling
@@ -299,11 +280,9 @@ class Materials:
                 return None
             if isinstance(channel, int):
                 image_texture = image_texture.channel(channel, image_texture.name)
-            self.sampled[key] = (
-                image_texture.sampled(*sampling)
-                if sampling != image_texture.sampling
-                else image_texture
-            )
+            if sampling != image_texture.sampling:
+                image_texture = image_texture.sampled(*sampling)
+            self.sampled[key] = image_texture
         return self.sampled[key]
 
     def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
@@ -333,9 +312,8 @@ class Materials:
                 unreadable(shown, kind, error, fatal=not self.albedo_given)
             self.lost_images = True
             return None
-        name = f"the {kind} map of {self.name}"
         alpha = Texture.alpha_of(content, f"the opacity map of {self.name}")
-        return image, Texture.of(content, name), alpha
+        return image, Texture.of(content, f"the {kind} map of {self.name}"), alpha
 
 
 # Keyed by map: the image channel that the map uses. All other maps use the colours.

@@ -16,19 +16,12 @@ _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 
 @dataclass(frozen=True)
 class SceneNode:
-    """A node of a scene.
-
-    Attributes
-    ----------
-    number, properties : index and JSON object of the node
-    world : (4, 4), transforms column vectors from node space to scene space
-    visible : whether the node and all of its ancestors are visible (KHR_node_visibility)
-    """
+    """A node of a scene."""
 
     number: int
     properties: Doc
-    world: NDArray[np.float64]
-    visible: bool
+    world: NDArray[np.float64]  # (4, 4), transforms column vectors from node space to scene space
+    visible: bool  # whether the node and all of its ancestors are visible (KHR_node_visibility)
 
 
 def scene_nodes(document: Doc) -> tuple[Skeleton, Sequence[SceneNode]]:

@@ -9,29 +9,25 @@ import json
 import math
 import struct
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.errors import FacerenderError, InputError, warn
+from facerender.errors import FacerenderError, InputError, check_switch, warn
 from facerender.loading.references import content_of
-from facerender.loading.source import Orientation, Source
-from facerender.scenes.framing import find_regions
+from facerender.loading.source import Source, check_normal_map_y
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, Region
 from facerender.scenes.mips import Kind, Levels
-from facerender.scenes.texture import LARGE, Texture, pack
+from facerender.scenes.texture import LARGE, Texture, Wrap, pack
 from facerender.system import cache
 from facerender.system.files import digest_of, read_file
-
-if TYPE_CHECKING:
-    from facerender.scenes.rig import Rig
 
 Chains = dict[Texture, dict[Kind, Future[Levels]]]
 
@@ -46,37 +42,38 @@ _CHAINS: dict[str, Kind] = {
     "normal_map": "normal",
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
-
-_PLAIN_FIELDS = ("name", "skin", "source_count", "preset", "ks_ignored")
-_ARRAYS = tuple(
-    field.name for field in fields(Part) if field.name not in (*_PLAIN_FIELDS, "rest", "rig")
-)
+_RIG = ("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track")  # classes of a rig
 
 
 @dataclass(frozen=True)
-class MeshFiles:
-    """The files from which a mesh is loaded.
+class LoadOptions:
+    """Options of :func:`facerender.load_mesh`, whose arguments and errors they share."""
 
-    Attributes
-    ----------
-    source : the mesh file
-    maps : image files that replace the mesh file's maps, keyed by the field of :class:`Material`
-    orientation, allow_outside, as_is, parts, hide : see :func:`facerender.load_mesh`
-    """
-
-    source: Source
-    maps: Mapping[str, Path]
-    orientation: Orientation
-    allow_outside: bool
+    flip_v: bool = False
+    normal_map_y: str = "up"
+    allow_outside: bool = False
     as_is: bool = False
     parts: tuple[str, ...] = ()
     hide: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        check_normal_map_y(self.normal_map_y)
+        for name in ("flip_v", "allow_outside", "as_is"):
+            check_switch(name, getattr(self, name))
+
+
+@dataclass(frozen=True)
+class MeshFiles:
+    """The files from which a mesh is loaded."""
+
+    source: Source
+    maps: Mapping[str, Any]  # image files that replace maps, keyed by the field of Material
+    options: LoadOptions = LoadOptions()
+
     def digest(self) -> str | None:
         """Return the name of the cache entry, or None if a file cannot be read."""
         names = [self.source.path.name, *((field, path.name) for field, path in self.maps.items())]
-        options = self.orientation, self.allow_outside, self.as_is, self.parts, self.hide
-        facts = __version__, _code(), names, self.source.suffix, options
+        facts = __version__, _code(), names, self.source.suffix, self.options
         try:
             maps = [read_file(path, "a file") for path in self.maps.values()]
             return digest_of(repr(facts), self.source.read(), *maps)
@@ -111,7 +108,7 @@ class MeshFiles:
     def _digest_of(self, name: str) -> str | None:
         if self.source.folder is None:
             return None
-        content = content_of(self.source.folder, name, self.allow_outside)
+        content = content_of(self.source.folder, name, self.options.allow_outside)
         return None if content is None else digest_of(content)
 
     def store(
@@ -130,7 +127,8 @@ class MeshFiles:
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of a missing image depends on other files in the mesh's folder
-        if any(math.prod(texture.size) > LARGE for texture in _maps(mesh)):
+        maps = (getattr(material, name) for material in mesh.materials for name in MAPS)
+        if any(texture and math.prod(texture.size) > LARGE for texture in maps):
             return  # storing the mesh would decode large maps at full resolution
         files = {file: None if data is None else digest_of(data) for file, data in referred.items()}
         chains = _start(mesh)
@@ -157,11 +155,6 @@ def _code() -> list[tuple[str, int, int]]:
     return [(str(path), status.st_size, status.st_mtime_ns) for path, status in facts]
 
 
-def _maps(mesh: Mesh) -> Iterator[Texture]:
-    for material in mesh.materials:
-        yield from filter(None, (getattr(material, name) for name in MAPS))
-
-
 def _start(mesh: Mesh) -> Chains:
     """Start to decode every map, and return the futures of the mip chains."""
     chains: Chains = {}
@@ -176,112 +169,63 @@ def _start(mesh: Mesh) -> Chains:
 
 
 def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
-    """Return the pieces of a cache entry: length of the facts, facts as JSON, arrays. The facts
-    refer to an array by its index."""
-    arrays: list[NDArray[Any]] = []
-
-    def number(values: NDArray[Any] | None) -> int | None:
-        if values is None:
-            return None
-        arrays.append(np.ascontiguousarray(values))
-        return len(arrays) - 1
-
+    """Return the pieces of a cache entry: length of the facts, facts as JSON, arrays."""
+    writer = _Writer({texture: i for i, texture in enumerate(chains)})
     textures = []
     for texture, futures in chains.items():
-        levels = {kind: [number(level) for level in f.result()] for kind, f in futures.items()}
-        texels = None if levels else number(_grey_or_rgb(np.asarray(texture.rgb())))
-        facts_of = {"name": texture.name, "wrap": texture.wrap, "nearest": texture.nearest}
-        textures.append({**facts_of, "levels": levels, "texels": texels})
-    numbers = {texture: i for i, texture in enumerate(chains)}
-    rigs = _RigWriter(number)
+        levels = {kind: future.result() for kind, future in futures.items()}
+        texels = None if levels else np.asarray(texture.rgb())
+        if texels is not None and (texels == texels[..., :1]).all():
+            texels = texels[..., 0]  # grey
+        textures.append((texture.name, texture.wrap, texture.nearest, levels, texels))
     facts |= {
-        "name": mesh.name,
-        "parts": [
-            {name: number(getattr(part, name)) for name in _ARRAYS}
-            | {name: getattr(part, name) for name in _PLAIN_FIELDS}
-            | {"rig": rigs.packed(part.rig)}
-            for part in mesh.parts
-        ],
-        "materials": [
-            {field.name: getattr(material, field.name) for field in fields(Material)}
-            | {name: numbers.get(getattr(material, name)) for name in (*MAPS, "property_map")}
-            for material in mesh.materials
-        ],
-        "bounds": number(mesh.bounds),
-        "radius": mesh.radius,
-        "profile": number(mesh.profile),
-        "millimetres": mesh.millimetres,
-        "regions": {name: region and _plain(region) for name, region in find_regions(mesh).items()},
-        "textures": textures,
-        "rigs": rigs.objects,
+        "textures": writer.packed(textures),
+        "mesh": writer.packed(mesh),
+        "property_maps": writer.packed([material.property_map for material in mesh.materials]),
+        "objects": writer.objects,
+        "arrays": [(array.dtype.str, array.shape) for array in writer.arrays],
     }
-    facts["arrays"] = [(array.dtype.str, array.shape) for array in arrays]
     head = json.dumps(facts, default=float).encode()
     pieces: list[bytes | memoryview] = [_LENGTH.pack(len(head)), head]
     size = _LENGTH.size + len(head)
-    for array in arrays:
+    for array in writer.arrays:
         pieces += [bytes(-size % _ALIGNMENT), array.data]
         size += -size % _ALIGNMENT + array.nbytes
     return pieces
 
 
-class _RigWriter:
-    """Converts rigs to plain data. Parts share most objects and arrays of their rigs, so an object
-    is stored once and referred to by its index, before the objects that refer to it."""
+class _Writer:
+    """Converts values to plain data. Parts share materials and most objects and arrays of their
+    rigs, so an object is stored once and referred to by its index, before the objects that refer to
+    it."""
 
-    def __init__(self, number: Callable[[NDArray[Any]], int | None]) -> None:
-        self.number = number
-        self.objects: list[dict[str, Any]] = []
-        self.known: dict[int, dict[str, int | None]] = {}  # keyed by id
+    def __init__(self, textures: Mapping[Texture, int]) -> None:
+        self.textures = textures
+        self.arrays: list[NDArray[Any]] = []
+        self.objects: list[tuple[str, dict[str, Any]]] = []
+        # Keyed by id: the reference, and the value, which must live as long as its id is a key.
+        self.known: dict[int, tuple[dict[str, int], Any]] = {}
 
     def packed(self, value: Any) -> Any:
         if isinstance(value, tuple | list):
             return [self.packed(element) for element in value]
-        if isinstance(value, np.ndarray):
-            if id(value) not in self.known:
-                self.known[id(value)] = {"array": self.number(value)}
-            return self.known[id(value)]
-        if not is_dataclass(value):
+        if isinstance(value, Mapping):
+            return {"table": {key: self.packed(element) for key, element in value.items()}}
+        if isinstance(value, Texture):
+            return {"texture": self.textures[value]}
+        if not isinstance(value, np.ndarray) and not is_dataclass(value):
             return value
         if id(value) not in self.known:
-            packed_fields = {
-                field.name: self.packed(getattr(value, field.name)) for field in fields(value)
-            }
-            self.objects.append({"type": type(value).__name__, "fields": packed_fields})
-            self.known[id(value)] = {"object": len(self.objects) - 1}
-        return self.known[id(value)]
-
-
-def _rigs(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> list[Rig | None]:
-    """Return the rig of each part."""
-    if not facts["rigs"]:
-        return [None] * len(facts["parts"])
-    from facerender.scenes import rig
-
-    kinds = (rig.Clip, rig.Node, rig.Rig, rig.Shape, rig.Skeleton, rig.Skin, rig.Track)
-    types = {kind.__name__: kind for kind in kinds}
-    objects: list[Any] = []
-
-    def unpacked(value: Any) -> Any:
-        if isinstance(value, list):
-            return tuple(unpacked(element) for element in value)
-        if not isinstance(value, dict):
-            return value
-        return objects[value["object"]] if "object" in value else arrays[value["array"]]
-
-    for record in facts["rigs"]:
-        arguments = {name: unpacked(value) for name, value in record["fields"].items()}
-        objects.append(types[record["type"]](**arguments))
-    return [unpacked(part["rig"]) for part in facts["parts"]]
-
-
-def _plain(region: Region) -> dict[str, Any]:
-    return {**vars(region), "center": region.center.tolist()}
-
-
-def _grey_or_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    grey = texels[..., 0]
-    return grey if (texels == grey[..., None]).all() else texels
+            if isinstance(value, np.ndarray):
+                reference = {"array": len(self.arrays)}
+                self.arrays.append(np.ascontiguousarray(value))
+            else:
+                names = [field.name for field in fields(value)]
+                attributes = {name: self.packed(getattr(value, name)) for name in names}
+                reference = {"object": len(self.objects)}
+                self.objects.append((type(value).__name__, attributes))
+            self.known[id(value)] = reference, value
+        return self.known[id(value)][0]
 
 
 def _arrays(
@@ -296,44 +240,46 @@ def _arrays(
 
 
 def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
-    textures = [_texture(texture, arrays) for texture in facts["textures"]]
-    materials = []
-    for record in facts["materials"]:
-        maps = {name: textures[record[name]] for name in MAPS if record[name] is not None}
-        packed = record.pop("property_map")
-        material = Material(**{**record, **dict.fromkeys(MAPS), **maps})
+    lists: dict[str, list[Any]] = {"array": [*arrays], "texture": [], "object": []}
+
+    def unpacked(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(map(unpacked, value))
+        if not isinstance(value, dict):
+            return value
+        ((kind, content),) = value.items()
+        if kind == "table":
+            return {key: unpacked(element) for key, element in content.items()}
+        return lists[kind][content]
+
+    lists["texture"] += [_texture(*unpacked(texture)) for texture in facts["textures"]]
+    for name, attributes in facts["objects"]:
+        lists["object"].append(_type_of(name)(**unpacked({"table": attributes})))
+    mesh: Mesh = unpacked(facts["mesh"])
+    for material, packed in zip(mesh.materials, unpacked(facts["property_maps"]), strict=True):
         if packed is not None:
-            property_map = pack(*material.properties, textures[packed])
+            property_map = pack(*material.properties, packed)
             vars(material)["property_map"] = property_map  # sets the cached property
-        materials.append(material)
-    columns: list[dict[str, Any]] = [
-        {name: None if part[name] is None else arrays[part[name]] for name in _ARRAYS}
-        for part in facts["parts"]
-    ]
-    rigs = _rigs(facts, arrays)
-    return Mesh(
-        facts["name"],
-        tuple(
-            Part(**part_arrays, **{name: part[name] for name in _PLAIN_FIELDS}, rig=rig)
-            for part_arrays, part, rig in zip(columns, facts["parts"], rigs, strict=True)
-        ),
-        tuple(materials),
-        arrays[facts["bounds"]],
-        facts["radius"],
-        arrays[facts["profile"]],
-        facts["millimetres"],
-        {
-            name: region and Region(**{**region, "center": np.array(region["center"])})
-            for name, region in facts["regions"].items()
-        },
-    )
+    return mesh
 
 
-def _texture(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Texture:
-    levels: dict[Kind, Levels] = {
-        kind: [arrays[i] for i in numbers] for kind, numbers in facts["levels"].items()
-    }
-    base = next(iter(levels.values()))[0][..., :3] if levels else arrays[facts["texels"]]
-    texture = Texture.known(base, facts["name"], levels)
-    texture.wrap, texture.nearest = tuple(facts["wrap"]), facts["nearest"]
+def _type_of(name: str) -> Any:
+    if name in _RIG:
+        from facerender.scenes import rig  # most meshes have none: this saves 5 ms
+
+        return getattr(rig, name)
+    return {"Mesh": Mesh, "Part": Part, "Material": Material, "Region": Region}[name]
+
+
+def _texture(
+    name: str,
+    wrap: tuple[Wrap, Wrap],
+    nearest: bool,
+    chains: Mapping[Kind, Sequence[NDArray[Any]]],
+    texels: NDArray[np.uint8] | None,
+) -> Texture:
+    levels: dict[Kind, Levels] = {kind: [*chain] for kind, chain in chains.items()}
+    base = next(iter(levels.values()))[0][..., :3] if texels is None else texels
+    texture = Texture.known(base, name, levels)
+    texture.wrap, texture.nearest = wrap, nearest
     return texture

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 # Height of white above black in a bump map, as a fraction of the map's width. The height is 2.5 mm
 # for a map that wraps once around a head of 500 mm circumference. MTL defines no unit of height.
 DEPTH = 0.005
-_LOOKED_AT = 64  # side in texels of the thumbnail whose colours are tested
-_GREY = 8.0  # 8-bit levels; in a grey image, a texel's channels differ less, on average
 _STRIP = 256  # rows of a bump map converted at a time
 
 
@@ -61,9 +60,8 @@ class Bump(Texture):
 def _is_normal_map(image: Image) -> bool:
     if image.mode not in ("RGB", "RGBA", "P"):
         return False
-    texels = image.convert("RGB").resize((_LOOKED_AT, _LOOKED_AT))
-    levels = np.asarray(texels, dtype=np.float64)
-    if float(np.ptp(levels, axis=-1).mean()) < _GREY:
+    levels = np.asarray(image.convert("RGB").resize((64, 64)), dtype=np.float64)
+    if np.ptp(levels, axis=-1).mean() < 8.0:  # a grey image, with compression errors
         return False
     normals = levels / 127.5 - 1.0
     length = np.linalg.norm(normals, axis=-1)
@@ -93,9 +91,8 @@ def _normals(image: Image) -> Image:
 
 def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     """Return the height difference per texel along an axis; 0 if the axis has only one texel."""
-    if rows.shape[axis] < 2:
-        return np.zeros_like(rows)
-    return np.asarray(np.gradient(rows, axis=axis))
+    flat = rows.shape[axis] < 2
+    return np.zeros_like(rows) if flat else np.asarray(np.gradient(rows, axis=axis))
 
 
 _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
@@ -136,21 +133,15 @@ class UvSpread(NamedTuple):
 
     def applied(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return transformed texture coordinates (N, 2)."""
-        return uv if self == _PLAIN else uv * self.scale + self.offset
-
-
-_PLAIN = UvSpread()
+        return uv if self == UvSpread() else uv * self.scale + self.offset
 
 
 @dataclass
 class _Map:
-    """The statement of a map: file name and options.
-
-    uv : transform of the texture coordinates
-    """
+    """The statement of a map: file name and options."""
 
     name: str
-    uv: UvSpread = _PLAIN
+    uv: UvSpread = UvSpread()
     clamp: bool = False
     strength: float = 1.0
     channel: str = ""
@@ -159,18 +150,11 @@ class _Map:
 class Library:
     """The materials of an OBJ file.
 
-    Attributes
-    ----------
-    text : generated MTL file for trimesh: all material names, no properties
+    For trimesh, this is the resolver of an MTL file, which contains only the names of materials.
     """
 
     def __init__(self, data: bytes, referred: References, name: str, albedo_given: bool) -> None:
-        """Read the MTL files that an OBJ file names.
-
-        Raises
-        ------
-        InputError : an MTL file is not a regular file, or all files together are too large
-        """
+        """Read the MTL files that an OBJ file names; errors as of :meth:`References.read`."""
         self.referred = referred
         self.name = name
         self.albedo_given = albedo_given
@@ -181,26 +165,24 @@ class Library:
         for line in dict.fromkeys(_LIBRARIES.findall(data)):
             for content in self._contents(text_of(line)):
                 self._parse(content)
-        self.text = "".join(f"newmtl {material}\n" for material in self.materials).encode()
 
-    def _contents(self, line: str) -> Iterator[str]:
-        """Yield the content of the MTL file with the name ``line``. If this file is missing, yield
+    def get(self, _: str) -> bytes:
+        return "".join(f"newmtl {material}\n" for material in self.materials).encode()
+
+    __getitem__ = get
+
+    def _contents(self, line: str) -> list[str]:
+        """Return the content of the MTL file with the name ``line`` or, if this file is missing,
         the contents of the files with the words of ``line`` as names."""
-        try:
-            yield text_of(self.referred.read(line, "an MTL file"))
-            return
-        except FileNotFoundError:
-            pass
-        any_file = False
+        with suppress(FileNotFoundError):
+            return [text_of(self.referred.read(line, "an MTL file"))]
+        contents = []
         for word in line.split() if " " in line else ():
-            try:
-                content = self.referred.read(word, "an MTL file")
-            except FileNotFoundError:
-                continue
-            any_file = True
-            yield text_of(content)
-        if any_file:
+            with suppress(FileNotFoundError):
+                contents.append(text_of(self.referred.read(word, "an MTL file")))
+        if contents:
             del self.referred.files[line]
+        return contents
 
     def _parse(self, text: str) -> None:
         statements: dict[str, str] = {}
@@ -227,11 +209,9 @@ class Library:
                 )
             return known * len(names)
         for name in missing:
-            subject = (
-                f"uses the material {clipped(name, 60)}" if name else "has faces without usemtl"
-            )
+            used = f"uses the material {clipped(name, 60)}" if name else "has faces without usemtl"
             self.warn(
-                f"{self.name} {subject}, and its MTL has the materials {listing}: drawn without a "
+                f"{self.name} {used}, and its MTL has the materials {listing}: drawn without a "
                 "material; correct usemtl in the OBJ file"
             )
         return [*names]
@@ -239,24 +219,22 @@ class Library:
     def look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
         """Return a material and the transform of its texture coordinates, or the default material
         if the name is not defined."""
-        statements = self.materials.get(name)
-        if statements is None:
-            return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO), _PLAIN
-        key = name, has_colors
-        if key not in self.looks:
-            self.looks[key] = self._look(name, statements, has_colors)
-        return self.looks[key]
+        if (name, has_colors) not in self.looks:
+            self.looks[name, has_colors] = self._look(name, has_colors)
+        return self.looks[name, has_colors]
 
     # --- factors ---------------------------------------------------------------------------------
 
-    def _look(
-        self, name: str, statements: Mapping[str, str], has_colors: bool
-    ) -> tuple[Material, UvSpread]:
+    def _look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
+        white = (1.0, 1.0, 1.0)
+        if (statements := self.materials.get(name)) is None:
+            return Material(albedo=white if has_colors else SKIN_ALBEDO), UvSpread()
         for key in statements.keys() - _READ - _IGNORED:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
         uses = self._uses(statements)
-        maps: dict[str, Any] = {key: self._map(key, use) for key, use in uses.items()}
+        changes: dict[str, Any] = {key: self._map(key, use) for key, use in uses.items()}
+        has_albedo_map = changes.get("albedo_map") is not None
         first = uses.get("albedo_map") or next(iter(uses.values()), _Map(""))
         for use in uses.values():
             if use.uv != first.uv:
@@ -265,14 +243,11 @@ class Library:
                     f"than {clipped(first.name, 80)}: ignored, because all maps of a material have "
                     "one scale and offset"
                 )
-        changes: dict[str, Any] = dict(maps)
-        white = (1.0, 1.0, 1.0)
-        has_map = "map_kd" in statements
         albedo = self._color(statements, "kd") or white
-        if has_map and maps.get("albedo_map") is None and min(albedo) > 0.99:
+        if "map_kd" in statements and not has_albedo_map and min(albedo) > 0.99:
             albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map
         # With an albedo map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
-        changes["albedo"] = white if maps.get("albedo_map") or has_colors else albedo
+        changes["albedo"] = white if has_albedo_map or has_colors else albedo
         emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)
         changes["emissive"] = emissive if any(emissive) or "map_ke" not in statements else white
         changes |= self._opacity(statements, "map_d" in statements)
@@ -309,9 +284,9 @@ class Library:
             return None
         rgb = numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3
         high = MOST_RADIANCE if key == "ke" else 1.0
-        red, green, blue = (self._within(key, channel, 0.0, high) for channel in rgb)
-        linear = np.minimum(srgb_to_linear(np.array([red, green, blue])), MOST_RADIANCE)
-        return float(linear[0]), float(linear[1]), float(linear[2])
+        srgb = np.array([self._within(key, channel, 0.0, high) for channel in rgb])
+        red, green, blue = np.minimum(srgb_to_linear(srgb), MOST_RADIANCE).tolist()
+        return red, green, blue
 
     def _opacity(self, statements: Mapping[str, str], has_map: bool) -> dict[str, Any]:
         """Return the fields alpha and opacity. Alpha is "blend" for an opacity below 1, else "mask"
@@ -357,10 +332,8 @@ class Library:
     # --- maps ------------------------------------------------------------------------------------
 
     def warn_of_tiles(self, name: str, uv: NDArray[np.float64]) -> None:
-        """Warn if a map of a material is a UDIM tile and its faces are on several tiles.
-
-        uv : (faces, 3, 2) texture coordinates
-        """
+        """Warn if a map of a material is a UDIM tile and its faces, with the texture coordinates
+        (F, 3, 2), are on several tiles."""
         maps = [text for key, text in self.materials.get(name, {}).items() if key in _MAPS]
         if not any(re.search(r"(?<!\d)1001(?!\d)", text) for text in maps):
             return
@@ -374,19 +347,18 @@ class Library:
     def _uses(self, statements: Mapping[str, str]) -> dict[str, _Map]:
         """Return the statements of maps, keyed by the field of the material."""
         uses: dict[str, _Map] = {}
-        for key, (name, _) in _MAPS.items():
-            if key not in statements or name in uses:
-                continue
-            use = self._options(statements[key], _MAPS[key][1])
-            if use.name:
-                uses[name] = use
+        for key, (field, kind) in _MAPS.items():
+            if key in statements and field not in uses:
+                use = self._options(statements[key], kind)
                 use.channel = use.channel or ("normal" if key == "norm" else "")
+                if use.name:
+                    uses[field] = use
         return uses
 
     def _options(self, text: str, kind: str) -> _Map:
         """Parse the statement of a map."""
         use = _Map("")
-        scale, offset = [1.0, 1.0], [0.0, 0.0]
+        spread = {"-s": [1.0, 1.0], "-o": [0.0, 0.0]}
         while (word := text.partition(" ")[0].lower()) in _OPTIONS:
             text = text[len(word) :].lstrip()
             values: list[str] = []
@@ -397,10 +369,8 @@ class Library:
                 values.append(value)
                 text = text[len(value) :].lstrip()
             numbers = [float(argument) for argument in values if _is_number(argument)]
-            if word == "-s":
-                scale[: len(numbers[:2])] = numbers[:2]
-            elif word == "-o":
-                offset[: len(numbers[:2])] = numbers[:2]
+            if word in spread:
+                spread[word][: len(numbers[:2])] = numbers[:2]
             elif word == "-bm" and numbers:
                 use.strength = self._within("-bm", numbers[0], 0.0, MAX_NORMAL_STRENGTH)
             elif word == "-clamp":
@@ -414,7 +384,8 @@ class Library:
             ):
                 self.warn(f"the {kind} map of {self.name} has the option {word}: ignored")
         use.name = text.strip().strip('"')
-        use.uv = UvSpread((scale[0], scale[1]), (offset[0], offset[1]))
+        (su, sv), (ou, ov) = spread.values()
+        use.uv = UvSpread((su, sv), (ou, ov))
         return use
 
     def _map(self, key: str, use: _Map) -> Texture | None:
@@ -446,10 +417,8 @@ class Library:
             alpha = Texture.alpha_of(content, name)
             if alpha is not None:
                 return alpha
-        identity = "image", name
-        texture = self.textures.get(identity)
-        if texture is None:
-            texture = self.textures[identity] = Texture.of(content, name)
+        texture = self.textures.get(("image", name)) or Texture.of(content, name)
+        self.textures["image", name] = texture
         if key in ("opacity_map", "roughness_map", "specular_map"):
             return texture.channel(_CHANNELS.get(use.channel, 0), name)
         return texture

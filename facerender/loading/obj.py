@@ -18,7 +18,7 @@ from facerender.scenes.repair import Piece
 
 # A face with a reference below 1. The reference -1 means the last element defined before the face;
 # the reference 0 is invalid.
-_RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
+RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 # A statement that sets the object, group or material of the following faces.
@@ -30,8 +30,6 @@ _KINDS = (b"v", b"vt", b"vn")  # vertex, texture coordinate, normal: the referen
 def normalized(data: bytes, file: str) -> bytes:
     """Return an OBJ file as UTF-8 with the line ends and spaces that trimesh expects: it reads
     neither tabs after keywords nor indented lines nor comments behind numbers.
-
-    file : name of the file, for messages
 
     Raises
     ------
@@ -64,11 +62,6 @@ def vertex_colors(data: bytes, file: str) -> NDArray[np.uint8] | None:
         warn(f"{file} has vertices without colour ({missing.sum()}): drawn white")
         colors[missing] = 255
     return colors
-
-
-def has_relative(data: bytes) -> bool:
-    """Return whether a face of an OBJ file has a reference below 1."""
-    return _RELATIVE.search(data) is not None
 
 
 def with_absolute(data: bytes) -> tuple[bytes, int]:
@@ -128,8 +121,6 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str], list[str]]:
 
     A part is named after its group, or else its object, or else its material. Parts with the same
     name are renamed to group.material or, if they share this name, too, to object.group.material.
-
-    file : name of the file, for the warning about too many groups
     """
     owners = {b"o": b"", b"g": b"", b"usemtl": b""}
     starts, ends, keys, heads = [0], [0], [tuple(owners.values())], [b""]
@@ -152,7 +143,7 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str], list[str]]:
                 "parts: groups of the same material are joined"
             )
         parts = joined
-    materials = [" ".join(_text(material).split()) for *_, material in parts]
+    materials = [" ".join(material.decode().split()) for *_, material in parts]
     if len(parts) < 2:
         return data, _names(parts), materials
     numbers = {key: number for number, key in enumerate(parts)}
@@ -175,11 +166,7 @@ def _names(parts: Sequence[Owners]) -> list[str]:
             name if counts[name] == 1 else b".".join(filter(None, key[which]))
             for name, key in zip(names, parts, strict=True)
         ]
-    return [*map(_text, names)]
-
-
-def _text(name: bytes) -> str:
-    return name.decode("utf-8", "replace")
+    return [name.decode() for name in names]
 
 
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)

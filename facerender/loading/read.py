@@ -22,7 +22,7 @@ from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
 from facerender.loading.materials import color_bytes, image_of, missing_image, unreadable
 from facerender.loading.obj import (
-    has_relative,
+    RELATIVE,
     normalized,
     number_vertices,
     vertex_colors,
@@ -59,15 +59,12 @@ _OTHER_COLORS = (
     *(("r", "g", "b"), ("Red", "Green", "Blue")),
     ("diffuse_red", "diffuse_green", "diffuse_blue"),
 )
-_SLACK = 16  # blank lines allowed at the end
 
 
 def checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
     """Check a PLY file. Return the content and the names of its textures. Properties of colours get
     the names that trimesh reads, and edges another name, because trimesh would load a file with
     edges as a 2D drawing.
-
-    name : name of the file, for messages
 
     Raises
     ------
@@ -77,8 +74,8 @@ def checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
     end = data.find(b"end_header", 0, _MOST_HEADER)
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("it has no PLY header")
-    lines = [" ".join(line.split()) for line in text_of(data[:end]).splitlines()]
-    lines = [line for line in lines if line]
+    stripped = (" ".join(line.split()) for line in text_of(data[:end]).splitlines())
+    lines = [*filter(None, stripped)]
     is_text = any(line.startswith("format ascii") for line in lines)
     body = text_of(data[end:]).encode() if is_text and b"\r" in data[end:] else data[end:]
     textures = []
@@ -100,7 +97,7 @@ def checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
             textures.append(comment[1].decode())
     if needed > len(body):
         raise ValueError(f"its header declares at least {needed} bytes, but it has {len(body)}")
-    if is_text and body.count(b"\n") > rows + _SLACK:
+    if is_text and body.count(b"\n") > rows + 16:  # allows for blank lines at the end
         raise ValueError(f"its header declares {rows} lines, but it has more")
     elements = "".join(f"{line}\n" for line in lines).split("element ")
     header = "element ".join(map(_with_known_names, elements))
@@ -136,24 +133,23 @@ def check_faces(metadata: Mapping[str, Any]) -> None:
     # "_ply_raw" is private to trimesh, but only this entry stores the faces before the split.
     elements = metadata.get("_ply_raw", {})
     faces = elements.get("face", {}).get("data")
-    if isinstance(faces, np.ndarray) and faces.dtype.names:
-        for name in faces.dtype.names:
-            column = faces[name]
-            if column.dtype.names and (column["f0"] != column["f0"][:1]).any():
+    for name in _columns(faces):
+        column = faces[name]
+        if isinstance(column, np.ndarray) and column.dtype.names:
+            if (column["f0"] != column["f0"][:1]).any():
                 raise ValueError(f"its faces have different numbers of {clipped(name, 40)}")
-            _check_indices(name, column["f1"] if column.dtype.names else column, elements)
-    elif isinstance(faces, dict):
-        for name, column in faces.items():
-            _check_indices(name, column, elements)
+            column = column["f1"]
+        if name not in _INDICES or column.dtype == object or not column.size:
+            continue
+        has_uv = any(key in elements["vertex"]["properties"] for key in ("s", "u", "texture_u"))
+        has_uv = has_uv or "texcoord" in elements["face"]["properties"]
+        if has_uv and column.min() < 0:
+            raise ValueError(f"a face uses vertex {column.min()}")
 
 
-def _check_indices(name: str, column: Any, elements: Mapping[str, Any]) -> None:
-    if name not in _INDICES:
-        return
-    has_uv = any(key in elements["vertex"]["properties"] for key in ("s", "u", "texture_u"))
-    has_uv = has_uv or "texcoord" in elements["face"]["properties"]
-    if has_uv and column.dtype != object and column.size and column.min() < 0:
-        raise ValueError(f"a face uses vertex {column.min()}")
+def _columns(data: Any) -> tuple[str, ...]:
+    """Return the names of the properties of an element of a PLY file, or of none."""
+    return (data.dtype.names or ()) if isinstance(data, np.ndarray) else (*(data or ()),)
 
 
 _SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
@@ -178,8 +174,7 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
     references = References(name, source.folder, allow_outside)
     try:
         if suffix in GLTF:
-            pieces = read_gltf(data, references, albedo_given)
-            if not pieces:
+            if not (pieces := read_gltf(data, references, albedo_given)):
                 raise _no_faces(name, points=False)
             return pieces, references
         import trimesh  # noqa: F401  # creates the loggers that _quiet filters
@@ -189,6 +184,8 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
                 pieces = _read_obj(data, name, references, albedo_given)
             else:
                 pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
+        for missing in () if albedo_given else references.missing():
+            missing_image(references, missing)
     except InputError:
         raise
     except (ValueError, LookupError, ArithmeticError) as error:
@@ -218,7 +215,6 @@ def _read_ply_or_stl(
         pieces = [piece_of(geometry, name, {}, False) for geometry in geometries]
         _clear(*geometries)
     check_count(len(pieces), name)
-    _warn_of_missing(references, albedo_given)
     return pieces
 
 
@@ -236,7 +232,7 @@ def _ply_pieces(
     for of, values in colors.items():
         if values and visual.kind == of:
             setattr(visual, f"{of}_colors", color_bytes(np.stack(values, axis=1)))
-    textures = [_ply_texture(name, references, not albedo_given) for name in names]
+    materials = [_ply_material(name, references, not albedo_given) for name in names]
     numbers = _ply_values(geometry, "face", ("texnumber",)) if len(names) > 1 else None
     if numbers:
         geometry.face_attributes["texnumber"] = numbers[0]
@@ -245,8 +241,17 @@ def _ply_pieces(
     if sources is not None:
         piece.sources = sources
         piece.source_count = geometry.metadata["_ply_raw"]["vertex"]["length"]
-    if not any(textures):
-        return [_ply_colored(piece, sources, colors)]
+    if not any(materials):
+        # trimesh drops the colours of a file with texture coordinates, whose vertices it may split.
+        of, values = next(((of, values) for of, values in colors.items() if values), ("", None))
+        if sources is None or piece.out_of_range or not values:
+            return [piece]
+        levels = srgb_to_linear(color_bytes(np.stack(values, axis=1)) / 255.0)
+        piece.material = Material(albedo=(1.0, 1.0, 1.0))
+        if of == "face":
+            return [with_face_colors(piece, levels)]
+        piece.colors = levels[sources]
+        return [piece]
     if piece.uv is None:
         warn(f"{file} has no texture coordinates: its texture is ignored")
         return [piece]
@@ -256,48 +261,20 @@ def _ply_pieces(
                 f"{file} names {len(names)} textures, but its faces have no texnumber: all get "
                 f"{clipped(names[0], 60)}"
             )
-        return [_textured(piece, textures[0])]
+        return [replace(piece, material=materials[0] or piece.material)]
     number = geometry.face_attributes["texnumber"]
     pieces = []
     for value in np.unique(number).astype(np.int64).tolist():
         part = subset(piece, number == value)
-        known = 0 <= value < len(names)
-        if not known:
+        if 0 <= value < len(names):
+            part.name = PurePath(names[value]).stem
+            part.material = materials[value] or part.material
+        else:
+            part.name = ""
             warn(f"{file} has {len(part.faces)} faces whose texnumber {value} names no texture")
-        part.name = PurePath(names[value]).stem if known else ""
-        pieces.append(_textured(part, textures[value] if known else None))
+        pieces.append(part)
     pieces[0].out_of_range = piece.out_of_range
     return pieces
-
-
-def _ply_colored(
-    piece: Piece, sources: NDArray[np.int64] | None, colors: Mapping[str, list[NDArray[Any]] | None]
-) -> Piece:
-    """Return a piece without texture with the file's colours. trimesh drops colours if the file
-    has texture coordinates.
-
-    Parameters
-    ----------
-    sources : index of each vertex in the file; None: trimesh has kept the colours
-    colors : red, green and blue of the elements "vertex" and "face", or None
-    """
-    if sources is None or piece.out_of_range:
-        return piece
-    for of, values in colors.items():
-        if values:
-            levels = srgb_to_linear(color_bytes(np.stack(values, axis=1)) / 255.0)
-            piece.material = Material(albedo=(1.0, 1.0, 1.0))
-            if of == "face":
-                return with_face_colors(piece, levels)
-            piece.colors = levels[sources]
-            return piece
-    return piece
-
-
-def _textured(piece: Piece, texture: Texture | None) -> Piece:
-    if texture is None:
-        return piece
-    return replace(piece, material=Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture))
 
 
 def _ply_values(
@@ -306,8 +283,7 @@ def _ply_values(
     """Return properties of a PLY file's vertices, or for each triangle, properties of its face;
     None if the file lacks one of them."""
     data = geometry.metadata["_ply_raw"].get(element, {}).get("data")
-    known = (data.dtype.names or ()) if isinstance(data, np.ndarray) else data or ()
-    if not {*names} <= {*known}:
+    if not {*names} <= {*_columns(data)}:
         return None
     columns = [np.asarray(data[name]).reshape(-1) for name in names]
     if element == "vertex":
@@ -322,8 +298,7 @@ def _ply_values(
 def _ply_corners(geometry: trimesh.Trimesh) -> NDArray[Any]:
     """Return the vertices of each face of a PLY file, (F, K), or objects for different K."""
     data = geometry.metadata["_ply_raw"]["face"]["data"]
-    known = data.dtype.names if isinstance(data, np.ndarray) else data
-    corners = next(np.asarray(data[name]) for name in _INDICES if name in known)
+    corners = next(np.asarray(data[name]) for name in _INDICES if name in _columns(data))
     return np.asarray(corners["f1"]) if corners.dtype.names else corners
 
 
@@ -343,8 +318,8 @@ def _ply_sources(geometry: trimesh.Trimesh) -> NDArray[np.int64] | None:
     return sources
 
 
-def _ply_texture(name: str, references: References, fatal: bool) -> Texture | None:
-    """Return a texture of a PLY file, or None if it is missing.
+def _ply_material(name: str, references: References, fatal: bool) -> Material | None:
+    """Return a material with a texture of a PLY file, or None if the texture is missing.
 
     fatal : whether a texture that is not an image raises InputError instead of a warning
     """
@@ -357,7 +332,7 @@ def _ply_texture(name: str, references: References, fatal: bool) -> Texture | No
     except ValueError as error:
         unreadable(f"{clipped(name, 80)} (named by {references.name})", "albedo", error, fatal)
         return None
-    return Texture.of(content, clipped(name, 80))
+    return Material(albedo=(1.0, 1.0, 1.0), albedo_map=Texture.of(content, clipped(name, 80)))
 
 
 def _read_obj(data: bytes, name: str, references: References, albedo_given: bool) -> list[Piece]:
@@ -369,9 +344,7 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
     data, names, materials = with_parts(data, name)
     materials = library.matched(materials) or [""]
     check_count(len(names), name)
-    out_of_range = 0
-    if has_relative(data):
-        data, out_of_range = with_absolute(data)
+    data, out_of_range = with_absolute(data) if RELATIVE.search(data) else (data, 0)
     try:
         geometries = _geometries(data, ".obj", name, library)
         lost = _lost_references(data, [*geometries.values()])
@@ -385,26 +358,18 @@ def _read_obj(data: bytes, name: str, references: References, albedo_given: bool
         if out_of_range and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
             raise ValueError(f"none of its {out_of_range} faces has valid references")
         geometries = _geometries(data, ".obj", name, library)
-    pieces: list[tuple[int, Piece]] = []
+    numbered: list[tuple[int, Piece]] = []
     for key, geometry in geometries.items():
         number = int(key.partition("_")[0]) if len(names) > 1 else 0
-        colored = colors is not None
-        piece = piece_of(geometry, name, {}, False, library, materials[number], colored)
+        options = library, materials[number], colors is not None
+        piece = piece_of(geometry, name, {}, False, *options)
         piece.name = names[number]
-        pieces.append((number, piece))
-    pieces[0][1].out_of_range += out_of_range
+        numbered.append((number, piece))
+    numbered[0][1].out_of_range += out_of_range
     _clear(*geometries.values())
-    pieces.sort(key=lambda pair: pair[0])
-    parts = [piece for _, piece in pieces]
-    number_vertices(data, parts, colors)
-    _warn_of_missing(references, albedo_given)
-    return parts
-
-
-def _warn_of_missing(references: References, albedo_given: bool) -> None:
-    if not albedo_given:
-        for missing in references.missing():
-            missing_image(references, missing)
+    pieces = [piece for _, piece in sorted(numbered, key=lambda pair: pair[0])]
+    number_vertices(data, pieces, colors)
+    return pieces
 
 
 def _clear(*loaded: object) -> None:
@@ -424,7 +389,7 @@ def _geometries(
         scene = trimesh.load_scene(
             trimesh.util.wrap_as_stream(data),
             file_type=suffix[1:],
-            resolver=None if library is None else _MaterialNames(library, name),
+            resolver=library,
             process=False,
             **_OPTIONS.get(suffix, {}),
         )
@@ -438,11 +403,10 @@ def _geometries(
             ) from None
         raise ValueError(reason(error)) from None
     names = (scene.graph[node][1] for node in scene.graph.nodes_geometry)
-    instances = {key: scene.geometry[key] for key in names}
     geometries = {
-        key: geometry
-        for key, geometry in instances.items()
-        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces)
+        name: geometry
+        for name in names
+        if isinstance(geometry := scene.geometry[name], trimesh.Trimesh) and len(geometry.faces)
     }
     if not geometries:
         points = any(len(getattr(geometry, "vertices", ())) for geometry in scene.geometry.values())
@@ -455,10 +419,8 @@ def _geometries(
 
 def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
     """Return whether an OBJ file has texture coordinates or normals that trimesh lost."""
-    uv, normals = (
-        re.search(pattern, data, re.MULTILINE) is not None
-        for pattern in (rb"^f[ \t]+\d+/\d", rb"^f[ \t]+\d+/\d*/\d")
-    )
+    uv = re.search(rb"^f[ \t]+\d+/\d", data, re.MULTILINE)
+    normals = re.search(rb"^f[ \t]+\d+/\d*/\d", data, re.MULTILINE)
     return any(
         (uv and getattr(geometry.visual, "uv", None) is None)
         or (normals and not has_normals(geometry))
@@ -466,26 +428,9 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
     )
 
 
-class _MaterialNames:
-    """A resolver that gives trimesh only material names; this package reads the MTL files."""
-
-    def __init__(self, library: Library, name: str) -> None:
-        self.library, self.file_name = library, name
-
-    def get(self, name: str) -> bytes:
-        return self.library.text
-
-    __getitem__ = get
-
-
 def _checked_stl(data: bytes, name: str) -> bytes:
     """Return the content of an STL file: text in UTF-8, or binary data without the bytes after
-    the last triangle.
-
-    Raises
-    ------
-    ValueError : a binary file is too short
-    """
+    the last triangle. Raise ValueError if a binary file is too short."""
     if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
         return text_of(data).encode()
     (count,) = struct.unpack_from("<I", data, 80)
@@ -495,10 +440,8 @@ def _checked_stl(data: bytes, name: str) -> bytes:
     if needed < len(data):
         warn(f"{name} has {len(data) - needed} bytes after its {count} triangles: ignored")
     # VisCAM sets bit 15 of a coloured triangle's last word. Magics writes COLOR= in the header.
-    words = np.frombuffer(data, "<u2", count * (_TRIANGLE // 2), 84)[
-        _TRIANGLE // 2 - 1 :: _TRIANGLE // 2
-    ]
-    if b"COLOR=" in data[:80] or (words >> 15).any():
+    words = np.frombuffer(data, "<u2", count * (_TRIANGLE // 2), 84).reshape(count, -1)
+    if b"COLOR=" in data[:80] or (words[:, -1:] >> 15).any():
         warn(f"{name} has colours of triangles, which are not read: export it as .ply or .glb")
     return data[:needed]
 

@@ -59,8 +59,7 @@ class References:
         if (cached := self.files.get(name)) is not None:
             return cached
         self.files[name] = None
-        path = self.folder and _place(self.folder, name, self.allow_outside)
-        if path is None or self.folder is None:
+        if not self.folder or (path := _place(self.folder, name, self.allow_outside)) is None:
             raise FileNotFoundError(self.why_not(name))
         if path not in (self.folder / spelling for spelling in _spellings(name)):
             used = os.path.relpath(path, self.folder)
@@ -68,9 +67,7 @@ class References:
                 f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
                 "used, whose name differs in upper and lower case"
             )
-        remaining = MOST - sum(
-            len(content) for content in self.files.values() if content is not None
-        )
+        remaining = MOST - sum(map(len, filter(None, self.files.values())))
         content = self.files[name] = read_file(path, what, remaining)
         return content
 
@@ -90,27 +87,20 @@ class References:
 def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
     """Return the content of a file ``name`` to which a mesh file in ``folder`` refers, or None."""
     path = _place(folder, name, allow_outside)
-    try:
+    with suppress(InputError):
         return None if path is None else read_file(path, "a file")
-    except InputError:
-        return None
+    return None
 
 
 def inline(uri: str) -> bytes | None:
-    """Return the content of a data: URI, or None for another URI.
-
-    Raises
-    ------
-    ValueError : the data are damaged
-    """
+    """Return the content of a data: URI, or None for another URI. Raise ValueError if the data are
+    damaged."""
     head, comma, content = uri.partition(",")
     if not head.lower().startswith("data:"):
         return None
     if not comma:
         raise ValueError("a data: URI without data")
-    if head.endswith(";base64"):
-        return base64.b64decode(content)
-    return unquote_to_bytes(content)
+    return (base64.b64decode if head.endswith(";base64") else unquote_to_bytes)(content)
 
 
 def text_of(content: bytes) -> str:
@@ -183,7 +173,7 @@ def named_files(path: Path) -> list[Path]:
             lines = _names(_LIBRARY, path)
             names = [name for line in lines for name in (line, *line.split())]
             libraries = _paths(path.parent, names)
-            return libraries + [map_path for library in libraries for map_path in _maps(library)]
+            return [*libraries, *(file for library in libraries for file in _maps(library))]
         if suffix == ".ply":
             return _paths(path.parent, _names(TEXTURE_FILE, path))
     except (ValueError, TypeError, RecursionError):  # loading the file reports the error
@@ -193,19 +183,15 @@ def named_files(path: Path) -> list[Path]:
 
 def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
     """Return the paths of referenced files, and the paths of the files that are used instead."""
-    paths: dict[Path, None] = {}
-    for name in names:
-        paths[folder / name] = None
-        if (used := _place(folder, name, False)) is not None:
-            paths[used] = None
-    return [*paths]
+    paths = ((folder / name, _place(folder, name, False)) for name in names)
+    return [*dict.fromkeys(path for pair in paths for path in pair if path is not None)]
 
 
 def _uris(path: Path) -> list[str]:
     """Return the external URIs of a glTF file. The file may be invalid."""
     document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
     tables = document if isinstance(document, dict) else {}
-    entries = [entry for key in ("buffers", "images") for entry in tables.get(key) or ()]
+    entries = (entry for key in ("buffers", "images") for entry in tables.get(key) or ())
     uris = [entry.get("uri") for entry in entries if isinstance(entry, dict)]
     return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
 
@@ -213,12 +199,11 @@ def _uris(path: Path) -> list[str]:
 def _maps(library: Path) -> list[Path]:
     """Return possible paths of the maps of an MTL file. Options may precede the name of a
     map: both the whole text and the last word of each statement are used as names."""
-    try:
+    with suppress(InputError):
         lines = _names(_MAP, library)
-    except InputError:
-        return []
-    names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
-    return _paths(library.parent, sorted(names))
+        names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
+        return _paths(library.parent, sorted(names))
+    return []
 
 
 def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:

@@ -6,11 +6,12 @@ import json
 import os
 import re
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from facerender.errors import InputError, check_path, check_switch, clipped, reason, shown
+from facerender.errors import InputError, check_path, clipped, reason, shown
 from facerender.system.data import data_dir
 from facerender.system.files import (
     MOST,
@@ -50,19 +51,6 @@ _LONGEST_START = 1 << 16  # bytes at the start of a file that are searched for i
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
 
-@dataclass(frozen=True)
-class Orientation:
-    """The orientation of texture coordinates and normal maps; parameters and errors as in
-    :func:`facerender.load_mesh`."""
-
-    flip_v: bool = False
-    normal_map_y: str = "up"
-
-    def __post_init__(self) -> None:
-        check_switch("flip_v", self.flip_v)
-        check_normal_map_y(self.normal_map_y)
-
-
 def check_normal_map_y(value: Any) -> None:
     """Raise InputError unless a value is "up" or "down"."""
     if not (isinstance(value, str) and value in NORMAL_MAP_Y):
@@ -71,43 +59,28 @@ def check_normal_map_y(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Source:
-    """A mesh file, or its content.
+    """A mesh file, or its content."""
 
-    Attributes
-    ----------
-    path : path of the file; for content in memory, a name for messages
-    suffix : .glb, .gltf, .obj, .ply or .stl for the format; may differ from the suffix of ``path``
-    content : bytes of the file; None to read the file at ``path``
-    folder : folder of the files that the mesh refers to; None if unknown
-    """
-
-    path: Path
-    suffix: str
-    content: bytes | None
-    folder: Path | None
+    path: Path  # for content in memory, a name for messages
+    suffix: str  # .glb, .gltf, .obj, .ply or .stl for the format; may differ from that of the path
+    content: bytes | None  # None to read the file
+    folder: Path | None  # folder of the files that the mesh refers to; None if unknown
 
     @property
     def name(self) -> str:
         return clipped(self.path.name, 80)
 
     def read(self) -> bytes:
-        """Return the content.
-
-        Raises
-        ------
-        InputError : the file cannot be read, or its format is not supported
-        """
+        """Return the content; errors as of :func:`read_file`."""
         return read_file(self.path, "a mesh file") if self.content is None else self.content
 
 
 def source_of(source: Any, kind: str | None = None) -> Source:
     """Return the Source of a mesh; parameters and errors as in :func:`facerender.load_mesh`."""
-    suffix = None
-    if kind is not None:
-        suffix = f".{str(kind).lower().removeprefix('.')}"
-        if suffix not in FORMATS:
-            kinds = ", ".join(key[1:] for key in FORMATS)
-            raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
+    suffix = None if kind is None else f".{str(kind).lower().removeprefix('.')}"
+    if suffix not in (None, *FORMATS):
+        kinds = ", ".join(key[1:] for key in FORMATS)
+        raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
     if source is None:
         source = data_dir("assets") / "head.glb"
     if isinstance(source, str | os.PathLike):
@@ -174,9 +147,8 @@ def _suffix_of(data: bytes, path: Path) -> str | None:
         return named
     if start.startswith(b"{"):
         return ".gltf"
-    if len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
-        return ".stl"
-    if start[:5].lower() == b"solid" and b"facet" in start:
+    binary = len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]
+    if binary or (start[:5].lower() == b"solid" and b"facet" in start):
         return ".stl"
     check_format(data, None, path.name)
     return ".obj" if b"\0" not in start and _OBJ.search(start) else None
@@ -196,20 +168,16 @@ def check_format(data: bytes, suffix: str | None, name: str) -> None:
         raise InputError(f"{subject} an XML file; download the file itself")
     if data[257:262] == b"ustar":
         raise InputError(f"{subject} a tar archive; unpack it")
-    if format_name is None:
-        return
-    for beginning, actual_suffix in _MESHES:
+    for beginning, actual_suffix in _MESHES if format_name else ():
         if start.startswith(beginning) and FORMATS[actual_suffix] != format_name:
             raise InputError(f"{subject} {FORMATS[actual_suffix]}; name it {actual_suffix}")
-    if format_name != "glTF" and start.startswith(b"{"):
+    if format_name not in (None, "glTF") and start.startswith(b"{"):
         raise InputError(f"{subject} {_json(data)}")
 
 
 def _json(data: bytes) -> str:
-    try:
+    with suppress(ValueError, RecursionError):
         document = json.loads(data) if len(data) < 1 << 20 else None
-    except (ValueError, RecursionError):
-        document = None
-    if isinstance(document, dict) and "asset" in document:
-        return "glTF; name it .gltf"
+        if isinstance(document, dict) and "asset" in document:
+            return "glTF; name it .gltf"
     return f"JSON ({clipped(data[:200].decode('utf-8', 'replace'), 60)}); give a mesh"

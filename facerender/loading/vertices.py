@@ -20,8 +20,6 @@ from facerender.scenes.mesh import Mesh
 from facerender.system.files import suffix_of
 from facerender.system.memory import MIB, limit
 
-_SUFFIXES = (".npy", ".npz")
-
 
 def posed(mesh: Mesh, pose: Pose) -> Mesh:
     """Return a mesh in a pose.
@@ -56,9 +54,9 @@ def _frame(path: str, frame: int) -> Any:
 
 def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
     """Return the arrays (frames, vertices, 3) of a file, keyed by part name; "" for a .npy."""
-    suffix_of(path, _SUFFIXES, "vertices", "a file of vertices", sys.maxsize)
-    facts = os.stat(path)
-    return _opened(path, facts.st_size, facts.st_mtime_ns)
+    suffix_of(path, (".npy", ".npz"), "vertices", "a file of vertices", sys.maxsize)
+    status = os.stat(path)
+    return _opened(path, status.st_size, status.st_mtime_ns)
 
 
 @lru_cache(4)
@@ -80,14 +78,13 @@ def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
         raise InputError(f"{name} is damaged: {reason(error)}; write it with numpy.save") from None
     if not arrays:
         raise InputError(f"{name} has no arrays: give (frames, vertices, 3) for each part")
-    counts = set()
     for key, array in arrays.items():
         if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind not in "fiu":
             raise InputError(
                 f"{name}{f', array {clipped(key, 40)}' * bool(key)}, has the shape {array.shape} "
                 f"and type {array.dtype}: give numbers of shape (frames, vertices, 3)"
             )
-        counts.add(len(array))
+    counts = {*map(len, arrays.values())}
     if len(counts) > 1 or 0 in counts:
         raise InputError(f"the arrays of {name} have {sorted(counts)} frames: give equal numbers")
     return arrays
