@@ -164,7 +164,7 @@ def test_tables_mark_dominated_rows_and_missing_values(data):
 
 def limits(data):
     best = recommended(measurement_of(data), "cook-torrance")
-    return {each.row.variant.name: each.limits for each in best}
+    return {row.variant.name: limits for limits, row in best}
 
 
 def test_recommended_variants_are_the_cheapest_within_each_limit(data):

@@ -160,13 +160,9 @@ def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, i
 
 def _nearest(box: Box, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Return the point that is nearest to a box."""
-    left, top, right, bottom = box
-
-    def distance(point: tuple[float, float]) -> float:
-        x, y = point
-        return math.hypot(max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom))
-
-    return min(points, key=distance)
+    corners = np.reshape(box, (2, 2))
+    gaps = np.maximum(0.0, np.maximum(corners[0] - points, points - corners[1]))
+    return points[np.hypot(*gaps.T).argmin()]
 
 
 def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:

@@ -5,16 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from facerender.glsl.code import lobe_macros
-from facerender.measure.measurement import (
-    MODELS,
-    BySlope,
-    ImageError,
-    Measurement,
-)
+from facerender.measure.measurement import MODELS, ImageError, Measurement
 from facerender.measure.pareto import (
     EXACT,
     FRAME,
@@ -89,18 +84,14 @@ def advice(measurement: Measurement, model: str) -> str:
     if not best:
         return f"{start}no variant has an error of at most {LIMITS[-1]:g} %."
     parts = []
-    for choice in best:
-        limit = choice.limits[0]
+    for (limit, *_), row in best:
         allowed = f" if an error of {limit:g} % is acceptable" if limit > EXACT else ""
-        parts.append(f'"{choice.row.variant.name}"{allowed} ({_cost_and_error(choice.row)})')
+        error = row.error or 0.0
+        size = f"below {EXACT:g} %" if error <= EXACT else f"{_number(error)} %"
+        cost = _number(row.cost.value if row.cost else None)
+        parts.append(f'"{row.variant.name}"{allowed} ({cost} ns per evaluation, error {size})')
     ending = f"; no variant with an error of at most {LIMITS[-1]:g} % is measurably cheaper"
     return f"{start}use {', or '.join(parts)}{ending * (len(parts) == 1)}."
-
-
-def _cost_and_error(row: Row) -> str:
-    error = row.error or 0.0
-    words = f"error below {EXACT:g} %" if error <= EXACT else f"error {_number(error)} %"
-    return f"{_number(row.cost.value if row.cost else None)} ns per evaluation, {words}"
 
 
 def frame_advice(measurement: Measurement, model: str) -> str:
@@ -113,14 +104,14 @@ def frame_advice(measurement: Measurement, model: str) -> str:
     best = next((row for row in rows if row.variant.lobe == "exact"), None)
     if best is None or best.cost is None:
         return ""
-    exact, term = best.cost, best.measured.cost.term_ns
+    exact, term = best.cost, best.measured.term_ns
     allowed = f"with an error of at most {LIMITS[-1]:g} %"
     faster = [
         f"{row.variant.name} ({_number(row.cost.value)} ms)"
         for row in rows
         if row.cost
         and row.cost.high < exact.low
-        and row.measured.cost.term_ns.high < term.low
+        and row.measured.term_ns.high < term.low
         and (row.error or 0.0) <= LIMITS[-1]
     ]
     sentence = f"No lobe {allowed} is measurably faster."
@@ -136,14 +127,14 @@ def recommendation_table(measurement: Measurement, model: str) -> Table:
     error = ERRORS[measure_of(measurement, model)]
     frames = {row.variant.lobe: row.cost for row in pareto(measurement, model, FRAME) if row.cost}
     rows = []
-    for choice in recommended(measurement, model):
-        variant, cost = choice.row.variant, choice.row.cost
+    for limits, row in recommended(measurement, model):
+        variant, cost = row.variant, row.cost
         macros = lobe_macros(variant.lobe) | ({"FR_SMALL_SLOPE": "0"} if variant.plain else {})
         rows.append(
             [
-                ", ".join(f"{limit:g}" for limit in choice.limits),
+                ", ".join(f"{limit:g}" for limit in limits),
                 variant.name,
-                _number(choice.row.error),
+                _number(row.error),
                 _number(cost.value if cost else None),
                 _cell(cost),
                 _cell(frames.get(variant.lobe)),
@@ -203,32 +194,33 @@ def error_tables(measurement: Measurement) -> list[Table]:
     """
     tables = []
     for model, title in MODELS.items():
-        errors = {
-            row.variant.lobe: row.error
-            for row in measurement.of_model(model)
-            if row.variant.standard
-        }
-        if not errors:
+        rows = [row for row in measurement.of_model(model) if row.variant.standard]
+        if not rows:
             continue
-        tables += [
+        tables.append(
             _table(
                 f"{title}, m = {measurement.settings.slope}: error of the image",
                 "Errors of linear radiance in % of max(exact radiance, 0.01); displayed errors in"
                 " 8-bit levels (1/255).",
                 _IMAGE_HEAD,
-                [[lobe, *_image_cells(e.image)] for lobe, e in errors.items() if e.image],
-            ),
-            _slope_table(
-                f"{title}: error of the lobe",
-                "Largest error over 0 to 90 degrees, % of the lobe's peak.",
-                {lobe: error.lobe for lobe, error in errors.items()},
-            ),
-            _slope_table(
-                f"{title}: error of the BRDF",
-                "Largest error of the BRDF times N.L, % of its largest exact value.",
-                {lobe: error.brdf for lobe, error in errors.items()},
-            ),
-        ]
+                [
+                    [row.variant.lobe, *_image_cells(row.image_error)]
+                    for row in rows
+                    if row.image_error
+                ],
+            )
+        )
+        slopes = [*rows[0].lobe_error]
+        for name, note in (
+            ("lobe", "Largest error over 0 to 90 degrees, % of the lobe's peak."),
+            ("BRDF", "Largest error of the BRDF times N.L, % of its largest exact value."),
+        ):
+            cells = []
+            for row in rows:
+                errors = getattr(row, f"{name.lower()}_error")
+                cells.append([row.variant.lobe, *(_number(errors[m], "outside") for m in slopes)])
+            head = ["lobe", *(f"m = {m}" for m in slopes)]
+            tables.append(Table(f"{title}: error of the {name}", note, head, cells))
     return tables
 
 
@@ -244,15 +236,6 @@ def _table(
     filled = [(name, *cells) for name, cells in columns if {*cells} - {"", NOT_MEASURED}]
     lines = list(zip(*filled, strict=True)) or [()]
     return Table(title, note, lines[0], lines[1:], dominated)
-
-
-def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
-    slopes = list(next(iter(errors.values())))
-    rows = [
-        [lobe, *(_number(by_slope[m], "outside") for m in slopes)]
-        for lobe, by_slope in errors.items()
-    ]
-    return Table(title, note, ["lobe", *(f"m = {m}" for m in slopes)], rows)
 
 
 def _image_cells(error: ImageError) -> list[str]:
