@@ -8,14 +8,13 @@ from pathlib import Path
 
 from facerender.commands.common import (
     DEFAULT_OUTPUT,
-    add_verbose,
+    Options,
     check_absent,
     check_outputs,
     default_output,
     import_trimesh,
     progress_bar,
 )
-from facerender.commands.help import Help
 from facerender.commands.scene import add_scene, files_read, job_of, plays
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
@@ -33,16 +32,14 @@ def add(explore: argparse.ArgumentParser) -> None:
         "their difference and cost. The file opens from disk, needs no network, and uses\n"
         "the GPU of the reader's machine. A note on the page lists features that it omits."
     )
-    output = Help("output file, which ends in .html or .htm", DEFAULT_OUTPUT.format(".html"))
-    explore.add_argument("-o", "--output", metavar="OUT.html", help=output)
-    terms, scene = add_scene(explore)
-    lobe = Help("lobe of shading B", f"the scene file's, otherwise {_LOBE}")
-    terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
-    against = Help("lobe of shading A, against which the page measures B", "exact")
-    terms.add_argument("--against", choices=tuple(LOBES), default="exact", help=against)
-    file = Help("scene file with camera, lights, material and the shading B", "none")
-    scene.add_argument("--scene", metavar="FILE.toml", help=file)
-    add_verbose(explore)
+    text = "output file, which ends in .html or .htm"
+    Options(explore).add_option("-o --output OUT.html", text, DEFAULT_OUTPUT.format(".html"))
+    terms, _ = add_scene(explore, shading="the shading B")
+    default, lobes = f"the scene file's, otherwise {_LOBE}", tuple(LOBES)
+    terms.add_option("--lobe", "lobe of shading B", default, choices=lobes)
+    text = "lobe of shading A, against which the page measures B"
+    terms.add_option("--against", text, "exact", choices=lobes, default="exact")
+    Options(explore).add_verbose()
 
 
 def run(options: argparse.Namespace) -> int:

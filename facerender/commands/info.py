@@ -12,13 +12,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import (
-    add_allow_outside,
-    add_as_is,
-    add_flag,
-    add_mesh,
-    import_trimesh,
-)
+from facerender.commands.common import Options, import_trimesh
 from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
@@ -46,11 +40,12 @@ def add(info: argparse.ArgumentParser) -> None:
         f"mesh with more than {_MOST_ROWS} parts share a row. Factors and maps of other commands\n"
         "apply to the parts that are skin. The command draws nothing."
     )
-    add_mesh(info)
-    add_allow_outside(info)
-    add_as_is(info)
-    add_flag(
-        info, "json", "print all contents as JSON, also vertices, names of maps and every factor"
+    options = Options(info)
+    options.add_mesh()
+    options.add_allow_outside()
+    options.add_as_is()
+    options.add_flag(
+        "json", "print all contents as JSON, also vertices, names of maps and every factor"
     )
 
 

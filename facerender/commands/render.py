@@ -11,19 +11,13 @@ from typing import Any
 from facerender.commands.common import (
     DEFAULT_OUTPUT,
     SIDE,
-    add_backend,
-    add_field,
-    add_flag,
-    add_number,
-    add_size,
-    add_verbose,
+    Options,
     check_absent,
     check_inputs,
     check_outputs,
     default_output,
     step_log,
 )
-from facerender.commands.help import Help
 from facerender.commands.scene import (
     add_budget,
     add_samples,
@@ -73,51 +67,43 @@ def add(render: argparse.ArgumentParser) -> None:
         ".webp or .mp4 holds all views. Requires pip install 'facerender[exr]' for .exr, "
         "'facerender[mp4]' for .mp4"
     )
-    output = Help(f"output file: {kinds}", DEFAULT_OUTPUT.format(".png"), note=views)
-    render.add_argument("-o", "--output", metavar="OUT", help=output)
+    text, default = f"output file: {kinds}", DEFAULT_OUTPUT.format(".png")
+    Options(render).add_option("-o --output OUT", text, default, views)
     terms, scene = add_scene(render)
-    note = "facerender measure prints their errors"
-    lobe = Help("exact lobe, or an approximation", "exact", note=note)
-    terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
+    text, note = "exact lobe, or an approximation", "facerender measure prints their errors"
+    terms.add_option("--lobe", text, "exact", note, choices=tuple(LOBES))
     text = (
         "action if m is outside the lobe's valid range: stop with an error, or use the exact lobe"
     )
-    terms.add_argument("--outside", choices=OUTSIDE, help=Help(text, Shading.outside))
-    file = "scene file with camera, lights, material and shading"
-    scene.add_argument("--scene", metavar="FILE.toml", help=Help(file, "none"))
-    values = str(range_of(Camera, "target"))
-    center = Help("point at the centre of the image", "the centre of --frame", values, "mesh units")
-    scene.add_argument("--target", dest="looked_at", metavar="X,Y,Z", help=center)
+    terms.add_option("--outside", text, Shading.outside, choices=OUTSIDE)
+    text, default = "point at the centre of the image", "the centre of --frame"
+    target = str(range_of(Camera, "target"))
+    scene.add_option("--target X,Y,Z", text, default, "", target, "mesh units", dest="looked_at")
     note = "Requires pip install 'facerender[lod]'"
-    triangles = "simplify the mesh to N triangles"
-    add_field(scene, MeshFile, "triangles", triangles, "all", note, metavar="N")
+    scene.add_field(MeshFile, "triangles N", "simplify the mesh to N triangles", "all", note)
 
-    planned = render.add_argument_group("planned frame")
+    planned = Options(render, "planned frame")
     add_budget(planned, "largest error of a cheaper frame to plan and render")
 
-    image = render.add_argument_group("image")
-    add_size(image, f"{SIDE}, or the size in the camera file")
+    image = Options(render, "image")
+    image.add_size(f"{SIDE}, or the size in the camera file")
     add_samples(image)
     exposure = "exposure of all formats except .exr"
-    add_field(image, Output, "exposure", exposure, default=Output.exposure, metavar="STOPS")
+    image.add_field(Output, "exposure STOPS", exposure, default=Output.exposure)
     note = "parts gives each part a colour, or in an .exr file the number of the part"
-    only = Help("term or data to render", "the whole image", note=note)
-    image.add_argument("--only", choices=ONLY, help=only)
+    image.add_option("--only", "term or data to render", "the whole image", note, choices=ONLY)
     opacity = "smallest opacity at which a blended part counts as a surface in data"
-    add_field(image, ImageSettings, "alpha_threshold", opacity, metavar="ALPHA")
-    image.add_argument("--format", choices=IMAGE_FORMATS, help=Help("format of -o -", "png"))
-    add_flag(image, "sheet", "arrange all views in one image")
-    rate, default = (
-        "images per second of an animation, or of a clip",
-        f"{FPS:g}; {CLIP_FPS:g} of a clip",
-    )
-    add_number(image, "fps", rate, Range(*FRAME_RATES), default, metavar="N")
-    add_backend(image, BACKENDS)
-    add_flag(image, "no-cache", "do not use the cache in ~/.cache/facerender")
+    image.add_field(ImageSettings, "alpha_threshold ALPHA", opacity)
+    image.add_option("--format", "format of -o -", "png", choices=IMAGE_FORMATS)
+    image.add_flag("sheet", "arrange all views in one image")
+    rate = "images per second of an animation, or of a clip"
+    image.add_number("fps N", rate, Range(*FRAME_RATES), f"{FPS:g}; {CLIP_FPS:g} of a clip")
+    image.add_backend(BACKENDS)
+    image.add_flag("no-cache", "do not use the cache in ~/.cache/facerender")
     memory, note = "limit of the estimated memory", "A scene that needs more is refused"
-    add_number(image, "memory", memory, MEMORY, "the free memory", note, metavar="MIB")
-    add_flag(image, "json", "print output files, driver, terms and warnings as JSON")
-    add_verbose(image)
+    image.add_number("memory MIB", memory, MEMORY, "the free memory", note)
+    image.add_flag("json", "print output files, driver, terms and warnings as JSON")
+    image.add_verbose()
 
 
 def _check(options: argparse.Namespace) -> None:

@@ -95,12 +95,14 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
     ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
-    images = {f"images-{each.model}-{each.lobe}.png": _png(each) for each in triptychs}
-    captions = [
-        f"{MODELS[each.model]}, m = {measurement.settings.slope}: exact (left), {each.lobe}"
-        f" (middle), and {MAGNIFIED} times their difference (right)."
-        for each in triptychs
-    ]
+    images, captions = {}, []
+    for triptych in triptychs:
+        model, lobe = triptych.model, triptych.lobe
+        images[f"images-{model}-{lobe}.png"] = _png(triptych)
+        captions.append(
+            f"{MODELS[model]}, m = {measurement.settings.slope}: exact (left), {lobe} (middle), and"
+            f" {MAGNIFIED} times their difference (right)."
+        )
     page = _page(measurement, map(figure, images.values(), captions))
     return write_files(directory, {JSON: text.encode(), **images, PAGE: page.encode()})
 
