@@ -123,9 +123,7 @@ def _scenes(
 
     previous_pose : pose before the first pose if motion is drawn, else None
     """
-    previous_scene = (
-        None if previous_pose is None else replace(scene, mesh=posed(scene.mesh, previous_pose))
-    )
+    previous_scene = previous_pose and replace(scene, mesh=posed(scene.mesh, previous_pose))
     for pose in poses:
         posed_scene = replace(scene, mesh=posed(scene.mesh, pose))
         for camera in cameras:
@@ -194,10 +192,8 @@ def run(options: argparse.Namespace) -> int:
             from facerender.planning.cache import cached_plan
 
             scene, poses = replace(scene, mesh=posed(scene.mesh, job.pose)), [Pose()]
-            budget, within, cache = options.budget, options.within or 1.0, not options.no_cache
-            plan = cached_plan(
-                scene, budget, job.shading, options.exposure, within, renderer, cache=cache
-            )
+            limits = options.budget, job.shading, options.exposure, options.within or 1.0
+            plan = cached_plan(scene, *limits, renderer, cache=not options.no_cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)
@@ -205,13 +201,9 @@ def run(options: argparse.Namespace) -> int:
         previous_pose = None
         if options.only == "motion":  # the first frame of a sequence has no motion
             previous_pose = poses[0] if playing else job.before
-        scenes = (
-            detail.of(posed_scene)
-            for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
-        )
         frames = (
-            renderer.render(posed_scene, shading, options.only, **keywords)
-            for posed_scene in scenes
+            renderer.render(detail.of(posed_scene), shading, options.only, **keywords)
+            for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
         )
         frame = target.write(frames, options.exposure, scene.background)
     if options.json:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import string
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -103,20 +105,19 @@ class Destination:
 
     def write(self, frames: Iterator[Frame], exposure: float, background: Vector | None) -> Frame:
         """Write each image as soon as it is drawn, and return the last image."""
-        last: list[Frame] = []
+        last = deque[Frame](maxlen=1)
 
         def remembered() -> Iterator[Frame]:
-            for last[:] in ([frame] for frame in frames):
-                yield last[0]
+            for frame in frames:
+                last.append(frame)
+                yield frame
 
+        images = remembered()
         if self.kind == "moving":
             from facerender.images.animation import save_animation
 
-            save_animation(
-                self.files[0], (frame.srgb8(exposure) for frame in remembered()), self.fps
-            )
+            save_animation(self.files[0], (frame.srgb8(exposure) for frame in images), self.fps)
             return last[0]
-        images = remembered()
         if self.kind == "sheet":
             images = iter([sheet(images, self.count, background)])
         for file, frame in zip(self.files, images, strict=True):
@@ -176,9 +177,7 @@ def _has_fields(pattern: str) -> bool:
 
 def _plain(name: str) -> str:
     """Return a camera's name, possibly from an untrusted file, as a safe part of a file name."""
-    plain = "".join(
-        character if character.isalnum() or character in "._-+" else "_" for character in name
-    )
+    plain = re.sub(r"[^\w.+-]", "_", name)
     return plain.lstrip(".")[:80] or "_"
 
 
