@@ -171,6 +171,24 @@ class Options:
         text, values = "width and height, or N for both", range_of(ImageSettings, "size")
         self.add_option(f"--size {forms}", text, without, note, values, default=default)
 
+    def add_samples(self) -> None:
+        note = "Above the driver's maximum, each sample is drawn as a separate, shifted image"
+        self.add_field(ImageSettings, "samples N", "samples per pixel", note=note)
+
+    def add_budget(self, text: str, required: bool = False, within: str | None = None) -> None:
+        """Add --budget and --within; ``within`` is the default value of --within."""
+        without = "required" if required else "none"
+        note = "1/255 is one 8-bit level, 0.5% is relative radiance, '0.02 flip' is the FLIP metric"
+        self.add_option("--budget ERROR", text, without, note, "at least 0", required=required)
+        text = "fraction of each image's covered pixels that must meet the budget"
+        values = "above 0, at most 1 or 100%"
+        self.add_option("--within FRACTION", text, "100%", values=values, default=within)
+
+    def add_output(self, value: str, text: str, suffix: str, note: str = "") -> None:
+        """Add -o; for its default see :func:`default_output`."""
+        file = f"the mesh's name with {suffix} in the current directory"
+        self.add_option(f"-o --output {value}", text, f"{file}, which must not exist yet", note)
+
     def add_backend(self, backends: Iterable[str]) -> None:
         """Add --backend, which accepts the names in `backends`."""
         backends = tuple(backends)
@@ -265,23 +283,15 @@ def check_inputs(job: Job) -> None:
         check_file(job.environment.file, wanted(job.environment.file))
 
 
-# Default of -o, as the help states it.
-DEFAULT_OUTPUT = "the mesh's name with {} in the current directory, which must not exist yet"
-
-
 def default_output(mesh: str | None, suffix: str) -> str:
     """Return the name of the output file without -o: the name of the mesh with another suffix."""
     return f"{Path(mesh or 'head').stem}{suffix}"
 
 
-def check_absent(files: Iterable[str], output: str) -> None:
-    """Raise InputError if a file exists that a command would write without -o ``output``."""
-    if existing := [*filter(os.path.lexists, files)]:
-        raise InputError(f"{existing[0]} exists: give -o {output} to replace it, or another name")
-
-
 def check_outputs(
-    written: Iterable[str | Path | None], read: Iterable[str | Path | None] = ()
+    written: Iterable[str | Path | None],
+    read: Iterable[str | Path | None] = (),
+    default: str | None = None,
 ) -> None:
     """Check the output files of a command before it starts to work.
 
@@ -292,24 +302,28 @@ def check_outputs(
     ----------
     written : output files; None is ignored
     read : input files; the iterable is used only if an output file already exists
+    default : name of the output without -o, which replaces no file; None with -o
 
     Raises
     ------
     InputError : an output file cannot be written, appears twice, or is also an input file; the
         paths may differ, for example through a link
     """
+    paths = [path for path in written if path]
+    if default and (existing := [*filter(os.path.lexists, paths)]):
+        raise InputError(f"{existing[0]} exists: give -o {default} to replace it, or another name")
     names: dict[object, str | Path] = {}
-    for name in (path for path in written if path):
+    for name in paths:
         check_writable(name)
         if (identity := _identity(name)) in names:
             raise InputError(f"{name} is written twice: give another name")
         names[identity] = name
     for folder in {Path(name).parent for name in names.values()}:
         remove_abandoned(folder)
-    if not (existing := {key: name for key, name in names.items() if os.path.exists(name)}):
+    if not (replaceable := {key: name for key, name in names.items() if os.path.exists(name)}):
         return
     for path in read:
-        if path and (replaced := existing.get(_identity(path))):
+        if path and (replaced := replaceable.get(_identity(path))):
             raise InputError(f"{replaced} is both input and output: give another output file")
 
 

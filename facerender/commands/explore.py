@@ -7,9 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from facerender.commands.common import (
-    DEFAULT_OUTPUT,
     Options,
-    check_absent,
     check_outputs,
     default_output,
     import_trimesh,
@@ -33,7 +31,7 @@ def add(explore: argparse.ArgumentParser) -> None:
         "the GPU of the reader's machine. A note on the page lists features that it omits."
     )
     text = "output file, which ends in .html or .htm"
-    Options(explore).add_option("-o --output OUT.html", text, DEFAULT_OUTPUT.format(".html"))
+    Options(explore).add_output("OUT.html", text, ".html")
     terms, _ = add_scene(explore, shading="the shading B")
     default, lobes = f"the scene file's, otherwise {_LOBE}", tuple(LOBES)
     terms.add_option("--lobe", "lobe of shading B", default, choices=lobes)
@@ -49,9 +47,7 @@ def run(options: argparse.Namespace) -> int:
     job, cameras = job_of(options, None)
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
-    if options.output is None:
-        check_absent([output], output)
-    check_outputs([output], files_read(options, job))
+    check_outputs([output], files_read(options, job), None if options.output else output)
     import_trimesh(options.mesh)
     b = job.shading.term
     if options.lobe is None and options.scene is None:

@@ -8,14 +8,7 @@ import math
 import time
 
 from facerender.commands.common import SIDE, Options, check_outputs, parse_sizes, progress_bar
-from facerender.commands.scene import (
-    add_budget,
-    add_samples,
-    add_scene,
-    files_read,
-    job_of,
-    load,
-)
+from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
@@ -34,7 +27,7 @@ def add(plan: argparse.ArgumentParser) -> None:
         "reference has the exact lobe and all terms, maps, samples and triangles."
     )
     search = Options(plan, "search")
-    add_budget(search, "largest error of the planned frame", required=True, within="100%")
+    search.add_budget("largest error of the planned frame", required=True, within="100%")
     note = (
         "frame is the time of whole frames, drawn in turns with the full frame. Other values "
         "are the cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 "
@@ -46,7 +39,7 @@ def add(plan: argparse.ArgumentParser) -> None:
     images = Options(plan, "where the error is measured")
     note = "FROM..TO, such as 512..1024, also measures sizes between both ends"
     images.add_size(SIDE, note, "N|WxH|FROM..TO", default=SIDE)
-    add_samples(images)
+    images.add_samples()
     images.add_field(Output, "exposure STOPS", "exposure of the display", default=Output.exposure)
     images.add_backend(BACKENDS)
 

@@ -8,35 +8,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from facerender.commands import views
 from facerender.commands.common import (
-    DEFAULT_OUTPUT,
     SIDE,
     Options,
-    check_absent,
     check_inputs,
     check_outputs,
     default_output,
     step_log,
 )
-from facerender.commands.scene import (
-    add_budget,
-    add_samples,
-    add_scene,
-    files_read,
-    job_of,
-    load,
-    plays,
-    sequence,
-)
+from facerender.commands.scene import add_scene, files_read, job_of, load, plays, sequence
 from facerender.commands.streams import print_message, print_result
-from facerender.commands.views import (
-    CLIP_FPS,
-    FPS,
-    STANDARD_OUTPUT,
-    Destination,
-    check_sheet,
-    is_several,
-)
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import IMAGE_FORMATS
 from facerender.drawing.renderer import Renderer
@@ -62,13 +44,12 @@ def add(render: argparse.ArgumentParser) -> None:
         "or a sheet. Options override a scene file."
     )
     kinds = ".png, .jpg or .webp (8-bit sRGB), .exr (linear float32), or - for standard output"
-    views = (
+    note = (
         "Several views write OUT_000.png and so on, or replace {index} and {name} in OUT; a .gif, "
         ".webp or .mp4 holds all views. Requires pip install 'facerender[exr]' for .exr, "
         "'facerender[mp4]' for .mp4"
     )
-    text, default = f"output file: {kinds}", DEFAULT_OUTPUT.format(".png")
-    Options(render).add_option("-o --output OUT", text, default, views)
+    Options(render).add_output("OUT", f"output file: {kinds}", ".png", note)
     terms, scene = add_scene(render)
     text, note = "exact lobe, or an approximation", "facerender measure prints their errors"
     terms.add_option("--lobe", text, "exact", note, choices=tuple(LOBES))
@@ -83,11 +64,11 @@ def add(render: argparse.ArgumentParser) -> None:
     scene.add_field(MeshFile, "triangles N", "simplify the mesh to N triangles", "all", note)
 
     planned = Options(render, "planned frame")
-    add_budget(planned, "largest error of a cheaper frame to plan and render")
+    planned.add_budget("largest error of a cheaper frame to plan and render")
 
     image = Options(render, "image")
     image.add_size(f"{SIDE}, or the size in the camera file")
-    add_samples(image)
+    image.add_samples()
     exposure = "exposure of all formats except .exr"
     image.add_field(Output, "exposure STOPS", exposure, default=Output.exposure)
     note = "parts gives each part a colour, or in an .exr file the number of the part"
@@ -97,7 +78,9 @@ def add(render: argparse.ArgumentParser) -> None:
     image.add_option("--format", "format of -o -", "png", choices=IMAGE_FORMATS)
     image.add_flag("sheet", "arrange all views in one image")
     rate = "images per second of an animation, or of a clip"
-    image.add_number("fps N", rate, Range(*FRAME_RATES), f"{FPS:g}; {CLIP_FPS:g} of a clip")
+    image.add_number(
+        "fps N", rate, Range(*FRAME_RATES), f"{views.FPS:g}; {views.CLIP_FPS:g} of a clip"
+    )
     image.add_backend(BACKENDS)
     image.add_flag("no-cache", "do not use the cache in ~/.cache/facerender")
     memory, note = "limit of the estimated memory", "A scene that needs more is refused"
@@ -112,7 +95,7 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
     if options.within is not None and options.budget is None:
         raise InputError(f"--within {options.within} has no budget: add --budget ERROR")
-    if options.json and options.output == STANDARD_OUTPUT:
+    if options.json and options.output == views.STANDARD_OUTPUT:
         raise InputError("-o - and --json both write to standard output: leave one of them out")
 
 
@@ -134,7 +117,7 @@ def _scenes(
 
 def _check_views(options: argparse.Namespace, output: str, playing: bool, cameras: int) -> None:
     """Raise InputError for options that do not fit a clip, or the number of cameras."""
-    if playing and options.fps is None and not (is_several(output) or options.sheet):
+    if playing and options.fps is None and not (views.is_several(output) or options.sheet):
         raise InputError(
             f"-o {output} holds one image of the clip: give --time SECONDS (or --vertices "
             "FILE,FRAME), or for all frames a .gif, an .mp4 or {index} in the name"
@@ -168,21 +151,19 @@ def run(options: argparse.Namespace) -> int:
 
     scene = loaded() if playing else None  # the number of frames depends on the mesh
     if scene is not None:
-        poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
+        poses = sequence(job.pose, scene.mesh, options.fps or views.CLIP_FPS)
     names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
     transparent = job.background is None
-    target = Destination.of(
+    target = views.Destination.of(
         output, names, options.sheet, options.format, options.fps, transparent, playing
     )
-    written = [] if output == STANDARD_OUTPUT else target.files
-    if options.output is None:
-        check_absent(written, output)
-    check_outputs(written, files_read(options, job))
+    written = [] if output == views.STANDARD_OUTPUT else target.files
+    check_outputs(written, files_read(options, job), None if options.output else output)
     scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size
     if target.kind == "sheet":
-        check_sheet(target.count, (width, height), options.memory)
+        views.check_sheet(target.count, (width, height), options.memory)
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -54,9 +54,7 @@ from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
 
-_FACTORS = (
-    *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"),
-)
+_FACTORS = ["m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"]
 _OR_FILE = "{:g} or the mesh file's"  # default in the help, for factors that a mesh file may set
 WHERE = (
     f"{ORBITS}, where AZIMUTH may be a name; turntable[:N], for N views around the mesh (8); "
@@ -114,23 +112,6 @@ def _add_pose(scene: Options) -> None:
     scene.add_option("--vertices FILE[,FRAME]", text, "the mesh file's", note)
     note = "By default, cameras frame the stored pose and stay"
     scene.add_flag("track", "orbiting cameras follow the head of a moving mesh", note)
-
-
-def add_budget(
-    group: Options, text: str, required: bool = False, within: str | None = None
-) -> None:
-    """Add --budget and --within; ``within`` is the default value of --within."""
-    note = "1/255 is one 8-bit level, 0.5% is relative radiance, '0.02 flip' is the FLIP metric"
-    without = "required" if required else "none"
-    group.add_option("--budget ERROR", text, without, note, "at least 0", required=required)
-    text = "fraction of each image's covered pixels that must meet the budget"
-    values = "above 0, at most 1 or 100%"
-    group.add_option("--within FRACTION", text, "100%", values=values, default=within)
-
-
-def add_samples(group: Options) -> None:
-    note = "Above the driver's maximum, each sample is drawn as a separate, shifted image"
-    group.add_field(ImageSettings, "samples N", "samples per pixel", note=note)
 
 
 def _numbers(vector: Any) -> str:
@@ -243,7 +224,7 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = [field.name for field in fields(ImageSettings) if field.name != "size"]
+    names = (field.name for field in fields(ImageSettings) if field.name != "size")
     image = settings.pop("image", {}) | values_of(options, *names)
     size = size or image.get("size")
     material = settings.pop("material", {})
@@ -260,10 +241,24 @@ def job_of(
         settings["lights"] = tuple(replace(light, shadow=options.shadows) for light in lights)
         if options.shadows and not (lights or options.occlusion):
             warn(no_shadows(has_environment))
-    _check_unused(options, settings, [material, *parts.values()])
-    names = [field.name for field in fields(MeshFile) if field.name != "path"]
+    if options.environment_samples and settings.get("environment") is None:
+        raise InputError(
+            f"--environment-samples {options.environment_samples} has no environment map: add "
+            "--environment FILE"
+        )
+    scatters = {
+        options.scattering,
+        *(table.get("scattering") for table in (material, *parts.values())),
+    }
+    if options.scatter_samples and scatters <= {None, "none"}:
+        raise InputError(
+            f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
+            "--scattering skin"
+        )
     job = Job(
-        mesh=MeshFile(options.mesh, **values_of(options, *names)),
+        mesh=MeshFile(
+            options.mesh, **values_of(options, *(field.name for field in fields(MeshFile)))
+        ),
         material=material | values_of(options, *_FACTORS),
         parts=parts,
         camera=camera,
@@ -272,29 +267,6 @@ def job_of(
         **settings,
     )
     return job, cameras
-
-
-def _check_unused(
-    options: argparse.Namespace, settings: Mapping[str, Any], materials: Sequence[Mapping[str, Any]]
-) -> None:
-    """Raise InputError for options without effect.
-
-    Parameters
-    ----------
-    settings : keyword arguments of the job
-    materials : tables of material factors of the scene file and of --part
-    """
-    if options.environment_samples and settings.get("environment") is None:
-        raise InputError(
-            f"--environment-samples {options.environment_samples} has no environment map: add "
-            "--environment FILE"
-        )
-    scatters = [options.scattering, *(material.get("scattering") for material in materials)]
-    if options.scatter_samples and all(scattering in (None, "none") for scattering in scatters):
-        raise InputError(
-            f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
-            "--scattering skin"
-        )
 
 
 def _pose(options: argparse.Namespace, pose: Pose) -> Pose:
@@ -408,12 +380,11 @@ def _shading(
     ):
         if key in pinned:
             for name, value in values_of(options, *names).items():
-                if value == material.get(name):
-                    continue
-                raise InputError(
-                    f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
-                    f"--{name.replace('_', '-')} out, or {remedy}"
-                )
+                if value != material.get(name):
+                    raise InputError(
+                        f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
+                        f"--{name.replace('_', '-')} out, or {remedy}"
+                    )
     terms = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
     features = ("slope_filter", "scatter_samples", "environment_samples")
     return Shading.from_dict({**pinned, **values_of(options, *terms, *features)})
@@ -463,11 +434,8 @@ def _placed(
         count = argument or "8"
         if not count.isdecimal() or int(count[:9]) not in TURNS:
             raise InputError(f"--camera {place}: give turntable:N, with {TURNS} views")
-        turned_cameras = turntable(camera, int(count))
-        return {
-            f"turntable_{number:03d}": turned_camera
-            for number, turned_camera in enumerate(turned_cameras)
-        }
+        turned = enumerate(turntable(camera, int(count)))
+        return {f"turntable_{number:03d}": turned_camera for number, turned_camera in turned}
     if word == "gltf" or _is_file(place):
         file = mesh if word == "gltf" else place
         file_cameras = _file_cameras(place, file, argument, size)
