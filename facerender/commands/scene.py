@@ -246,19 +246,16 @@ def job_of(
             f"--environment-samples {options.environment_samples} has no environment map: add "
             "--environment FILE"
         )
-    scatters = {
-        options.scattering,
-        *(table.get("scattering") for table in (material, *parts.values())),
-    }
-    if options.scatter_samples and scatters <= {None, "none"}:
+    tables = [{"scattering": options.scattering}, material, *parts.values()]
+    scatters = any(table.get("scattering") not in (None, "none") for table in tables)
+    if options.scatter_samples and not scatters:
         raise InputError(
             f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
             "--scattering skin"
         )
+    names = (field.name for field in fields(MeshFile))
     job = Job(
-        mesh=MeshFile(
-            options.mesh, **values_of(options, *(field.name for field in fields(MeshFile)))
-        ),
+        mesh=MeshFile(options.mesh, **values_of(options, *names)),
         material=material | values_of(options, *_FACTORS),
         parts=parts,
         camera=camera,
