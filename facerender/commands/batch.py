@@ -23,7 +23,6 @@ from facerender.scenes.scene import ONLY
 from facerender.terms.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
-    from facerender.batch.chunk import Record
     from facerender.batch.engine import Engine
     from facerender.batch.jobs import JobTable
 
@@ -150,9 +149,8 @@ def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
         for fault in faults[:-1]:
             print_message(f"facerender: error: {fault}")
         remainder = f"; and {table.more} more rows" if table.more else ""
-        remainder += (
-            f"; and {len(files) - _MOST_FILES} more files" if len(files) > _MOST_FILES else ""
-        )
+        if (more := len(files) - _MOST_FILES) > 0:
+            remainder += f"; and {more} more files"
         raise InputError(f"{faults[-1]}{remainder}")
 
 
@@ -160,7 +158,7 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
     from facerender.batch import coordinator, folder
     from facerender.batch.chunk import Settings, code_version
     from facerender.batch.parquet import check_parquet
-    from facerender.batch.progress import Progress
+    from facerender.batch.progress import NAMED, Progress, failed_line
     from facerender.batch.work import check_removed, spooled, work_of
 
     if options.table == "parquet":
@@ -190,25 +188,12 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
             named, deaths = progress.failed, progress.deaths
         folder.finish(storage, options.table, options.transforms)
         if not options.json:
-            _print_failures(folder.failures(storage), named, deaths)
+            # The run itself has printed the first failed jobs and the first deaths, if any.
+            for record in islice(folder.failures(storage), 0 if named else NAMED):
+                print_message(failed_line(record))
+            if deaths > NAMED:
+                print_message(f"facerender: {deaths} workers ended or hung")
     return _print_status(output, options.json, drawn, time.monotonic() - began)
-
-
-def _print_failures(failed: Iterator[Record], named: int, deaths: int) -> None:
-    """Print the number of ended workers, and the first failed jobs if none has been printed.
-
-    Parameters
-    ----------
-    failed : records of all failed jobs
-    named : number of failed jobs of this run, of which the first have been printed
-    deaths : number of workers that ended in this run, of which the first have been printed
-    """
-    from facerender.batch.progress import NAMED, failed_line
-
-    for record in islice(failed, 0 if named else NAMED):
-        print_message(failed_line(record))
-    if deaths > NAMED:
-        print_message(f"facerender: {deaths} workers ended or hung")
 
 
 @contextmanager
