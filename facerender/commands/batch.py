@@ -8,8 +8,8 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -175,7 +175,9 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
         if not options.prune:
             check_removed(spool, storage, options.jobs)
         folder.start(storage, settings, {"table": options.jobs, "jobs": table.rows})
-        stack.enter_context(_surviving_pipes())
+        # An ended worker or scheduler must raise an error: the handler of SIGPIPE ends the process.
+        handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+        stack.callback(signal.signal, signal.SIGPIPE, handler)
         work = work_of(spool, storage, options.retry_failed)
         folder.set_aside(storage, work)
         drawn = named = deaths = 0
@@ -194,19 +196,6 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
             if deaths > NAMED:
                 print_message(f"facerender: {deaths} workers ended or hung")
     return _print_status(output, options.json, drawn, time.monotonic() - began)
-
-
-@contextmanager
-def _surviving_pipes() -> Iterator[None]:
-    """Ignore SIGPIPE, so that writing to an ended worker or scheduler raises an error.
-
-    Without this, the SIGPIPE handler of the command line ends the process with status 141.
-    """
-    handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGPIPE, handler)
 
 
 def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:

@@ -44,26 +44,9 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     return [(int(width), int(height)) for width, height in zip(widths, heights, strict=True)]
 
 
-def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
-    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in counts:
-        choices = " or ".join(map(str, counts))
-        raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")
-    return numbers
-
-
 def number_parser(whole: bool, values: str) -> Callable[[str], float]:
-    """Return a function that parses the number of an option, for argparse.
-
-    Parameters
-    ----------
-    whole : whether the number is an integer
-    values : valid values, for the message on other text
-    """
+    """Return a function that parses the number of an option, for argparse. Its message on other
+    text states the valid values."""
 
     def parse(text: str) -> float:
         try:
@@ -129,6 +112,14 @@ class Options:
         names = f"--{name.replace('_', '-')}"
         self.add_option(names, text, without, note, limits, type=parser, **keywords)
 
+    def add_count(
+        self, name: str, text: str, counts: Sequence[int], without: str, note: str = ""
+    ) -> None:
+        """Add an option for one of some counts. For the parameters see :meth:`add_number`."""
+        *numbers, last = counts
+        values = f"{', '.join(map(str, numbers))} or {last}"
+        self.add_option(f"--{name}", text, without, note, values, type=number_parser(True, values))
+
     def add_field(
         self,
         kind: type,
@@ -185,7 +176,7 @@ class Options:
         self.add_option("--within FRACTION", text, "100%", values=values, default=within)
 
     def add_output(self, value: str, text: str, suffix: str, note: str = "") -> None:
-        """Add -o; for its default see :func:`default_output`."""
+        """Add -o, whose default is the mesh's name with another suffix."""
         file = f"the mesh's name with {suffix} in the current directory"
         self.add_option(f"-o --output {value}", text, f"{file}, which must not exist yet", note)
 
@@ -257,10 +248,8 @@ def progress_bar(options: argparse.Namespace) -> Bar:
 def part_materials(
     options: argparse.Namespace, known: Mapping[str, Mapping[str, Any]] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Return the materials of parts of the scene file and of --part. Later options win.
-
-    known : tables of the scene file, as in :func:`facerender.scenes.file.part_tables`
-    """
+    """Return the materials of parts: the tables ``known`` of a scene file, as in
+    :func:`facerender.scenes.file.part_tables`, changed by --part. Later options win."""
     tables = {name: dict(table) for name, table in (known or {}).items()}
     for name, table in map(parse_part, options.part or ()):
         tables[name] = {**tables.pop(name, {}), **table}
@@ -281,11 +270,6 @@ def check_inputs(job: Job) -> None:
         from facerender.loading.environment import wanted
 
         check_file(job.environment.file, wanted(job.environment.file))
-
-
-def default_output(mesh: str | None, suffix: str) -> str:
-    """Return the name of the output file without -o: the name of the mesh with another suffix."""
-    return f"{Path(mesh or 'head').stem}{suffix}"
 
 
 def check_outputs(

@@ -6,13 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from facerender.commands.common import (
-    Options,
-    check_outputs,
-    default_output,
-    import_trimesh,
-    progress_bar,
-)
+from facerender.commands.common import Options, check_outputs, import_trimesh, progress_bar
 from facerender.commands.scene import add_scene, files_read, job_of, plays
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
@@ -41,7 +35,7 @@ def add(explore: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    output = options.output or default_output(options.mesh, ".html")
+    output = options.output or f"{Path(options.mesh or 'head').stem}.html"
     if Path(output).suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{output}: the explorer is an HTML page; give a name that ends in .html")
     job, cameras = job_of(options, None)

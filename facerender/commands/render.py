@@ -6,17 +6,11 @@ import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from facerender.commands import views
-from facerender.commands.common import (
-    SIDE,
-    Options,
-    check_inputs,
-    check_outputs,
-    default_output,
-    step_log,
-)
+from facerender.commands.common import SIDE, Options, check_inputs, check_outputs, step_log
 from facerender.commands.scene import add_scene, files_read, job_of, load, plays, sequence
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
@@ -135,7 +129,7 @@ def _check_views(options: argparse.Namespace, output: str, playing: bool, camera
 def run(options: argparse.Namespace) -> int:
     """Draw and write the images of a command line, and print their names."""
     _check(options)
-    output = options.output or default_output(options.mesh, ".png")
+    output = options.output or f"{Path(options.mesh or 'head').stem}.png"
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
     check_inputs(job)
     playing = plays(options, job.pose)

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import (
-    Options,
-    import_trimesh,
-    mesh_files,
-    number_parser,
-    numbers_of,
-    part_materials,
-)
+from facerender.commands.common import Options, import_trimesh, mesh_files, part_materials
 from facerender.drawing.prepare import start_maps
-from facerender.errors import InputError, clipped, warn
+from facerender.errors import InputError, clipped, shown, warn
 from facerender.job import Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y, source_of
 from facerender.scenes.camera import (
@@ -146,11 +139,9 @@ def _add_reflectance(terms: Options) -> None:
     terms.add_field(Material, "lobe_weight W", "fraction of the first lobe", "{:g}: one lobe")
     text, note = "subsurface scattering", "Requires the length of a mesh unit: see --millimetres"
     terms.add_option("--scattering", text, "none", note, choices=("skin", "none"))
-    *numbers, last = SCATTER_SAMPLES
-    values = f"{', '.join(map(str, numbers))} or {last}"
     text, note = "subsurface samples per pixel", "0 disables subsurface scattering"
-    keywords = {"values": values, "type": number_parser(True, values)}
-    terms.add_option("--scatter-samples N", text, f"{Shading.scatter_samples}", note, **keywords)
+    default = f"{Shading.scatter_samples}"
+    terms.add_count("scatter-samples N", text, SCATTER_SAMPLES, default, note)
 
 
 def _add_maps(maps: Options) -> None:
@@ -345,17 +336,10 @@ def _shading(
     material: Mapping[str, Any],
     planned: bool,
 ) -> Shading:
-    """Return the shading that the options and the scene file define.
+    """Return the shading that the options and the scene file define. Raise InputError for options
+    without effect, because the file pins the same value, and for changes of a plan's material.
 
-    Parameters
-    ----------
     pinned, material : tables of the scene file. Options may repeat factors of the material
-    planned : whether a plan, which holds for this material only, wrote the scene file
-
-    Raises
-    ------
-    InputError : an option would have no effect, because the scene file pins the same value, or
-        changes the material of a plan
     """
     for name, value in values_of(options, *_FACTORS).items():
         if planned and value != material.get(name, value):
@@ -397,7 +381,7 @@ def _cameras(
     camera = settings.pop("camera", path[0] if path else Camera())
     changes = values_of(options, "fov", "frame")
     if (target := getattr(options, "looked_at", None)) is not None:
-        changes["target"] = tuple(numbers_of("target", target, (3,)))
+        changes["target"] = tuple(_numbers_of("target", target, (3,)))
     if not options.camera:
         camera = replace(camera, **changes)
         changed_cameras = [replace(file_camera, **changes) for file_camera in path]
@@ -421,7 +405,6 @@ def _placed(
 
     Parameters
     ----------
-    place : value of the option
     camera : camera whose fields an orbiting camera inherits
     changes : values of :class:`Camera` fields, which replace the values in camera files
     size : image size; None if the camera file states the size
@@ -434,9 +417,8 @@ def _placed(
         turned = enumerate(turntable(camera, int(count)))
         return {f"turntable_{number:03d}": turned_camera for number, turned_camera in turned}
     if word == "gltf" or _is_file(place):
-        file = mesh if word == "gltf" else place
-        file_cameras = _file_cameras(place, file, argument, size)
-        return {name: replace(file_camera, **changes) for name, file_camera in file_cameras.items()}
+        file_cameras = _file_cameras(place, mesh, size).items()
+        return {name: replace(file_camera, **changes) for name, file_camera in file_cameras}
     return {place.replace(",", "_"): orbiting(camera, **orbit_of(place, WHERE))}
 
 
@@ -444,25 +426,21 @@ def _is_file(place: str) -> bool:
     return place.lower().endswith(CAMERA_FILES)
 
 
-def _file_cameras(
-    place: str, file: str | None, name: str, size: tuple[int, int] | None
-) -> dict[str, Camera]:
+def _file_cameras(place: str, mesh: str | None, size: tuple[int, int] | None) -> dict[str, Camera]:
     from facerender.loading.cameras import gltf_cameras, load_cameras
 
-    if place.startswith("gltf"):
-        source = source_of(file)
-        if file is None or source.suffix not in GLTF:
-            raise InputError(
-                f"--camera {place}: the mesh is not a .glb or .gltf; give another camera"
-            )
-        cameras = gltf_cameras(source.read(), source.name)
-    else:
-        cameras = load_cameras(str(file), size)
-    if not place.startswith("gltf:"):
+    word, colon, name = place.partition(":")
+    if word != "gltf":
+        return load_cameras(place, size)
+    source = source_of(mesh)
+    if mesh is None or source.suffix not in GLTF:
+        raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
+    cameras = gltf_cameras(source.read(), source.name)
+    if not colon:
         return cameras
     if name not in cameras:
         names = ", ".join(map(clipped, cameras))
-        raise InputError(f"--camera {place}: {file} has no such camera; it has {names}")
+        raise InputError(f"--camera {place}: {mesh} has no such camera; it has {names}")
     return {name: cameras[name]}
 
 
@@ -474,8 +452,20 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
     if options.environment is not None:
         settings["environment"] = parse_environment(options.environment)
     if options.ambient is not None:
-        numbers = numbers_of("ambient", options.ambient, (1, 3))
+        numbers = _numbers_of("ambient", options.ambient, (1, 3))
         settings["ambient"] = tuple(numbers) if len(numbers) == 3 else numbers[0]
     if options.background is not None:
         settings["background"] = background_of(options.background)
     return settings
+
+
+def _numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
+    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in counts:
+        choices = " or ".join(map(str, counts))
+        raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")
+    return numbers

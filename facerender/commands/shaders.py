@@ -60,13 +60,11 @@ def run_list(options: argparse.Namespace) -> int:
     from facerender.glsl.catalogue import functions
 
     if options.json:
-        print_result(
-            json.dumps([dataclasses.asdict(function) for function in functions()], indent=2)
-        )
+        listed = [dataclasses.asdict(function) for function in functions()]
+        print_result(json.dumps(listed, indent=2))
         return 0
     for function in functions():
-        print_result(f"{function.signature}    {function.file}")
-        print_result(f"    {function.summary}")
+        print_result(f"{function.signature}    {function.file}", f"    {function.summary}")
         for name, text in (("unit", function.unit), ("error", function.error)):
             lines = textwrap.wrap(text, 86, break_on_hyphens=False)
             print_result(f"    {name:6}" + f"\n{'':10}".join(lines))

@@ -24,7 +24,6 @@ from facerender.system.memory import MIB, limit
 STANDARD_OUTPUT = "-"
 FPS = 12.0  # default frame rate of animations of several views
 CLIP_FPS = 25.0  # default frame rate of clips
-_FIELDS = {"index", "name"}
 _PIXEL_BYTES = 32  # memory per pixel of a sheet: 16 for linear RGBA, up to 16 to write the file
 
 
@@ -64,10 +63,7 @@ class Destination:
         Parameters
         ----------
         path : file name, in which {index} and {name} are replaced, or STANDARD_OUTPUT
-        names : names of the images
-        as_sheet : whether all images go into one sheet
         format, fps : values of the options; None if they are not given
-        transparent : whether the background is transparent
         plays : whether the images are the frames of a sequence, to which --fps applies
 
         Raises
@@ -170,7 +166,7 @@ def is_several(path: str) -> bool:
 def _has_fields(pattern: str) -> bool:
     """Return whether a file name contains {index} or {name}. Other braces have no meaning."""
     try:
-        return any(part[1] in _FIELDS for part in string.Formatter().parse(pattern))
+        return any(part[1] in ("index", "name") for part in string.Formatter().parse(pattern))
     except ValueError:
         return False
 
@@ -184,10 +180,6 @@ def _plain(name: str) -> str:
 def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:
     """Raise InputError if a sheet of images is too large.
 
-    Parameters
-    ----------
-    count : number of images
-    size : width and height of each image, in pixels
     memory : limit of the process's memory in MiB; None for the free memory of the system
     """
     columns, rows = _grid(count)

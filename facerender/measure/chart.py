@@ -170,6 +170,5 @@ def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:
     left, top, right, bottom = box
     outside = left < _LEFT or top < _TOP or right > _RIGHT or bottom > _BOTTOM
     return outside or any(
-        left < obstacle[2] and right > obstacle[0] and top < obstacle[3] and bottom > obstacle[1]
-        for obstacle in obstacles
+        left < x1 and right > x0 and top < y1 and bottom > y0 for x0, y0, x1, y1 in obstacles
     )

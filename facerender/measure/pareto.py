@@ -20,12 +20,10 @@ LIMITS = (EXACT, 1.0, 3.0)  # errors of recommended variants are at most these, 
 
 @dataclass(frozen=True)
 class CostKind:
-    """A kind of cost.
+    """A kind of cost, with its title and unit in tables and plots.
 
     Attributes
     ----------
-    title : name of the kind of cost in tables and plots
-    unit : unit of the cost in tables and plots
     of : function that returns a variant's cost, or None if the cost was not measured
     columns : functions that return a variant's values in further columns of the table, keyed by
         column title; the table shows both ends of an interval

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -16,16 +17,7 @@ import numpy as np
 
 from facerender.measure import chart
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
-from facerender.measure.pareto import (
-    EXACT,
-    FRAME,
-    KINDS,
-    TERM,
-    CostKind,
-    measure_of,
-    pareto,
-    recommended,
-)
+from facerender.measure.pareto import EXACT, FRAME, TERM, CostKind, measure_of, pareto, recommended
 from facerender.measure.tables import (
     ERRORS,
     NOT_MEASURED,
@@ -163,7 +155,6 @@ def _page(measurement: Measurement, figures: Iterable[str]) -> str:
     models, slope = measurement.models, measurement.settings.slope
     frames = " ".join(frame_advice(measurement, model) for model in models)
     missing = "".join(f"<li>{escape(text)}</li>" for text in measurement.not_measured)
-    terms, *frame_tables = (tables_of(measurement, kind) for kind in KINDS)
     machine = f"{measurement.settings.mesh} on {measurement.environment['GL_RENDERER']}"
     body = [
         f'<p class="note">{escape(machine)}</p>',
@@ -172,11 +163,11 @@ def _page(measurement: Measurement, figures: Iterable[str]) -> str:
         f"<p>{escape(INTRODUCTION)}</p>",
         f'<p class="note">{escape(DOMINATED)}</p>',
         *(_html(recommendation_table(measurement, model), "numbers costs") for model in models),
-        *(_html(table, "numbers costs") for table in terms),
+        *(_html(table, "numbers costs") for table in tables_of(measurement, TERM)),
         _folded(
             "Cost of a whole frame",
             _trades(measurement, FRAME),
-            *(_html(table, "numbers costs") for tables in frame_tables for table in tables),
+            *(_html(table, "numbers costs") for table in tables_of(measurement, FRAME)),
         ),
         _folded(
             f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",
@@ -196,12 +187,6 @@ def _page(measurement: Measurement, figures: Iterable[str]) -> str:
     return document(f"Cost and error at m = {slope}", "\n".join(body), chart.STYLE)
 
 
-def _marked(sentence: str) -> str:
-    """Return a sentence as HTML; quoted names of variants become bold."""
-    pieces = escape(sentence, quote=False).split('"')
-    return "".join(f"<b>{piece}</b>" if i % 2 else piece for i, piece in enumerate(pieces))
-
-
 def _trades(measurement: Measurement, kind: CostKind) -> str:
     """Return the charts of cost and error side by side, for each model with its recommendation."""
     cost = f"cost of the {kind.title}, {kind.unit}"
@@ -211,7 +196,8 @@ def _trades(measurement: Measurement, kind: CostKind) -> str:
         svg = chart.trade(pareto(measurement, model, kind), cost, error)
         say = advice if kind is TERM else frame_advice
         if svg:
-            text = _marked(say(measurement, model))
+            sentence = escape(say(measurement, model), quote=False)
+            text = re.sub('"(.*?)"', r"<b>\1</b>", sentence)  # the names of variants
             figures.append(f'<figure><figcaption class="lead">{text}</figcaption>{svg}</figure>')
     return f'<div class="pair trades">{"".join(figures)}</div>'
 

@@ -58,7 +58,6 @@ def measure(
     mesh : mesh for the cost of a frame and the error of an image
     m : roughness of the skin, in [1e-4, 2]; see :meth:`facerender.Mesh.with_skin`
     quick : whether to use smaller images and fewer repeats, and skip the cost of lobes alone
-    progress : called with the current step and its completed fraction
 
     Raises
     ------

@@ -356,20 +356,16 @@ def _renderers(
     if sizes is not None:
         sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
     base = renderer or stack.enter_context(Renderer())
-
-    def resized(size: tuple[int, int]) -> Renderer:
-        return Renderer(
-            size,
-            samples=base.samples,
-            backend=base.context.backend,  # type: ignore[arg-type]
-            anisotropy=base.anisotropy,
-            float_albedo=base.albedo_kind == "linear-color",
-            full_maps=base.full_maps,
-            memory=base.memory,
-        )
-
+    options: dict[str, Any] = {
+        "samples": base.samples,
+        "backend": base.context.backend,
+        "anisotropy": base.anisotropy,
+        "float_albedo": base.albedo_kind == "linear-color",
+        "full_maps": base.full_maps,
+        "memory": base.memory,
+    }
     return [
-        base if size == base.size else stack.enter_context(resized(size))
+        base if size == base.size else stack.enter_context(Renderer(size, **options))
         for size in (sizes or [base.size])
     ]
 
