@@ -180,15 +180,14 @@ class Options:
         file = f"the mesh's name with {suffix} in the current directory"
         self.add_option(f"-o --output {value}", text, f"{file}, which must not exist yet", note)
 
-    def add_backend(self, backends: Iterable[str]) -> None:
+    def add_backend(self, backends: Sequence[str]) -> None:
         """Add --backend, which accepts the names in `backends`."""
-        backends = tuple(backends)
         note = "auto tries egl, then osmesa; on Windows and macOS, auto is native (WGL, CGL). "
         note += "On Linux, native is GLX, which requires an X server"
         if "current" in backends:
             note += ". current is the OpenGL context of the calling program"
-        keywords = {"choices": backends, "default": "auto"}
-        self.add_option("--backend", "OpenGL backend", "auto", note, **keywords)
+        text, auto = "OpenGL backend", "auto"
+        self.add_option("--backend", text, auto, note, choices=backends, default=auto)
 
     def add_quiet(self) -> None:
         self.add_flag("quiet", "print only warnings and errors on standard error")

@@ -93,9 +93,9 @@ def add_scene(
 
 
 def _add_pose(scene: Options) -> None:
-    text, note = "weight of a shape; repeat for others", "facerender info lists the names"
-    keywords = {"values": SHAPE_WEIGHTS, "action": "append"}
-    scene.add_option("--weight NAME=WEIGHT", text, "the mesh file's", note, **keywords)
+    text, default = "weight of a shape; repeat for others", "the mesh file's"
+    note, values = "facerender info lists the names", SHAPE_WEIGHTS
+    scene.add_option("--weight NAME=WEIGHT", text, default, note, values, action="append")
     scene.add_option("--clip NAME", "animation of the mesh file", "none; the first with --time")
     scene.add_field(Pose, "time SECONDS", "time in the clip", "the whole clip")
     text = "vertex positions, all frames or one"
