@@ -132,15 +132,8 @@ def __getattr__(name: str) -> Any:
     return value
 
 
-def _load_mesh(source: Any) -> Any:
-    return __getattr__("load_mesh")(source)
-
-
-def _load_environment(file: Any) -> Any:
-    return __getattr__("load_environment")(file)
-
-
-sources.reader, sources.environment_reader = _load_mesh, _load_environment
+sources.reader = lambda source: __getattr__("load_mesh")(source)
+sources.environment_reader = lambda file: __getattr__("load_environment")(file)
 
 
 def __dir__() -> list[str]:

@@ -32,12 +32,7 @@ from facerender.scenes.scene import Only, Scene, background_of, check_only, defa
 from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
 from facerender.shading import Shading
 from facerender.system.reprs import short_repr
-from facerender.terms.ranges import (
-    EXPOSURES,
-    check_fields,
-    range_of,
-    ranged,
-)
+from facerender.terms.ranges import EXPOSURES, check_fields, range_of, ranged
 
 # The fields of MeshFile that are paths.
 MESH_PATHS = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
@@ -92,10 +87,8 @@ class MeshFile:
     @property
     def _files(self) -> dict[str, Any]:
         exclusions = ("path", "triangles", "occlusion")
-        values = {name: value for name, value in asdict(self).items() if value is not None}
-        return {"source": self.path} | {
-            n: value for n, value in values.items() if n not in exclusions
-        }
+        values = {name: value for name, value in _plain(self).items() if name not in exclusions}
+        return {"source": self.path} | values
 
     def _prepared(self, mesh: Mesh, cache: bool) -> Mesh:
         if self.occlusion:
@@ -208,7 +201,15 @@ class Job:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        self._convert()
+        lights, ambient = default_light(self.lights, self.ambient, self.environment is not None)
+        self._set(ambient=ambient, lights=lights_of(lights), camera=camera_of(self.camera))
+        self._set(background=background_of(self.background))
+        if self.environment is not None:
+            self._set(environment=environment_file(self.environment))
+        if isinstance(self.shading, Mapping):
+            self._set(shading=Shading.from_dict(self.shading))
+        if isinstance(self.image, Mapping):
+            self._set(image=from_table(ImageSettings, "image", self.image))
         check_type("mesh", self.mesh, MeshFile, "a MeshFile")
         check_type("shading", self.shading, Shading, "a Shading")
         check_type("image", self.image, ImageSettings, "an ImageSettings")
@@ -216,31 +217,19 @@ class Job:
             check_type(name, getattr(self, name), Pose, "a facerender.Pose")
         check_type("planned", self.planned, Planned | None, "a facerender.scenes.lod.Planned")
         check_type("outputs", self.outputs, list | tuple, "a list of Output")
-        outputs = each_of("outputs", self.outputs, Output, "a list of Output")
-        object.__setattr__(self, "outputs", outputs)
+        self._set(outputs=each_of("outputs", self.outputs, Output, "a list of Output"))
         if self.landmarks is not None:
             check_path("landmarks", self.landmarks)
-            object.__setattr__(self, "landmarks", os.fspath(self.landmarks))
+            self._set(landmarks=os.fspath(self.landmarks))
         from_table(Material, "material", self.material, without=MAPS)  # only to validate
         material = {
             name: tuple(value) if isinstance(value, list | tuple) else value
             for name, value in self.material.items()
         }
-        object.__setattr__(self, "material", material)
-        object.__setattr__(self, "parts", part_tables("parts", self.parts))
+        self._set(material=material, parts=part_tables("parts", self.parts))
         check_fields(self)
 
-    def _convert(self) -> None:
-        """Convert names, texts and tables to values, and set the default lights."""
-        lights, ambient = default_light(self.lights, self.ambient, self.environment is not None)
-        values = {"ambient": ambient, "lights": lights_of(lights), "camera": camera_of(self.camera)}
-        values["background"] = background_of(self.background)
-        if self.environment is not None:
-            values["environment"] = environment_file(self.environment)
-        if isinstance(self.shading, Mapping):
-            values["shading"] = Shading.from_dict(self.shading)
-        if isinstance(self.image, Mapping):
-            values["image"] = from_table(ImageSettings, "image", self.image)
+    def _set(self, **values: Any) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -274,15 +263,8 @@ class Job:
             loaded = loaded.with_material((name,), **table)
         if self.mesh.lobe_map and not any(material.two_lobes for material in loaded.materials):
             warn_of_one_lobe(loaded.name, "lobe_map")
-        return Scene(
-            loaded,
-            self.camera,
-            self.lights,
-            self.ambient,
-            self.background,
-            environment,
-            previous_scene,
-        )
+        light = self.lights, self.ambient, self.background, environment
+        return Scene(loaded, self.camera, *light, previous_scene)
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
         """Return the level of detail of an image. The planned level is used only for the planned
@@ -338,12 +320,8 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        keys = [
-            *(scene_key for scene_key in KEYS if scene_key != "cameras"),
-            "mesh",
-            "outputs",
-            "landmarks",
-        ]
+        keys = [*KEYS, "mesh", "outputs", "landmarks"]
+        keys.remove("cameras")
         values: dict[str, Any] = {}
         for key, value in tables.items():
             check_known("key", key, keys)
@@ -363,14 +341,14 @@ class Job:
         tables = self.as_dict()
         plain = ("ambient", "background", "landmarks")
         head = {key: tables.pop(key) for key in plain if key in tables}
+        if not self.lights:
+            head["lights"] = []
         blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]
         for key, table in tables.items():
             if isinstance(table, list):
                 blocks += [(f"[[{key}]]", entry) for entry in table]
             else:
                 blocks.append((f"[{key}]", table))
-        if not self.lights:
-            head["lights"] = []
         return toml_text(blocks)
 
 

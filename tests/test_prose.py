@@ -37,7 +37,8 @@ SENTENCE = re.compile(r"(?<=[.;:?!])\s+(?=[A-Z`[])|\n\s*\n|\n\s*[-*|]\s")
 # Variables have the name of the thing.
 VAGUE = {"each", "found", "given", "wanted", "whole"}
 MESSAGES = {"InputError", "ContextError", "CannotDraw", "warn"}
-MESSAGES |= {"Help", "add_argument", "add_field", "add_flag", "add_number", "add_switch"}
+MESSAGES |= {"Help", "add_argument", "add_field", "add_flag", "add_number", "add_option"}
+MESSAGES |= {"add_switch"}
 
 
 def sentences(text: str) -> Iterator[str]:

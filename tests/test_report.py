@@ -164,7 +164,7 @@ def test_tables_mark_dominated_rows_and_missing_values(data):
 
 def limits(data):
     best = recommended(measurement_of(data), "cook-torrance")
-    return {each.row.variant.name: each.limits for each in best}
+    return {row.variant.name: limits for limits, row in best}
 
 
 def test_recommended_variants_are_the_cheapest_within_each_limit(data):
@@ -361,7 +361,7 @@ def test_files(data, triptychs, tmp_path):
 def test_failed_report_writes_no_file(data, triptychs, tmp_path, monkeypatch, fault, kind, message):
     folder = tmp_path / "report"
     if fault == "image":
-        monkeypatch.setattr(report, "_strip", lambda *_: (_ for _ in ()).throw(MemoryError))
+        monkeypatch.setattr(report, "_png", lambda *_: (_ for _ in ()).throw(MemoryError))
     elif fault == "number":
         data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
     else:

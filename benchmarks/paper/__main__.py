@@ -12,7 +12,6 @@ import argparse
 import platform
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -57,13 +56,15 @@ def reproduce(
     progress("scalar code", 0.0)
     try:
         scalar, compiler = claims.scalar_cost(repeats)
-        conditions = f"{compiler}; {machine.processor}"
+        conditions = f"{compiler}; {machine['processor']}"
     except NotMeasured as error:
         scalar, compiler, conditions = {}, "none", str(error)
-    glsl = claims.glsl_cost(repeats, backend, partial(progress, f"GLSL on {machine.GL_RENDERER}"))
-    renderer = machine.GL_RENDERER
-    if machine.software:
-        renderer += f" on {machine.processor}"
+    glsl = claims.glsl_cost(
+        repeats, backend, partial(progress, f"GLSL on {machine['GL_RENDERER']}")
+    )
+    renderer = machine["GL_RENDERER"]
+    if machine["software"]:
+        renderer += f" on {machine['processor']}"
     progress("AMD's compiler", 0.0)
     results = [
         *claims.error_claims(claims.ERROR_SLOPES if m is None else [m]),
@@ -76,7 +77,7 @@ def reproduce(
         for contest, cost in glsl.items()
         for form, interval in cost.items()
     }
-    facts = asdict(machine) | {
+    facts = machine | {
         "C compiler": compiler,
         "C library": " ".join(platform.libc_ver()),
         "matplotlib": version("matplotlib"),

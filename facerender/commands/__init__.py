@@ -13,7 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
 from facerender import __version__
 from facerender.commands.help import EXAMPLES, commands_of, usage_of
@@ -46,9 +46,8 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        defaults = {"allow_abbrev": False, "formatter_class": _Formatter}
-        super().__init__(*arguments, **{**defaults, **keywords})
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=_Formatter, **keywords)
         # argparse takes -35 as a value, but -35,10 as an option unless this pattern matches it.
         self._negative_number_matcher = re.compile(r"-[\d.]")
 
@@ -128,14 +127,7 @@ def _check_words(words: Sequence[str]) -> None:
 
 
 def _warning_printer(messages: list[str]) -> Callable[..., None]:
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        line_number: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def show(message: Warning | str, category: type[Warning], *_: object) -> None:
         if issubclass(category, FacerenderWarning) and str(message) not in messages:
             messages.append(str(message))
             print_message(f"facerender: warning: {message}")

@@ -8,24 +8,13 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facerender.commands.common import (
-    SIDE,
-    add_backend,
-    add_field,
-    add_flag,
-    add_number,
-    add_parts,
-    add_quiet,
-    add_size,
-    check_outputs,
-    part_materials,
-)
+from facerender.commands.common import SIDE, Options, check_outputs, part_materials
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.errors import InputError
@@ -34,7 +23,6 @@ from facerender.scenes.scene import ONLY
 from facerender.terms.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
-    from facerender.batch.chunk import Record
     from facerender.batch.engine import Engine
     from facerender.batch.jobs import JobTable
 
@@ -59,55 +47,51 @@ def add(batch: argparse.ArgumentParser) -> None:
     kinds = "table of jobs: .jsonl, .csv, .parquet, .toml or .py"
     table = Help(kinds, "required to draw or check")
     batch.add_argument("jobs", nargs="?", metavar="JOBS", help=table)
-    output = Help("output folder, or a URL such as s3://bucket/heads", "required to draw")
-    batch.add_argument("-o", "--output", metavar="OUT", help=output)
-    common = batch.add_argument_group("values for jobs that do not set them")
-    scene = Help("scene file, for example of facerender plan", "none")
-    common.add_argument("--scene", metavar="FILE.toml", help=scene)
-    common.add_argument("--mesh", metavar="FILE", help=Help("mesh file", "the built-in head"))
-    add_parts(common)
-    add_size(common, SIDE)
-    add_field(common, ImageSettings, "samples", "samples per pixel", metavar="N")
+    output = "output folder, or a URL such as s3://bucket/heads"
+    Options(batch).add_option("-o --output OUT", output, "required to draw")
+    jobs = Options(batch, "values for jobs that do not set them")
+    jobs.add_option("--scene FILE.toml", "scene file, for example of facerender plan", "none")
+    jobs.add_option("--mesh FILE", "mesh file", "the built-in head")
+    jobs.add_parts()
+    jobs.add_size(SIDE)
+    jobs.add_field(ImageSettings, "samples N", "samples per pixel")
     note = f"Give some of image, {', '.join(ONLY)}, layers"
-    names = Help("outputs of each job, separated by commas", "image", note=note)
-    common.add_argument("--outputs", metavar="LIST", help=names)
+    jobs.add_option("--outputs LIST", "outputs of each job, separated by commas", "image", note)
 
-    drawing = batch.add_argument_group("workers")
+    drawing = Options(batch, "workers")
 
     def add_limited(name: str, text: str, without: str, **keywords: Any) -> None:
-        add_number(drawing, name, text, _LIMITS[name], without, **keywords)
+        drawing.add_number(name, text, _LIMITS[name.split()[0]], without, **keywords)
 
-    local = "worker processes on this machine"
-    add_limited("workers", local, "depends on cores and free memory", metavar="N")
+    add_limited("workers N", "worker processes on this machine", "depends on cores and free memory")
     note = "Requires pip install 'facerender[batch]'"
-    scheduler = Help("address of a Dask scheduler, whose workers draw", "none", note=note)
-    drawing.add_argument("--scheduler", metavar="ADDRESS", help=scheduler)
-    add_backend(drawing, ("auto", "egl", "osmesa", "native"))
+    scheduler = "address of a Dask scheduler, whose workers draw"
+    drawing.add_option("--scheduler ADDRESS", scheduler, "none", note)
+    drawing.add_backend(("auto", "egl", "osmesa", "native"))
     silence = "time without output before a job counts as hung"
-    add_limited("timeout", silence, f"{_TIMEOUT:g}", default=_TIMEOUT, metavar="SECONDS")
+    add_limited("timeout SECONDS", silence, f"{_TIMEOUT:g}", default=_TIMEOUT)
     attempts = "maximum attempts per crashing or hanging job"
-    add_limited("tries", attempts, f"{_TRIES}", default=_TRIES, metavar="N")
+    add_limited("tries N", attempts, f"{_TRIES}", default=_TRIES)
     sizes = "1 to 128, in shards 32 to 128, depends on the number of jobs"
-    add_limited("chunk", "jobs per chunk", sizes, metavar="N")
+    add_limited("chunk N", "jobs per chunk", sizes)
 
-    written = batch.add_argument_group("output")
-    layout = Help("a folder per job, or a tar file per chunk", "files")
-    layouts = ("files", "shards")
-    written.add_argument("--layout", choices=layouts, default="files", help=layout)
-    kind = Help("format of the table of drawn jobs", "jsonl")
-    written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help=kind)
-    add_flag(written, "transforms", "also write the cameras as transforms.json for nerfstudio")
-    add_flag(written, "retry-failed", "also redraw jobs that failed in an earlier run")
-    add_flag(written, "prune", "delete the files of drawn jobs that the table lacks")
-    add_flag(written, "json", "print a line of JSON per chunk, per failed job and at the end")
-    add_quiet(written)
+    written = Options(batch, "output")
 
-    ask = batch.add_argument_group("instead of drawing")
-    add_flag(ask, "check", "check all rows of the table, and read each of their files once")
-    counts = Help(
-        "count the drawn, failed and remaining jobs of the batch in this folder or URL", "none"
-    )
-    ask.add_argument("--status", metavar="OUT", help=counts)
+    def add_choice(name: str, text: str, *choices: str) -> None:
+        written.add_option(f"--{name}", text, choices[0], choices=choices, default=choices[0])
+
+    add_choice("layout", "a folder per job, or a tar file per chunk", "files", "shards")
+    add_choice("table", "format of the table of drawn jobs", "jsonl", "parquet")
+    written.add_flag("transforms", "also write the cameras as transforms.json for nerfstudio")
+    written.add_flag("retry-failed", "also redraw jobs that failed in an earlier run")
+    written.add_flag("prune", "delete the files of drawn jobs that the table lacks")
+    written.add_flag("json", "print a line of JSON per chunk, per failed job and at the end")
+    written.add_quiet()
+
+    ask = Options(batch, "instead of drawing")
+    ask.add_flag("check", "check all rows of the table, and read each of their files once")
+    counts = "count the drawn, failed and remaining jobs of the batch in this folder or URL"
+    ask.add_option("--status OUT", counts, "none")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -148,12 +132,12 @@ def _table(options: argparse.Namespace) -> JobTable:
     """Return the table of jobs. The values of the options are defaults of the rows."""
     from facerender.batch.jobs import JobTable
 
-    common = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
-    common |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
-    common |= {f"mesh.{n}": getattr(options, n) or None for n in ("as_is", "double_sided")}
-    common |= {"parts": part_materials(options) or None}
-    common |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
-    return JobTable(options.jobs, common)
+    defaults = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
+    defaults |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
+    defaults |= {f"mesh.{n}": getattr(options, n) or None for n in ("as_is", "double_sided")}
+    defaults |= {"parts": part_materials(options) or None}
+    defaults |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
+    return JobTable(options.jobs, defaults)
 
 
 def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
@@ -165,9 +149,8 @@ def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
         for fault in faults[:-1]:
             print_message(f"facerender: error: {fault}")
         remainder = f"; and {table.more} more rows" if table.more else ""
-        remainder += (
-            f"; and {len(files) - _MOST_FILES} more files" if len(files) > _MOST_FILES else ""
-        )
+        if (more := len(files) - _MOST_FILES) > 0:
+            remainder += f"; and {more} more files"
         raise InputError(f"{faults[-1]}{remainder}")
 
 
@@ -175,7 +158,7 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
     from facerender.batch import coordinator, folder
     from facerender.batch.chunk import Settings, code_version
     from facerender.batch.parquet import check_parquet
-    from facerender.batch.progress import Progress
+    from facerender.batch.progress import NAMED, Progress, failed_line
     from facerender.batch.work import check_removed, spooled, work_of
 
     if options.table == "parquet":
@@ -192,7 +175,9 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
         if not options.prune:
             check_removed(spool, storage, options.jobs)
         folder.start(storage, settings, {"table": options.jobs, "jobs": table.rows})
-        stack.enter_context(_surviving_pipes())
+        # An ended worker or scheduler must raise an error: the handler of SIGPIPE ends the process.
+        handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+        stack.callback(signal.signal, signal.SIGPIPE, handler)
         work = work_of(spool, storage, options.retry_failed)
         folder.set_aside(storage, work)
         drawn = named = deaths = 0
@@ -205,38 +190,12 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
             named, deaths = progress.failed, progress.deaths
         folder.finish(storage, options.table, options.transforms)
         if not options.json:
-            _print_failures(folder.failures(storage), named, deaths)
+            # The run itself has printed the first failed jobs and the first deaths, if any.
+            for record in islice(folder.failures(storage), 0 if named else NAMED):
+                print_message(failed_line(record))
+            if deaths > NAMED:
+                print_message(f"facerender: {deaths} workers ended or hung")
     return _print_status(output, options.json, drawn, time.monotonic() - began)
-
-
-def _print_failures(failed: Iterator[Record], named: int, deaths: int) -> None:
-    """Print the number of ended workers, and the first failed jobs if none has been printed.
-
-    Parameters
-    ----------
-    failed : records of all failed jobs
-    named : number of failed jobs of this run, of which the first have been printed
-    deaths : number of workers that ended in this run, of which the first have been printed
-    """
-    from facerender.batch.progress import NAMED, failed_line
-
-    for record in islice(failed, 0 if named else NAMED):
-        print_message(failed_line(record))
-    if deaths > NAMED:
-        print_message(f"facerender: {deaths} workers ended or hung")
-
-
-@contextmanager
-def _surviving_pipes() -> Iterator[None]:
-    """Ignore SIGPIPE, so that writing to an ended worker or scheduler raises an error.
-
-    Without this, the SIGPIPE handler of the command line ends the process with status 141.
-    """
-    handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGPIPE, handler)
 
 
 def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:

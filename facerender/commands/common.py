@@ -44,61 +44,9 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     return [(int(width), int(height)) for width, height in zip(widths, heights, strict=True)]
 
 
-def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
-    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in counts:
-        choices = " or ".join(map(str, counts))
-        raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")
-    return numbers
-
-
-def add_mesh(command: argparse.ArgumentParser) -> None:
-    """Add the positional argument MESH."""
-    *suffixes, last = FORMATS
-    formats = Help(f"mesh file: {', '.join(suffixes)} or {last}", "the built-in head")
-    command.add_argument("mesh", nargs="?", metavar="MESH", help=formats)
-
-
-MAPS_TITLE = "maps, which replace the maps of the skin"
-_FILES_MAP = "the mesh file's"
-_MAPS = {
-    "albedo": Help("albedo map, sRGB", _FILES_MAP),
-    "normal-map": Help("normal map in tangent space, linear, green up", _FILES_MAP),
-    "specular-map": Help("grey map, linear, which multiplies ks", _FILES_MAP),
-    "roughness-map": Help("grey map, linear; a texel r gives m = r^2", _FILES_MAP),
-    "lobe-map": Help(
-        "grey map, linear, which multiplies the fraction of the second lobe; white is wet skin",
-        "none",
-    ),
-}
-
-
-def add_maps(group: argparse._ActionsContainer, *names: str) -> None:
-    for name in names:
-        group.add_argument(f"--{name}", metavar="FILE", help=_MAPS[name])
-
-
-def add_flip_v(command: argparse._ActionsContainer) -> None:
-    add_flag(command, "flip-v", "flip the v texture coordinate, if colours are in the wrong places")
-
-
-def bounds_of(limits: Range) -> dict[str, str]:
-    """Return a range as the arguments ``values`` and ``unit`` of :class:`Help`."""
-    return {"values": str(limits).removesuffix(limits.unit).strip(), "unit": limits.unit}
-
-
 def number_parser(whole: bool, values: str) -> Callable[[str], float]:
-    """Return a function that parses the number of an option, for argparse.
-
-    Parameters
-    ----------
-    whole : whether the number is an integer
-    values : valid values, for the message on other text
-    """
+    """Return a function that parses the number of an option, for argparse. Its message on other
+    text states the valid values."""
 
     def parse(text: str) -> float:
         try:
@@ -112,98 +60,169 @@ def number_parser(whole: bool, values: str) -> Callable[[str], float]:
     return parse
 
 
-def add_number(
-    group: argparse._ActionsContainer,
-    name: str,
-    text: str,
-    limits: Range,
-    without: str,
-    note: str = "",
-    **keywords: Any,
-) -> None:
-    """Add an option for a number. The help states its range, unit and default.
-
-    Parameters
-    ----------
-    name : name of the option in Python, such as "lobe_weight"
-    without : default, as the help states it
-    text, note : see :class:`Help`
-    keywords : further arguments of ``add_argument``
-    """
-    group.add_argument(
-        f"--{name.replace('_', '-')}",
-        type=number_parser(isinstance(limits, IntegerRange), str(limits)),
-        help=Help(text, without, **bounds_of(limits), note=note),
-        **keywords,
-    )
-
-
-def add_field(
-    group: argparse._ActionsContainer,
-    kind: type,
-    name: str,
-    text: str,
-    without: str = "{:g}",
-    note: str = "",
-    **keywords: Any,
-) -> None:
-    """Add the option that sets a field of a dataclass, with the range of the field.
-
-    Parameters
-    ----------
-    without : default, as the help states it, or a format such as "{:g}" for the field's default
-    text, note, keywords : see :func:`add_number`
-    """
-    default = without.format(getattr(kind, name)) if "{" in without else without
-    add_number(group, name, text, range_of(kind, name), default, note, **keywords)
-
-
-def add_size(
-    group: argparse._ActionsContainer,
-    without: str,
-    note: str = "",
-    metavar: str = "N|WxH",
-    **keywords: Any,
-) -> None:
-    """Add --size. For the parameters see :func:`add_number`."""
-    limits = bounds_of(range_of(ImageSettings, "size"))
-    size = Help("width and height, or N for both", without, **limits, note=note)
-    group.add_argument("--size", metavar=metavar, help=size, **keywords)
-
-
 SIDE = f"{ImageSettings.size[0]}"  # default of --size
 
 
-def add_flag(group: argparse._ActionsContainer, name: str, text: str, note: str = "") -> None:
-    """Add an option without a value."""
-    group.add_argument(f"--{name}", action="store_true", help=Help(text, "off", note=note))
+class Options:
+    """A group of a command's options. Every option has a :class:`Help`."""
 
+    def __init__(self, command: argparse.ArgumentParser, title: str = "") -> None:
+        """Add a group to a command; without a title, use the command's first group."""
+        self.group = command.add_argument_group(title) if title else command
 
-def add_switch(group: argparse._ActionsContainer, name: str, text: str, default: str) -> None:
-    """Add the options --NAME and --no-NAME."""
-    action = argparse.BooleanOptionalAction
-    group.add_argument(f"--{name}", action=action, help=Help(text, default))
+    def add_option(
+        self,
+        names: str,
+        text: str,
+        without: str,
+        note: str = "",
+        values: Range | str = "",
+        unit: str = "",
+        **keywords: Any,
+    ) -> None:
+        """Add an option with a value.
 
+        Parameters
+        ----------
+        names : names of the option and, except with choices, of its value, such as "-o --output F"
+        without : default, as the help states it
+        text, note, values, unit : see :class:`Help`; a range has both values and a unit
+        keywords : further arguments of ``add_argument``
+        """
+        if isinstance(values, Range):
+            unit = values.unit
+            values = str(values).removesuffix(unit).strip()
+        words = names.split()
+        flags = [word for word in words if word.startswith("-")]
+        metavar = words[-1] if len(words) > len(flags) else None
+        help_text = Help(text, without, values, unit, note)
+        self.group.add_argument(*flags, metavar=metavar, help=help_text, **keywords)
 
-def add_backend(group: argparse._ActionsContainer, backends: Iterable[str]) -> None:
-    """Add --backend, which accepts the names in `backends`."""
-    backends = tuple(backends)
-    note = "auto tries egl, then osmesa; on Windows and macOS, auto is native (WGL, CGL). "
-    note += "On Linux, native is GLX, which requires an X server"
-    if "current" in backends:
-        note += ". current is the OpenGL context of the calling program"
-    text = Help("OpenGL backend", "auto", note=note)
-    group.add_argument("--backend", choices=backends, default="auto", help=text)
+    def add_number(
+        self, name: str, text: str, limits: Range, without: str, note: str = "", **keywords: Any
+    ) -> None:
+        """Add an option for a number. The help states its range, unit and default.
 
+        Parameters
+        ----------
+        name : name of the option in Python and, if any, of its value, such as "lobe_weight W"
+        text, without, note, keywords : see :meth:`add_option`
+        """
+        parser = number_parser(isinstance(limits, IntegerRange), str(limits))
+        names = f"--{name.replace('_', '-')}"
+        self.add_option(names, text, without, note, limits, type=parser, **keywords)
 
-def add_quiet(command: argparse._ActionsContainer) -> None:
-    add_flag(command, "quiet", "print only warnings and errors on standard error")
+    def add_count(
+        self, name: str, text: str, counts: Sequence[int], without: str, note: str = ""
+    ) -> None:
+        """Add an option for one of some counts. For the parameters see :meth:`add_number`."""
+        *numbers, last = counts
+        values = f"{', '.join(map(str, numbers))} or {last}"
+        self.add_option(f"--{name}", text, without, note, values, type=number_parser(True, values))
 
+    def add_field(
+        self,
+        kind: type,
+        name: str,
+        text: str,
+        without: str = "{:g}",
+        note: str = "",
+        **keywords: Any,
+    ) -> None:
+        """Add the option that sets a field of a dataclass, with the range of the field.
 
-def add_verbose(command: argparse._ActionsContainer) -> None:
-    """Add --verbose and --quiet."""
-    add_quiet(command)
-    add_flag(command, "verbose", "log each step and its start time on standard error")
+        Parameters
+        ----------
+        name, text, note, keywords : see :meth:`add_number`
+        without : default, as the help states it, or a format such as "{:g}" for the field's default
+        """
+        field = name.split()[0]
+        default = without.format(getattr(kind, field)) if "{" in without else without
+        self.add_number(name, text, range_of(kind, field), default, note, **keywords)
+
+    def add_flag(self, name: str, text: str, note: str = "") -> None:
+        """Add an option without a value."""
+        help_text = Help(text, "off", note=note)
+        self.group.add_argument(f"--{name}", action="store_true", help=help_text)
+
+    def add_switch(self, name: str, text: str, default: str) -> None:
+        """Add the options --NAME and --no-NAME."""
+        self.add_option(f"--{name}", text, default, action=argparse.BooleanOptionalAction)
+
+    def add_mesh(self) -> None:
+        """Add the positional argument MESH."""
+        *suffixes, last = FORMATS
+        formats = Help(f"mesh file: {', '.join(suffixes)} or {last}", "the built-in head")
+        self.group.add_argument("mesh", nargs="?", metavar="MESH", help=formats)
+
+    def add_size(
+        self, without: str, note: str = "", forms: str = "N|WxH", default: str | None = None
+    ) -> None:
+        """Add --size, whose value has one of the forms. See also :meth:`add_field`."""
+        text, values = "width and height, or N for both", range_of(ImageSettings, "size")
+        self.add_option(f"--size {forms}", text, without, note, values, default=default)
+
+    def add_samples(self) -> None:
+        note = "Above the driver's maximum, each sample is drawn as a separate, shifted image"
+        self.add_field(ImageSettings, "samples N", "samples per pixel", note=note)
+
+    def add_budget(self, text: str, required: bool = False, within: str | None = None) -> None:
+        """Add --budget and --within; ``within`` is the default value of --within."""
+        without = "required" if required else "none"
+        note = "1/255 is one 8-bit level, 0.5% is relative radiance, '0.02 flip' is the FLIP metric"
+        self.add_option("--budget ERROR", text, without, note, "at least 0", required=required)
+        text = "fraction of each image's covered pixels that must meet the budget"
+        values = "above 0, at most 1 or 100%"
+        self.add_option("--within FRACTION", text, "100%", values=values, default=within)
+
+    def add_output(self, value: str, text: str, suffix: str, note: str = "") -> None:
+        """Add -o, whose default is the mesh's name with another suffix."""
+        file = f"the mesh's name with {suffix} in the current directory"
+        self.add_option(f"-o --output {value}", text, f"{file}, which must not exist yet", note)
+
+    def add_backend(self, backends: Sequence[str]) -> None:
+        """Add --backend, which accepts the names in `backends`."""
+        note = "auto tries egl, then osmesa; on Windows and macOS, auto is native (WGL, CGL). "
+        note += "On Linux, native is GLX, which requires an X server"
+        if "current" in backends:
+            note += ". current is the OpenGL context of the calling program"
+        text, auto = "OpenGL backend", "auto"
+        self.add_option("--backend", text, auto, note, choices=backends, default=auto)
+
+    def add_quiet(self) -> None:
+        self.add_flag("quiet", "print only warnings and errors on standard error")
+
+    def add_verbose(self) -> None:
+        """Add --verbose and --quiet."""
+        self.add_quiet()
+        self.add_flag("verbose", "log each step and its start time on standard error")
+
+    def add_allow_outside(self) -> None:
+        text = "open files that the mesh file refers to even if they are outside its directory"
+        self.add_flag("allow-outside", text)
+
+    def add_parts(self) -> None:
+        """Add --parts, --hide, --part, --as-is and --double-sided."""
+        names = "Names may contain the wildcards *, ? and [...]; facerender info lists the names"
+        self.add_option("--parts NAME,...", "render only these parts of the mesh", "all", names)
+        hidden = "do not render these parts, which are named as in --parts"
+        self.add_option("--hide NAME,...", hidden, "none")
+        note = (
+            "Give NAME=PRESET, NAME,FACTOR=VALUE,... or both, such as 'eye*=sclera' or "
+            "'lash*,alpha=blend,opacity=0.8'. Factors are the fields of Material; presets: "
+            f"{', '.join(PRESETS)}"
+        )
+        text, default = "material of some parts; repeat for other parts", "the mesh file's"
+        self.add_option("--part NAME=PRESET", text, default, note, action="append")
+        self.add_as_is()
+        note = "By default, glTF materials decide; in other formats, only open surfaces have two "
+        note += "sides"
+        self.add_flag("double-sided", "draw the back faces of all parts", note)
+
+    def add_as_is(self) -> None:
+        note = "By default, a part with a known name and without maps or opacity gets a preset. "
+        note += "Names define the skin in both cases"
+        self.add_flag("as-is", "draw every part with the material of the mesh file", note)
 
 
 def step_log(options: argparse.Namespace) -> Callable[[str], None]:
@@ -225,43 +244,11 @@ def progress_bar(options: argparse.Namespace) -> Bar:
     return Bar(options.quiet, log if options.verbose else None)
 
 
-def add_allow_outside(command: argparse._ActionsContainer) -> None:
-    text = "open files that the mesh file refers to even if they are outside its directory"
-    add_flag(command, "allow-outside", text)
-
-
-def add_parts(command: argparse._ActionsContainer) -> None:
-    """Add --parts, --hide, --part, --as-is and --double-sided."""
-    names = "Names may contain the wildcards *, ? and [...]; facerender info lists the names"
-    parts = Help("render only these parts of the mesh", "all", note=names)
-    command.add_argument("--parts", metavar="NAME,...", help=parts)
-    hidden = Help("do not render these parts, which are named as in --parts", "none")
-    command.add_argument("--hide", metavar="NAME,...", help=hidden)
-    note = (
-        "Give NAME=PRESET, NAME,FACTOR=VALUE,... or both, such as 'eye*=sclera' or "
-        "'lash*,alpha=blend,opacity=0.8'. Factors are the fields of Material; presets: "
-        f"{', '.join(PRESETS)}"
-    )
-    material = Help("material of some parts; repeat for other parts", "the mesh file's", note=note)
-    command.add_argument("--part", action="append", metavar="NAME=PRESET", help=material)
-    add_as_is(command)
-    note = "By default, glTF materials decide; in other formats, only open surfaces have two sides"
-    add_flag(command, "double-sided", "draw the back faces of all parts", note)
-
-
-def add_as_is(command: argparse._ActionsContainer) -> None:
-    note = "By default, a part with a known name and without maps or opacity gets a preset. Names "
-    note += "define the skin in both cases"
-    add_flag(command, "as-is", "draw every part with the material of the mesh file", note)
-
-
 def part_materials(
     options: argparse.Namespace, known: Mapping[str, Mapping[str, Any]] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Return the materials of parts of the scene file and of --part. Later options win.
-
-    known : tables of the scene file, as in :func:`facerender.scenes.file.part_tables`
-    """
+    """Return the materials of parts: the tables ``known`` of a scene file, as in
+    :func:`facerender.scenes.file.part_tables`, changed by --part. Later options win."""
     tables = {name: dict(table) for name, table in (known or {}).items()}
     for name, table in map(parse_part, options.part or ()):
         tables[name] = {**tables.pop(name, {}), **table}
@@ -284,23 +271,10 @@ def check_inputs(job: Job) -> None:
         check_file(job.environment.file, wanted(job.environment.file))
 
 
-# Default of -o, as the help states it.
-DEFAULT_OUTPUT = "the mesh's name with {} in the current directory, which must not exist yet"
-
-
-def default_output(mesh: str | None, suffix: str) -> str:
-    """Return the name of the output file without -o: the name of the mesh with another suffix."""
-    return f"{Path(mesh or 'head').stem}{suffix}"
-
-
-def check_absent(files: Iterable[str], output: str) -> None:
-    """Raise InputError if a file exists that a command would write without -o ``output``."""
-    if existing := [*filter(os.path.lexists, files)]:
-        raise InputError(f"{existing[0]} exists: give -o {output} to replace it, or another name")
-
-
 def check_outputs(
-    written: Iterable[str | Path | None], read: Iterable[str | Path | None] = ()
+    written: Iterable[str | Path | None],
+    read: Iterable[str | Path | None] = (),
+    default: str | None = None,
 ) -> None:
     """Check the output files of a command before it starts to work.
 
@@ -311,24 +285,28 @@ def check_outputs(
     ----------
     written : output files; None is ignored
     read : input files; the iterable is used only if an output file already exists
+    default : name of the output without -o, which replaces no file; None with -o
 
     Raises
     ------
     InputError : an output file cannot be written, appears twice, or is also an input file; the
         paths may differ, for example through a link
     """
+    paths = [path for path in written if path]
+    if default and (existing := [*filter(os.path.lexists, paths)]):
+        raise InputError(f"{existing[0]} exists: give -o {default} to replace it, or another name")
     names: dict[object, str | Path] = {}
-    for name in (path for path in written if path):
+    for name in paths:
         check_writable(name)
         if (identity := _identity(name)) in names:
             raise InputError(f"{name} is written twice: give another name")
         names[identity] = name
     for folder in {Path(name).parent for name in names.values()}:
         remove_abandoned(folder)
-    if not (existing := {key: name for key, name in names.items() if os.path.exists(name)}):
+    if not (replaceable := {key: name for key, name in names.items() if os.path.exists(name)}):
         return
     for path in read:
-        if path and (replaced := existing.get(_identity(path))):
+        if path and (replaced := replaceable.get(_identity(path))):
             raise InputError(f"{replaced} is both input and output: give another output file")
 
 

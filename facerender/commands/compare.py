@@ -12,13 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from facerender.commands.common import (
-    add_flag,
-    add_number,
-    add_verbose,
-    check_outputs,
-    progress_bar,
-)
+from facerender.commands.common import Options, check_outputs, progress_bar
 from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.comparison import flip
@@ -53,45 +47,39 @@ def add(compare: argparse.ArgumentParser) -> None:
     compare.add_argument("a", metavar="A", nargs="?", help=reference)
     image = Help("image to compare, or a folder of images with the same names", needed)
     compare.add_argument("b", metavar="B", nargs="?", help=image)
-    limits = compare.add_argument_group("limits, above which the images differ")
+    limits = Options(compare, "limits, above which the images differ")
     for name in (field.name for field in fields(Limits)):
         text, unit, _ = CHECKS[name]
         unit, _, remark = unit.partition(" ")
         if unit == "%":
             text, unit = f"{text}, as a fraction {remark}", ""
-        bounds = Range(0.0, HIGHEST, unit)
-        add_number(limits, name, text, bounds, default_of(name), metavar="LIMIT")
-    file = Help("pytest's ini file, or pyproject.toml: limits that no option sets", "none")
-    limits.add_argument("--limits", metavar="FILE", help=file)
-    add_flag(
-        limits,
+        limits.add_number(f"{name} LIMIT", text, Range(0.0, HIGHEST, unit), default_of(name))
+    file = "pytest's ini file, or pyproject.toml: limits that no option sets"
+    limits.add_option("--limits FILE", file, "none")
+    limits.add_flag(
         "same-driver",
         "compare as images of one OpenGL driver; by default, only images whose metadata name one "
         "driver, or that differ without noise, are of one driver",
     )
-    mask = Help("image that is not 0 at the pixels to compare", "all pixels")
-    limits.add_argument("--mask", metavar="FILE", help=mask)
-    calibration = compare.add_argument_group("limits for another renderer")
-    runs = Help(
-        "find limits, instead of comparing",
-        "off",
-        note="DIR has a folder for each run or driver. All images of the same name must pass. The "
+    limits.add_option("--mask FILE", "image that is not 0 at the pixels to compare", "all pixels")
+    calibration = Options(compare, "limits for another renderer")
+    note = (
+        "DIR has a folder for each run or driver. All images of the same name must pass. The "
         "limits are printed as a section of pytest's ini file, each with the smallest change that "
-        "the limit still detects",
+        "the limit still detects"
     )
-    calibration.add_argument("--calibrate", metavar="DIR", help=runs)
-    output = Help("new .ini, .cfg or .toml file for the limits of --calibrate", "none")
-    calibration.add_argument("-o", "--output", metavar="FILE", help=output)
-    results = compare.add_argument_group("results")
+    calibration.add_option("--calibrate DIR", "find limits, instead of comparing", "off", note)
+    output = "new .ini, .cfg or .toml file for the limits of --calibrate"
+    calibration.add_option("-o --output FILE", output, "none")
+    results = Options(compare, "results")
+    heatmap = "image of the FLIP metric at each pixel, for two images"
     note = "Requires pip install 'facerender[measure]'"
-    heatmap = Help("image of the FLIP metric at each pixel, for two images", "none", note=note)
-    results.add_argument("--heatmap", metavar="OUT.png", help=heatmap)
-    sheet = Help("picture of A, B and their difference, for two images", "none")
-    results.add_argument("--sheet", metavar="OUT.png", help=sheet)
-    report = Help("HTML page with all images and metrics", "none")
-    results.add_argument("--report", metavar="OUT.html", help=report)
-    add_flag(results, "json", "print every metric as JSON")
-    add_verbose(results)
+    results.add_option("--heatmap OUT.png", heatmap, "none", note)
+    sheet = "picture of A, B and their difference, for two images"
+    results.add_option("--sheet OUT.png", sheet, "none")
+    results.add_option("--report OUT.html", "HTML page with all images and metrics", "none")
+    results.add_flag("json", "print every metric as JSON")
+    results.add_verbose()
 
 
 def default_of(name: str) -> str:

@@ -62,7 +62,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
     lines = [f"facerender {facts['facerender']}, Python {facts['python']}, {facts['system']}"]
-    lines += [f"{finding.backend:7} {_text(finding)}" for finding in findings]
+    for finding in findings:
+        driver = (
+            f"{finding.renderer}, OpenGL {finding.version}, up to {finding.samples} samples and "
+            f"{finding.size} pixels per side"
+        )
+        lines.append(f"{finding.backend:7} {finding.error or driver}")
     lines.append(f"auto    {facts['auto'] or 'no backend works'}")
     for extra, versions in facts["packages"].items():
         words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]
@@ -70,13 +75,6 @@ def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
         lines.append(f"{extra or 'Python':7} {', '.join(words)}{remedy}")
     used, limit = cache.size() >> 20, cache.limit() >> 20
     return [*lines, f"cache   {cache.folder()}, {used} of at most {limit} MiB"]
-
-
-def _text(finding: Finding) -> str:
-    return finding.error or (
-        f"{finding.renderer}, OpenGL {finding.version}, up to {finding.samples} samples and "
-        f"{finding.size} pixels per side"
-    )
 
 
 def _system() -> str:

@@ -6,16 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from facerender.commands.common import (
-    DEFAULT_OUTPUT,
-    add_verbose,
-    check_absent,
-    check_outputs,
-    default_output,
-    import_trimesh,
-    progress_bar,
-)
-from facerender.commands.help import Help
+from facerender.commands.common import Options, check_outputs, import_trimesh, progress_bar
 from facerender.commands.scene import add_scene, files_read, job_of, plays
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
@@ -33,28 +24,24 @@ def add(explore: argparse.ArgumentParser) -> None:
         "their difference and cost. The file opens from disk, needs no network, and uses\n"
         "the GPU of the reader's machine. A note on the page lists features that it omits."
     )
-    output = Help("output file, which ends in .html or .htm", DEFAULT_OUTPUT.format(".html"))
-    explore.add_argument("-o", "--output", metavar="OUT.html", help=output)
-    terms, scene = add_scene(explore)
-    lobe = Help("lobe of shading B", f"the scene file's, otherwise {_LOBE}")
-    terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
-    against = Help("lobe of shading A, against which the page measures B", "exact")
-    terms.add_argument("--against", choices=tuple(LOBES), default="exact", help=against)
-    file = Help("scene file with camera, lights, material and the shading B", "none")
-    scene.add_argument("--scene", metavar="FILE.toml", help=file)
-    add_verbose(explore)
+    text = "output file, which ends in .html or .htm"
+    Options(explore).add_output("OUT.html", text, ".html")
+    terms, _ = add_scene(explore, shading="the shading B")
+    default, lobes = f"the scene file's, otherwise {_LOBE}", tuple(LOBES)
+    terms.add_option("--lobe", "lobe of shading B", default, choices=lobes)
+    text = "lobe of shading A, against which the page measures B"
+    terms.add_option("--against", text, "exact", choices=lobes, default="exact")
+    Options(explore).add_verbose()
 
 
 def run(options: argparse.Namespace) -> int:
-    output = options.output or default_output(options.mesh, ".html")
+    output = options.output or f"{Path(options.mesh or 'head').stem}.html"
     if Path(output).suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{output}: the explorer is an HTML page; give a name that ends in .html")
     job, cameras = job_of(options, None)
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
-    if options.output is None:
-        check_absent([output], output)
-    check_outputs([output], files_read(options, job))
+    check_outputs([output], files_read(options, job), None if options.output else output)
     import_trimesh(options.mesh)
     b = job.shading.term
     if options.lobe is None and options.scene is None:

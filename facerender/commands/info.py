@@ -12,15 +12,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import (
-    add_allow_outside,
-    add_as_is,
-    add_flag,
-    add_mesh,
-    import_trimesh,
-)
+from facerender.commands.common import Options, import_trimesh
 from facerender.commands.streams import print_result
-from facerender.errors import FacerenderWarning
+from facerender.errors import FacerenderWarning, number_of
 from facerender.loading import load_mesh
 from facerender.loading.source import source_of
 from facerender.scenes import hints
@@ -46,11 +40,12 @@ def add(info: argparse.ArgumentParser) -> None:
         f"mesh with more than {_MOST_ROWS} parts share a row. Factors and maps of other commands\n"
         "apply to the parts that are skin. The command draws nothing."
     )
-    add_mesh(info)
-    add_allow_outside(info)
-    add_as_is(info)
-    add_flag(
-        info, "json", "print all contents as JSON, also vertices, names of maps and every factor"
+    options = Options(info)
+    options.add_mesh()
+    options.add_allow_outside()
+    options.add_as_is()
+    options.add_flag(
+        "json", "print all contents as JSON, also vertices, names of maps and every factor"
     )
 
 
@@ -99,19 +94,15 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
 
 
 def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
-    maps = {name: texture for name in MAPS if (texture := getattr(material, name)) is not None}
-    factors = {
-        field.name: getattr(material, field.name)
-        for field in fields(Material)
-        if field.name not in MAPS
-    }
+    values = {field.name: getattr(material, field.name) for field in fields(Material)}
+    maps = {name: texture for name in MAPS if (texture := values.pop(name)) is not None}
     return {
         "number": number,
         "name": part.name,
         "vertices": len(part.positions),
         "triangles": len(part.faces),
         "has": [name for name in ("uv", "uv2", "colors") if getattr(part, name) is not None],
-        "material": factors,
+        "material": values,
         "preset": part.preset or None,
         "maps": {
             name: {
@@ -127,23 +118,19 @@ def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
 
 def _lines(facts: dict[str, Any]) -> list[str]:
     parts = facts["parts"]
-    low, high = (
-        " ".join(f"{coordinate:.5g}" for coordinate in corner) for corner in facts["bounds"]
-    )
+    low, high = (" ".join(f"{x:.5g}" for x in corner) for corner in facts["bounds"])
     lines = [
         f"{facts['file']}: {facts['format']}, {facts['bytes']} bytes",
-        f"{len(parts)} part{'s' * (len(parts) > 1)}, {facts['vertices']} vertices, "
+        f"{number_of(len(parts), 'part')}, {facts['vertices']} vertices, "
         f"{facts['triangles']} triangles",
         f"from ({low}) to ({high})",
         _size(facts),
     ]
-    lines += (
-        _table([_HEAD_OF_TABLE, *map(_row, parts)]) if len(parts) <= _MOST_ROWS else _few(parts)
-    )
-    lines += _list("shapes", facts["shapes"])
-    lines += _list(
-        "clips", [f"{name} {_seconds(length)}" for name, length in facts["clips"].items()]
-    )
+    few = len(parts) <= _MOST_ROWS
+    lines += _table([_HEAD_OF_TABLE, *map(_row, parts)]) if few else _table_of_groups(parts)
+    lines += _list("shape", facts["shapes"])
+    clips = facts["clips"].items()
+    lines += _list("clip", [f"{n} {'damaged' if t is None else f'{t:.4g} s'}" for n, t in clips])
     lines += [f"warning: {warning}" for warning in facts["warnings"]]
     return lines + [f"hint: {hint}" for hint in facts["hints"]]
 
@@ -152,7 +139,7 @@ def _list(kind: str, names: Sequence[str]) -> list[str]:
     """Return indented lines of names below their number."""
     if not names:
         return []
-    lines = [f"{len(names)} {kind[:-1] if len(names) == 1 else kind}:"]
+    lines = [f"{number_of(len(names), kind)}:"]
     lines += [
         "  " + ", ".join(names[i : i + _NAMES_PER_LINE])
         for i in range(0, min(len(names), _MOST_NAMES), _NAMES_PER_LINE)
@@ -161,7 +148,7 @@ def _list(kind: str, names: Sequence[str]) -> list[str]:
     return [*lines, f"  and {excess} more: --json lists all"] if excess > 0 else lines
 
 
-def _few(parts: Sequence[dict[str, Any]]) -> list[str]:
+def _table_of_groups(parts: Sequence[dict[str, Any]]) -> list[str]:
     """Return a table of many parts, in which parts with equal materials share a row. The rows with
     the most triangles are listed, then the names of the parts that share a row."""
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
@@ -183,21 +170,15 @@ def _few(parts: Sequence[dict[str, Any]]) -> list[str]:
         lines.append(f"and {len(remainder)} more parts with {triangles} triangles")
     lines += shared
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH
-    return [*(_cut(line, width) for line in lines), "--json lists all parts with their materials"]
-
-
-def _cut(line: str, width: int) -> str:
-    return line if len(line) <= width else f"{line[: width - 4]} ..."
-
-
-def _seconds(length: float | None) -> str:
-    return "damaged" if length is None else f"{length:.4g} s"
+    lines = [line if len(line) <= width else f"{line[: width - 4]} ..." for line in lines]
+    return [*lines, "--json lists all parts with their materials"]
 
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:
     """Return a part's row of the table: name, triangles, skin, preset, maps, factors."""
     maps = [
-        f"{name.removesuffix('_map')} {_size_of(texture)}" for name, texture in part["maps"].items()
+        f"{name.removesuffix('_map')} {_size_of(*texture['size'])}"
+        for name, texture in part["maps"].items()
     ]
     maps += ["vertex colours"] * ("colors" in part["has"]) + ["no uv"] * ("uv" not in part["has"])
     name, count = part["name"] or "(no name)", str(part["triangles"])
@@ -205,8 +186,7 @@ def _row(part: dict[str, Any]) -> tuple[str, ...]:
     return name, count, skin, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
 
 
-def _size_of(texture: dict[str, Any]) -> str:
-    width, height = texture["size"]
+def _size_of(width: int, height: int) -> str:
     return str(width) if width == height else f"{width}x{height}"
 
 
@@ -237,9 +217,7 @@ def _size(facts: dict[str, Any]) -> str:
 
 def _factors(part: dict[str, Any]) -> str:
     """Return the factors of a part that its preset or, without one, the defaults do not set."""
-    defaults = {
-        field.name: field.default for field in fields(Material) if field.name not in _ALWAYS
-    }
+    defaults = {f.name: f.default for f in fields(Material) if f.name not in _ALWAYS}
     defaults |= {"double_sided": False, **PRESETS.get(part["preset"], {})}
     factors = dict(part["material"])
     factors.pop("m" if "roughness_map" in part["maps"] else "roughness_factor")

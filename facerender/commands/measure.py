@@ -6,20 +6,13 @@ import argparse
 import json
 
 from facerender.commands.common import (
-    add_allow_outside,
-    add_backend,
-    add_field,
-    add_flag,
-    add_mesh,
-    add_parts,
-    add_verbose,
+    Options,
     check_outputs,
     import_trimesh,
     mesh_files,
     part_materials,
     progress_bar,
 )
-from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.job import Job, MeshFile
@@ -35,18 +28,19 @@ def add(measure: argparse.ArgumentParser) -> None:
         "Print recommended variants and tables; write measure.json, images and an HTML page.\n"
         "FLIP requires pip install 'facerender[measure]'."
     )
-    add_mesh(measure)
+    options = Options(measure)
+    options.add_mesh()
     folder = "out/measure"
-    output = Help("directory for measure.json, images and index.html", folder)
-    measure.add_argument("-o", "--output", default=folder, metavar="DIR", help=output)
-    add_allow_outside(measure)
-    add_parts(measure)
+    text = "directory for measure.json, images and index.html"
+    options.add_option("-o --output DIR", text, folder, default=folder)
+    options.add_allow_outside()
+    options.add_parts()
     slope = "RMS slope of the skin's microfacets; other parts keep their own"
-    add_field(measure, Material, "m", slope, default=Material.m, metavar="M")
-    add_flag(measure, "quick", "use smaller images and fewer repeats")
-    add_backend(measure, BACKENDS)
-    add_flag(measure, "json", "print measure.json instead of the table")
-    add_verbose(measure)
+    options.add_field(Material, "m M", slope, default=Material.m)
+    options.add_flag("quick", "use smaller images and fewer repeats")
+    options.add_backend(BACKENDS)
+    options.add_flag("json", "print measure.json instead of the table")
+    options.add_verbose()
 
 
 def run(options: argparse.Namespace) -> int:

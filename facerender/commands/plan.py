@@ -7,26 +7,8 @@ import json
 import math
 import time
 
-from facerender.commands.common import (
-    SIDE,
-    add_backend,
-    add_field,
-    add_flag,
-    add_size,
-    add_verbose,
-    check_outputs,
-    parse_sizes,
-    progress_bar,
-)
-from facerender.commands.help import Help
-from facerender.commands.scene import (
-    add_budget,
-    add_samples,
-    add_scene,
-    files_read,
-    job_of,
-    load,
-)
+from facerender.commands.common import SIDE, Options, check_outputs, parse_sizes, progress_bar
+from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
@@ -44,40 +26,35 @@ def add(plan: argparse.ArgumentParser) -> None:
         "error at every pixel, or at a fraction of the pixels, stays within the budget. The\n"
         "reference has the exact lobe and all terms, maps, samples and triangles."
     )
-    search = plan.add_argument_group("search")
-    add_budget(search, "largest error of the planned frame", required=True, within="100%")
-    prices = Help(
-        "cost to minimise",
-        "frame",
-        note="frame is the time of whole frames, drawn in turns with the full frame. Other values "
+    search = Options(plan, "search")
+    search.add_budget("largest error of the planned frame", required=True, within="100%")
+    note = (
+        "frame is the time of whole frames, drawn in turns with the full frame. Other values "
         "are the cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 "
         "(RDNA2) and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws, otherwise "
-        "navi21; here is measured on this machine",
+        "navi21; here is measured on this machine"
     )
-    search.add_argument("--cost", default="frame", metavar="COST", help=prices)
-    _, scene = add_scene(plan)
-    file = "scene file with camera, lights, material and shading"
-    scene.add_argument("--scene", metavar="FILE.toml", help=Help(file, "none"))
-    images = plan.add_argument_group("where the error is measured")
+    search.add_option("--cost COST", "cost to minimise", "frame", note, default="frame")
+    add_scene(plan)
+    images = Options(plan, "where the error is measured")
     note = "FROM..TO, such as 512..1024, also measures sizes between both ends"
-    add_size(images, SIDE, note, "N|WxH|FROM..TO", default=SIDE)
-    add_samples(images)
-    exposure = "exposure of the display"
-    add_field(images, Output, "exposure", exposure, default=Output.exposure, metavar="STOPS")
-    add_backend(images, BACKENDS)
+    images.add_size(SIDE, note, "N|WxH|FROM..TO", default=SIDE)
+    images.add_samples()
+    images.add_field(Output, "exposure STOPS", "exposure of the display", default=Output.exposure)
+    images.add_backend(BACKENDS)
 
-    output = plan.add_argument_group("results")
-    add_flag(output, "json", "print the whole plan as JSON")
-    shader = Help("file for the shader with the chosen terms and constants", "none")
-    output.add_argument("--emit", metavar="OUT.glsl", help=shader)
+    output = Options(plan, "results")
+    output.add_flag("json", "print the whole plan as JSON")
+    shader = "file for the shader with the chosen terms and constants"
+    output.add_option("--emit OUT.glsl", shader, "none")
     text = "#version line or language of the shader of --emit"
-    target = Help(text, "GLSL to include, without #version")
-    output.add_argument("--target", choices=(*TARGETS, *LANGUAGES), help=target)
-    planned = Help("file for the planned scene, which render and batch read with --scene", "none")
-    output.add_argument("--save-scene", metavar="OUT.toml", help=planned)
-    worst = Help("image of the error at each pixel, for the camera with the largest error", "none")
-    output.add_argument("--error-map", metavar="OUT.png", help=worst)
-    add_verbose(output)
+    default = "GLSL to include, without #version"
+    output.add_option("--target", text, default, choices=(*TARGETS, *LANGUAGES))
+    planned = "file for the planned scene, which render and batch read with --scene"
+    output.add_option("--save-scene OUT.toml", planned, "none")
+    worst = "image of the error at each pixel, for the camera with the largest error"
+    output.add_option("--error-map OUT.png", worst, "none")
+    output.add_verbose()
 
 
 def run(options: argparse.Namespace) -> int:

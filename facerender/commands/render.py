@@ -6,43 +6,13 @@ import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import (
-    DEFAULT_OUTPUT,
-    SIDE,
-    add_backend,
-    add_field,
-    add_flag,
-    add_number,
-    add_size,
-    add_verbose,
-    check_absent,
-    check_inputs,
-    check_outputs,
-    default_output,
-    step_log,
-)
-from facerender.commands.help import Help
-from facerender.commands.scene import (
-    add_budget,
-    add_samples,
-    add_scene,
-    files_read,
-    job_of,
-    load,
-    plays,
-    sequence,
-)
+from facerender.commands import views
+from facerender.commands.common import SIDE, Options, check_inputs, check_outputs, step_log
+from facerender.commands.scene import add_scene, files_read, job_of, load, plays, sequence
 from facerender.commands.streams import print_message, print_result
-from facerender.commands.views import (
-    CLIP_FPS,
-    FPS,
-    STANDARD_OUTPUT,
-    Destination,
-    check_sheet,
-    is_several,
-)
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import IMAGE_FORMATS
 from facerender.drawing.renderer import Renderer
@@ -68,56 +38,49 @@ def add(render: argparse.ArgumentParser) -> None:
         "or a sheet. Options override a scene file."
     )
     kinds = ".png, .jpg or .webp (8-bit sRGB), .exr (linear float32), or - for standard output"
-    views = (
+    note = (
         "Several views write OUT_000.png and so on, or replace {index} and {name} in OUT; a .gif, "
         ".webp or .mp4 holds all views. Requires pip install 'facerender[exr]' for .exr, "
         "'facerender[mp4]' for .mp4"
     )
-    output = Help(f"output file: {kinds}", DEFAULT_OUTPUT.format(".png"), note=views)
-    render.add_argument("-o", "--output", metavar="OUT", help=output)
+    Options(render).add_output("OUT", f"output file: {kinds}", ".png", note)
     terms, scene = add_scene(render)
-    note = "facerender measure prints their errors"
-    lobe = Help("exact lobe, or an approximation", "exact", note=note)
-    terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
+    text, note = "exact lobe, or an approximation", "facerender measure prints their errors"
+    terms.add_option("--lobe", text, "exact", note, choices=tuple(LOBES))
     text = (
         "action if m is outside the lobe's valid range: stop with an error, or use the exact lobe"
     )
-    terms.add_argument("--outside", choices=OUTSIDE, help=Help(text, Shading.outside))
-    file = "scene file with camera, lights, material and shading"
-    scene.add_argument("--scene", metavar="FILE.toml", help=Help(file, "none"))
-    values = str(range_of(Camera, "target"))
-    center = Help("point at the centre of the image", "the centre of --frame", values, "mesh units")
-    scene.add_argument("--target", dest="looked_at", metavar="X,Y,Z", help=center)
+    terms.add_option("--outside", text, Shading.outside, choices=OUTSIDE)
+    text, default = "point at the centre of the image", "the centre of --frame"
+    target = str(range_of(Camera, "target"))
+    scene.add_option("--target X,Y,Z", text, default, "", target, "mesh units", dest="looked_at")
     note = "Requires pip install 'facerender[lod]'"
-    triangles = "simplify the mesh to N triangles"
-    add_field(scene, MeshFile, "triangles", triangles, "all", note, metavar="N")
+    scene.add_field(MeshFile, "triangles N", "simplify the mesh to N triangles", "all", note)
 
-    planned = render.add_argument_group("planned frame")
-    add_budget(planned, "largest error of a cheaper frame to plan and render")
+    planned = Options(render, "planned frame")
+    planned.add_budget("largest error of a cheaper frame to plan and render")
 
-    image = render.add_argument_group("image")
-    add_size(image, f"{SIDE}, or the size in the camera file")
-    add_samples(image)
+    image = Options(render, "image")
+    image.add_size(f"{SIDE}, or the size in the camera file")
+    image.add_samples()
     exposure = "exposure of all formats except .exr"
-    add_field(image, Output, "exposure", exposure, default=Output.exposure, metavar="STOPS")
+    image.add_field(Output, "exposure STOPS", exposure, default=Output.exposure)
     note = "parts gives each part a colour, or in an .exr file the number of the part"
-    only = Help("term or data to render", "the whole image", note=note)
-    image.add_argument("--only", choices=ONLY, help=only)
+    image.add_option("--only", "term or data to render", "the whole image", note, choices=ONLY)
     opacity = "smallest opacity at which a blended part counts as a surface in data"
-    add_field(image, ImageSettings, "alpha_threshold", opacity, metavar="ALPHA")
-    image.add_argument("--format", choices=IMAGE_FORMATS, help=Help("format of -o -", "png"))
-    add_flag(image, "sheet", "arrange all views in one image")
-    rate, default = (
-        "images per second of an animation, or of a clip",
-        f"{FPS:g}; {CLIP_FPS:g} of a clip",
+    image.add_field(ImageSettings, "alpha_threshold ALPHA", opacity)
+    image.add_option("--format", "format of -o -", "png", choices=IMAGE_FORMATS)
+    image.add_flag("sheet", "arrange all views in one image")
+    rate = "images per second of an animation, or of a clip"
+    image.add_number(
+        "fps N", rate, Range(*FRAME_RATES), f"{views.FPS:g}; {views.CLIP_FPS:g} of a clip"
     )
-    add_number(image, "fps", rate, Range(*FRAME_RATES), default, metavar="N")
-    add_backend(image, BACKENDS)
-    add_flag(image, "no-cache", "do not use the cache in ~/.cache/facerender")
+    image.add_backend(BACKENDS)
+    image.add_flag("no-cache", "do not use the cache in ~/.cache/facerender")
     memory, note = "limit of the estimated memory", "A scene that needs more is refused"
-    add_number(image, "memory", memory, MEMORY, "the free memory", note, metavar="MIB")
-    add_flag(image, "json", "print output files, driver, terms and warnings as JSON")
-    add_verbose(image)
+    image.add_number("memory MIB", memory, MEMORY, "the free memory", note)
+    image.add_flag("json", "print output files, driver, terms and warnings as JSON")
+    image.add_verbose()
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -126,7 +89,7 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
     if options.within is not None and options.budget is None:
         raise InputError(f"--within {options.within} has no budget: add --budget ERROR")
-    if options.json and options.output == STANDARD_OUTPUT:
+    if options.json and options.output == views.STANDARD_OUTPUT:
         raise InputError("-o - and --json both write to standard output: leave one of them out")
 
 
@@ -137,9 +100,7 @@ def _scenes(
 
     previous_pose : pose before the first pose if motion is drawn, else None
     """
-    previous_scene = (
-        None if previous_pose is None else replace(scene, mesh=posed(scene.mesh, previous_pose))
-    )
+    previous_scene = previous_pose and replace(scene, mesh=posed(scene.mesh, previous_pose))
     for pose in poses:
         posed_scene = replace(scene, mesh=posed(scene.mesh, pose))
         for camera in cameras:
@@ -150,7 +111,7 @@ def _scenes(
 
 def _check_views(options: argparse.Namespace, output: str, playing: bool, cameras: int) -> None:
     """Raise InputError for options that do not fit a clip, or the number of cameras."""
-    if playing and options.fps is None and not (is_several(output) or options.sheet):
+    if playing and options.fps is None and not (views.is_several(output) or options.sheet):
         raise InputError(
             f"-o {output} holds one image of the clip: give --time SECONDS (or --vertices "
             "FILE,FRAME), or for all frames a .gif, an .mp4 or {index} in the name"
@@ -168,7 +129,7 @@ def _check_views(options: argparse.Namespace, output: str, playing: bool, camera
 def run(options: argparse.Namespace) -> int:
     """Draw and write the images of a command line, and print their names."""
     _check(options)
-    output = options.output or default_output(options.mesh, ".png")
+    output = options.output or f"{Path(options.mesh or 'head').stem}.png"
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
     check_inputs(job)
     playing = plays(options, job.pose)
@@ -184,21 +145,19 @@ def run(options: argparse.Namespace) -> int:
 
     scene = loaded() if playing else None  # the number of frames depends on the mesh
     if scene is not None:
-        poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
+        poses = sequence(job.pose, scene.mesh, options.fps or views.CLIP_FPS)
     names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
     transparent = job.background is None
-    target = Destination.of(
+    target = views.Destination.of(
         output, names, options.sheet, options.format, options.fps, transparent, playing
     )
-    written = [] if output == STANDARD_OUTPUT else target.files
-    if options.output is None:
-        check_absent(written, output)
-    check_outputs(written, files_read(options, job))
+    written = [] if output == views.STANDARD_OUTPUT else target.files
+    check_outputs(written, files_read(options, job), None if options.output else output)
     scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size
     if target.kind == "sheet":
-        check_sheet(target.count, (width, height), options.memory)
+        views.check_sheet(target.count, (width, height), options.memory)
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
@@ -208,10 +167,8 @@ def run(options: argparse.Namespace) -> int:
             from facerender.planning.cache import cached_plan
 
             scene, poses = replace(scene, mesh=posed(scene.mesh, job.pose)), [Pose()]
-            budget, within, cache = options.budget, options.within or 1.0, not options.no_cache
-            plan = cached_plan(
-                scene, budget, job.shading, options.exposure, within, renderer, cache=cache
-            )
+            limits = options.budget, job.shading, options.exposure, options.within or 1.0
+            plan = cached_plan(scene, *limits, renderer, cache=not options.no_cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)
@@ -219,13 +176,9 @@ def run(options: argparse.Namespace) -> int:
         previous_pose = None
         if options.only == "motion":  # the first frame of a sequence has no motion
             previous_pose = poses[0] if playing else job.before
-        scenes = (
-            detail.of(posed_scene)
-            for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
-        )
         frames = (
-            renderer.render(posed_scene, shading, options.only, **keywords)
-            for posed_scene in scenes
+            renderer.render(detail.of(posed_scene), shading, options.only, **keywords)
+            for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
         )
         frame = target.write(frames, options.exposure, scene.background)
     if options.json:

@@ -9,26 +9,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import (
-    MAPS_TITLE,
-    add_allow_outside,
-    add_field,
-    add_flag,
-    add_flip_v,
-    add_maps,
-    add_mesh,
-    add_parts,
-    add_switch,
-    bounds_of,
-    import_trimesh,
-    mesh_files,
-    number_parser,
-    numbers_of,
-    part_materials,
-)
-from facerender.commands.help import Help
+from facerender.commands.common import Options, import_trimesh, mesh_files, part_materials
 from facerender.drawing.prepare import start_maps
-from facerender.errors import InputError, clipped, warn
+from facerender.errors import InputError, clipped, shown, warn
 from facerender.job import Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y, source_of
 from facerender.scenes.camera import (
@@ -64,9 +47,7 @@ from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
 
-_FACTORS = (
-    *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"),
-)
+_FACTORS = ["m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"]
 _OR_FILE = "{:g} or the mesh file's"  # default in the help, for factors that a mesh file may set
 WHERE = (
     f"{ORBITS}, where AZIMUTH may be a name; turntable[:N], for N views around the mesh (8); "
@@ -76,169 +57,147 @@ WHERE = (
 
 
 def add_scene(
-    command: argparse.ArgumentParser,
-) -> tuple[argparse._ArgumentGroup, argparse._ArgumentGroup]:
-    """Add MESH and the options of a scene; return the groups "reflectance" and "scene"."""
-    add_mesh(command)
-    terms = command.add_argument_group("reflectance")
-    maps = command.add_argument_group(MAPS_TITLE)
-    scene = command.add_argument_group("scene")
+    command: argparse.ArgumentParser, shading: str = "shading"
+) -> tuple[Options, Options]:
+    """Add MESH and the options of a scene; return the groups "reflectance" and "scene".
+
+    shading : name of the shading that a scene file sets
+    """
+    Options(command).add_mesh()
+    terms = Options(command, "reflectance")
+    maps = Options(command, "maps, which replace the maps of the skin")
+    scene = Options(command, "scene")
     _add_reflectance(terms)
     _add_maps(maps)
-    add_parts(scene)
+    scene.add_parts()
     unit, default = "length of a unit of the mesh", "1000 in glTF, else unknown"
-    note = "Required for subsurface scattering"
-    add_field(scene, MeshFile, "millimetres", unit, default, note, metavar="MM")
-    orbit = ("azimuth", "elevation", "zoom")
-    note = (
-        f"Give {WHERE}. Ranges: {', '.join(f'{name} {range_of(Camera, name)}' for name in orbit)}"
-    )
-    camera = Help("camera; repeat for several views", "front", note=note)
-    scene.add_argument("--camera", action="append", metavar="CAMERA", help=camera)
+    scene.add_field(MeshFile, "millimetres MM", unit, default, "Required for subsurface scattering")
+    orbit = (f"{name} {range_of(Camera, name)}" for name in ("azimuth", "elevation", "zoom"))
+    text, note = "camera; repeat for several views", f"Give {WHERE}. Ranges: {', '.join(orbit)}"
+    scene.add_option("--camera CAMERA", text, "front", note, action="append")
     note = (
         "auto is the head if a head is found on a clearly larger mesh, otherwise all. Names of "
         "parts and joints in the file, or else the shape of the mesh, define head and face"
     )
-    region = Help("region of the mesh that an orbiting camera frames", Camera.frame, note=note)
-    scene.add_argument("--frame", choices=FRAMES, help=region)
-    add_field(scene, Camera, "fov", "vertical angle of view", metavar="DEGREES")
+    text = "region of the mesh that an orbiting camera frames"
+    scene.add_option("--frame", text, Camera.frame, note, choices=FRAMES)
+    scene.add_field(Camera, "fov DEGREES", "vertical angle of view")
     _add_pose(scene)
     _add_lighting(scene)
     text = "linear background colour R,G,B, or none for transparent"
-    limits, note = (
-        bounds_of(range_of(Scene, "background")),
-        ".jpg, .gif and .mp4 cannot be transparent",
-    )
-    background = Help(text, _numbers(Scene.background), **limits, note=note)
-    scene.add_argument("--background", metavar="R,G,B", help=background)
+    default, note = _numbers(Scene.background), ".jpg, .gif and .mp4 cannot be transparent"
+    scene.add_option("--background R,G,B", text, default, note, range_of(Scene, "background"))
+    text = f"scene file with camera, lights, material and {shading}"
+    scene.add_option("--scene FILE.toml", text, "none")
     return terms, scene
 
 
-def _add_pose(scene: argparse._ArgumentGroup) -> None:
-    text, note = "weight of a shape; repeat for others", "facerender info lists the names"
-    weight = Help(text, "the mesh file's", **bounds_of(SHAPE_WEIGHTS), note=note)
-    scene.add_argument("--weight", action="append", metavar="NAME=WEIGHT", help=weight)
-    clip = Help("animation of the mesh file", "none; the first with --time")
-    scene.add_argument("--clip", metavar="NAME", help=clip)
-    add_field(scene, Pose, "time", "time in the clip", "the whole clip", metavar="SECONDS")
+def _add_pose(scene: Options) -> None:
+    text, default = "weight of a shape; repeat for others", "the mesh file's"
+    note, values = "facerender info lists the names", SHAPE_WEIGHTS
+    scene.add_option("--weight NAME=WEIGHT", text, default, note, values, action="append")
+    scene.add_option("--clip NAME", "animation of the mesh file", "none; the first with --time")
+    scene.add_field(Pose, "time SECONDS", "time in the clip", "the whole clip")
+    text = "vertex positions, all frames or one"
     note = (
         "The file is .npy of shape (frames, vertices, 3), or .npz with such an array for each part"
     )
-    positions = Help("vertex positions, all frames or one", "the mesh file's", note=note)
-    scene.add_argument("--vertices", metavar="FILE[,FRAME]", help=positions)
+    scene.add_option("--vertices FILE[,FRAME]", text, "the mesh file's", note)
     note = "By default, cameras frame the stored pose and stay"
-    add_flag(scene, "track", "orbiting cameras follow the head of a moving mesh", note)
-
-
-def add_budget(
-    group: argparse._ArgumentGroup, text: str, required: bool = False, within: str | None = None
-) -> None:
-    """Add --budget and --within; ``within`` is the default value of --within."""
-    note = "1/255 is one 8-bit level, 0.5% is relative radiance, '0.02 flip' is the FLIP metric"
-    budget = Help(text, "required" if required else "none", "at least 0", note=note)
-    group.add_argument("--budget", required=required, metavar="ERROR", help=budget)
-    text = "fraction of each image's covered pixels that must meet the budget"
-    fraction = Help(text, "100%", "above 0, at most 1 or 100%")
-    group.add_argument("--within", default=within, metavar="FRACTION", help=fraction)
-
-
-def add_samples(group: argparse._ArgumentGroup) -> None:
-    note = "Above the driver's maximum, each sample is drawn as a separate, shifted image"
-    add_field(group, ImageSettings, "samples", "samples per pixel", note=note, metavar="N")
+    scene.add_flag("track", "orbiting cameras follow the head of a moving mesh", note)
 
 
 def _numbers(vector: Any) -> str:
     return ",".join(f"{component:g}" for component in vector)
 
 
-def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
+def _add_reflectance(terms: Options) -> None:
     printed = "ward-printed is Ward as published by Romanyuk et al. (2020)"
     for name, registry, text, note in (
         ("model", MODELS, "specular model", printed),
         ("fresnel", FRESNEL, "Fresnel term of Cook-Torrance", ""),
         ("masking", MASKING, "masking term of Cook-Torrance", ""),
     ):
-        term = Help(text, getattr(Term, name), note=note)
-        terms.add_argument(f"--{name}", choices=tuple(registry), help=term)
+        default = getattr(Term, name)
+        terms.add_option(f"--{name}", text, default, note, choices=tuple(registry))
     slope = "RMS slope of the microfacets"
     note = (
         "Replaces the roughness map. Like other factors and maps, it applies only to skin: to no "
         "part that transmits light or has a name of eyes, lashes, teeth or hair. If no part is "
         "skin, it applies to all. facerender info lists the skin; --part changes any part"
     )
-    add_field(terms, Material, "m", slope, _OR_FILE, note, metavar="M")
-    add_field(terms, Material, "f0", "Fresnel reflectance at normal incidence", _OR_FILE)
-    add_field(terms, Material, "ks", "specular weight", _OR_FILE)
+    terms.add_field(Material, "m M", slope, _OR_FILE, note)
+    terms.add_field(Material, "f0", "Fresnel reflectance at normal incidence", _OR_FILE)
+    terms.add_field(Material, "ks", "specular weight", _OR_FILE)
     note = "coupled reduces the diffuse light by the light that the specular term reflects"
-    diffuse = Help("diffuse term", Shading.diffuse, note=note)
-    terms.add_argument("--diffuse", choices=DIFFUSE, help=diffuse)
-    add_field(terms, Material, "kd", "diffuse weight")
+    terms.add_option("--diffuse", "diffuse term", Shading.diffuse, note, choices=DIFFUSE)
+    terms.add_field(Material, "kd", "diffuse weight")
     text = "specular antialiasing: widen the lobe by normal-map slopes smaller than a pixel"
-    add_switch(terms, "slope-filter", text, "on")
+    terms.add_switch("slope-filter", text, "on")
     second = "m of a second lobe, as a factor of m"
-    add_field(terms, Material, "second_slope", second, "{:g}: one lobe", metavar="F")
-    weight = "fraction of the first lobe"
-    add_field(terms, Material, "lobe_weight", weight, "{:g}: one lobe", metavar="W")
-    note = "Requires the length of a mesh unit: see --millimetres"
-    scattering = Help("subsurface scattering", "none", note=note)
-    terms.add_argument("--scattering", choices=("skin", "none"), help=scattering)
-    *numbers, last = SCATTER_SAMPLES
-    counts = f"{', '.join(map(str, numbers))} or {last}"
-    note = "0 disables subsurface scattering"
-    samples = Help("subsurface samples per pixel", f"{Shading.scatter_samples}", counts, note=note)
-    terms.add_argument(
-        "--scatter-samples", type=number_parser(True, counts), metavar="N", help=samples
-    )
+    terms.add_field(Material, "second_slope F", second, "{:g}: one lobe")
+    terms.add_field(Material, "lobe_weight W", "fraction of the first lobe", "{:g}: one lobe")
+    text, note = "subsurface scattering", "Requires the length of a mesh unit: see --millimetres"
+    terms.add_option("--scattering", text, "none", note, choices=("skin", "none"))
+    text, note = "subsurface samples per pixel", "0 disables subsurface scattering"
+    default = f"{Shading.scatter_samples}"
+    terms.add_count("scatter-samples N", text, SCATTER_SAMPLES, default, note)
 
 
-def _add_maps(maps: argparse._ArgumentGroup) -> None:
-    add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map", "lobe-map")
-    add_flip_v(maps)
+def _add_maps(maps: Options) -> None:
+    for name, text, default in (
+        ("albedo", "albedo map, sRGB", "the mesh file's"),
+        ("normal-map", "normal map in tangent space, linear, green up", "the mesh file's"),
+        ("specular-map", "grey map, linear, which multiplies ks", "the mesh file's"),
+        ("roughness-map", "grey map, linear; a texel r gives m = r^2", "the mesh file's"),
+        (
+            "lobe-map",
+            "grey map, linear, which multiplies the fraction of the second lobe; white is wet skin",
+            "none",
+        ),
+    ):
+        maps.add_option(f"--{name} FILE", text, default)
+    maps.add_flag("flip-v", "flip the v texture coordinate, if colours are in the wrong places")
     text = "direction of green in normal maps, including maps of the mesh file"
-    green = Help(text, MeshFile.normal_map_y, note="down is the convention of DirectX")
-    maps.add_argument("--normal-map-y", choices=NORMAL_MAP_Y, help=green)
-    strength = "factor on the slopes of normal maps"
-    add_field(maps, Material, "normal_strength", strength, _OR_FILE, metavar="X")
-    add_allow_outside(maps)
-    filtering = "maximum anisotropy of texture filtering"
-    add_field(maps, ImageSettings, "anisotropy", filtering, metavar="N")
+    default, note = MeshFile.normal_map_y, "down is the convention of DirectX"
+    maps.add_option("--normal-map-y", text, default, note, choices=NORMAL_MAP_Y)
+    maps.add_field(Material, "normal_strength X", "factor on the slopes of normal maps", _OR_FILE)
+    maps.add_allow_outside()
+    maps.add_field(ImageSettings, "anisotropy N", "maximum anisotropy of texture filtering")
     text = "store albedo maps as linear float16, so that drivers differ only in the last digits"
-    add_flag(maps, "float-albedo", text)
+    maps.add_flag("float-albedo", text)
     text = "decode all mip levels of maps of more than 4096 x 4096 texels, as --float-albedo does"
-    add_flag(maps, "full-maps", text)
+    maps.add_flag("full-maps", text)
 
 
-def _add_lighting(scene: argparse._ArgumentGroup) -> None:
+def _add_lighting(scene: Options) -> None:
     radius = range_of(Light, "radius")
-    light = Help(
-        "light; repeat for several lights",
-        "key, rim, fill; none with --environment",
-        note=f"Give {', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] in degrees, or "
+    text, default = "light; repeat for several lights", "key, rim, fill; none with --environment"
+    note = (
+        f"Give {', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] in degrees, or "
         "point:X,Y,Z[,IRRADIANCE] in mesh units. IRRADIANCE is E or R,G,B, "
         f"{range_of(Light, 'irradiance')}. Append ,radius=DEGREES, {radius}, for the angular "
-        "radius of an area light, and ,no-shadow for a light without shadows",
+        "radius of an area light, and ,no-shadow for a light without shadows"
     )
-    scene.add_argument("--light", action="append", metavar="LIGHT", help=light)
-    add_switch(scene, "shadows", "shadows of all lights", "as each light specifies")
+    scene.add_option("--light LIGHT", text, default, note, action="append")
+    scene.add_switch("shadows", "shadows of all lights", "as each light specifies")
     rotation, scale = (range_of(EnvironmentFile, name) for name in ("rotation", "scale"))
-    environment = Help(
-        f"environment map: .hdr, .exr, .npy, .npz or {STUDIO}",
-        "none",
-        note=f"ROTATION is {rotation}; SCALE, a factor on the radiance, is {scale}. An environment "
+    text = f"environment map: .hdr, .exr, .npy, .npz or {STUDIO}"
+    note = (
+        f"ROTATION is {rotation}; SCALE, a factor on the radiance, is {scale}. An environment "
         "map replaces the default lights and the default ambient light. Requires pip install "
-        "'facerender[hdr]' for .hdr, 'facerender[exr]' for .exr",
+        "'facerender[hdr]' for .hdr, 'facerender[exr]' for .exr"
     )
-    scene.add_argument("--environment", metavar="FILE[,ROTATION[,SCALE]]", help=environment)
+    scene.add_option("--environment FILE[,ROTATION[,SCALE]]", text, "none", note)
     directions = "directions of the environment map that each lobe reflects, an even number"
     note = "0 disables the specular reflection of the environment"
-    add_field(scene, Shading, "environment_samples", directions, note=note, metavar="N")
+    scene.add_field(Shading, "environment_samples N", directions, note=note)
     default = f"{_numbers(Scene.ambient)}; 0 with --environment"
-    limits = bounds_of(range_of(Scene, "ambient"))
-    ambient = Help("ambient irradiance, E or R,G,B", default, **limits)
-    scene.add_argument("--ambient", metavar="E", help=ambient)
+    text, values = "ambient irradiance, E or R,G,B", range_of(Scene, "ambient")
+    scene.add_option("--ambient E", text, default, values=values)
     text = "ray-trace ambient occlusion at the vertices of parts without an occlusion map"
     dims = "Occlusion dims ambient light and the diffuse light of the environment map"
-    add_flag(scene, "occlusion", text, f"{dims}. Requires pip install 'facerender[rays]'")
+    scene.add_flag("occlusion", text, f"{dims}. Requires pip install 'facerender[rays]'")
 
 
 def job_of(
@@ -256,7 +215,7 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = [field.name for field in fields(ImageSettings) if field.name != "size"]
+    names = (field.name for field in fields(ImageSettings) if field.name != "size")
     image = settings.pop("image", {}) | values_of(options, *names)
     size = size or image.get("size")
     material = settings.pop("material", {})
@@ -273,8 +232,19 @@ def job_of(
         settings["lights"] = tuple(replace(light, shadow=options.shadows) for light in lights)
         if options.shadows and not (lights or options.occlusion):
             warn(no_shadows(has_environment))
-    _check_unused(options, settings, [material, *parts.values()])
-    names = [field.name for field in fields(MeshFile) if field.name != "path"]
+    if options.environment_samples and settings.get("environment") is None:
+        raise InputError(
+            f"--environment-samples {options.environment_samples} has no environment map: add "
+            "--environment FILE"
+        )
+    tables = [{"scattering": options.scattering}, material, *parts.values()]
+    scatters = any(table.get("scattering") not in (None, "none") for table in tables)
+    if options.scatter_samples and not scatters:
+        raise InputError(
+            f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
+            "--scattering skin"
+        )
+    names = (field.name for field in fields(MeshFile))
     job = Job(
         mesh=MeshFile(options.mesh, **values_of(options, *names)),
         material=material | values_of(options, *_FACTORS),
@@ -285,29 +255,6 @@ def job_of(
         **settings,
     )
     return job, cameras
-
-
-def _check_unused(
-    options: argparse.Namespace, settings: Mapping[str, Any], materials: Sequence[Mapping[str, Any]]
-) -> None:
-    """Raise InputError for options without effect.
-
-    Parameters
-    ----------
-    settings : keyword arguments of the job
-    materials : tables of material factors of the scene file and of --part
-    """
-    if options.environment_samples and settings.get("environment") is None:
-        raise InputError(
-            f"--environment-samples {options.environment_samples} has no environment map: add "
-            "--environment FILE"
-        )
-    scatters = [options.scattering, *(material.get("scattering") for material in materials)]
-    if options.scatter_samples and all(scattering in (None, "none") for scattering in scatters):
-        raise InputError(
-            f"--scatter-samples {options.scatter_samples} has no subsurface scattering: add "
-            "--scattering skin"
-        )
 
 
 def _pose(options: argparse.Namespace, pose: Pose) -> Pose:
@@ -389,17 +336,10 @@ def _shading(
     material: Mapping[str, Any],
     planned: bool,
 ) -> Shading:
-    """Return the shading that the options and the scene file define.
+    """Return the shading that the options and the scene file define. Raise InputError for options
+    without effect, because the file pins the same value, and for changes of a plan's material.
 
-    Parameters
-    ----------
     pinned, material : tables of the scene file. Options may repeat factors of the material
-    planned : whether a plan, which holds for this material only, wrote the scene file
-
-    Raises
-    ------
-    InputError : an option would have no effect, because the scene file pins the same value, or
-        changes the material of a plan
     """
     for name, value in values_of(options, *_FACTORS).items():
         if planned and value != material.get(name, value):
@@ -421,12 +361,11 @@ def _shading(
     ):
         if key in pinned:
             for name, value in values_of(options, *names).items():
-                if value == material.get(name):
-                    continue
-                raise InputError(
-                    f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
-                    f"--{name.replace('_', '-')} out, or {remedy}"
-                )
+                if value != material.get(name):
+                    raise InputError(
+                        f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
+                        f"--{name.replace('_', '-')} out, or {remedy}"
+                    )
     terms = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
     features = ("slope_filter", "scatter_samples", "environment_samples")
     return Shading.from_dict({**pinned, **values_of(options, *terms, *features)})
@@ -442,7 +381,7 @@ def _cameras(
     camera = settings.pop("camera", path[0] if path else Camera())
     changes = values_of(options, "fov", "frame")
     if (target := getattr(options, "looked_at", None)) is not None:
-        changes["target"] = tuple(numbers_of("target", target, (3,)))
+        changes["target"] = tuple(_numbers_of("target", target, (3,)))
     if not options.camera:
         camera = replace(camera, **changes)
         changed_cameras = [replace(file_camera, **changes) for file_camera in path]
@@ -466,7 +405,6 @@ def _placed(
 
     Parameters
     ----------
-    place : value of the option
     camera : camera whose fields an orbiting camera inherits
     changes : values of :class:`Camera` fields, which replace the values in camera files
     size : image size; None if the camera file states the size
@@ -476,15 +414,11 @@ def _placed(
         count = argument or "8"
         if not count.isdecimal() or int(count[:9]) not in TURNS:
             raise InputError(f"--camera {place}: give turntable:N, with {TURNS} views")
-        turned_cameras = turntable(camera, int(count))
-        return {
-            f"turntable_{number:03d}": turned_camera
-            for number, turned_camera in enumerate(turned_cameras)
-        }
+        turned = enumerate(turntable(camera, int(count)))
+        return {f"turntable_{number:03d}": turned_camera for number, turned_camera in turned}
     if word == "gltf" or _is_file(place):
-        file = mesh if word == "gltf" else place
-        file_cameras = _file_cameras(place, file, argument, size)
-        return {name: replace(file_camera, **changes) for name, file_camera in file_cameras.items()}
+        file_cameras = _file_cameras(place, mesh, size).items()
+        return {name: replace(file_camera, **changes) for name, file_camera in file_cameras}
     return {place.replace(",", "_"): orbiting(camera, **orbit_of(place, WHERE))}
 
 
@@ -492,25 +426,21 @@ def _is_file(place: str) -> bool:
     return place.lower().endswith(CAMERA_FILES)
 
 
-def _file_cameras(
-    place: str, file: str | None, name: str, size: tuple[int, int] | None
-) -> dict[str, Camera]:
+def _file_cameras(place: str, mesh: str | None, size: tuple[int, int] | None) -> dict[str, Camera]:
     from facerender.loading.cameras import gltf_cameras, load_cameras
 
-    if place.startswith("gltf"):
-        source = source_of(file)
-        if file is None or source.suffix not in GLTF:
-            raise InputError(
-                f"--camera {place}: the mesh is not a .glb or .gltf; give another camera"
-            )
-        cameras = gltf_cameras(source.read(), source.name)
-    else:
-        cameras = load_cameras(str(file), size)
-    if not place.startswith("gltf:"):
+    word, colon, name = place.partition(":")
+    if word != "gltf":
+        return load_cameras(place, size)
+    source = source_of(mesh)
+    if mesh is None or source.suffix not in GLTF:
+        raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
+    cameras = gltf_cameras(source.read(), source.name)
+    if not colon:
         return cameras
     if name not in cameras:
         names = ", ".join(map(clipped, cameras))
-        raise InputError(f"--camera {place}: {file} has no such camera; it has {names}")
+        raise InputError(f"--camera {place}: {mesh} has no such camera; it has {names}")
     return {name: cameras[name]}
 
 
@@ -522,8 +452,20 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
     if options.environment is not None:
         settings["environment"] = parse_environment(options.environment)
     if options.ambient is not None:
-        numbers = numbers_of("ambient", options.ambient, (1, 3))
+        numbers = _numbers_of("ambient", options.ambient, (1, 3))
         settings["ambient"] = tuple(numbers) if len(numbers) == 3 else numbers[0]
     if options.background is not None:
         settings["background"] = background_of(options.background)
     return settings
+
+
+def _numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
+    """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in counts:
+        choices = " or ".join(map(str, counts))
+        raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")
+    return numbers

@@ -7,7 +7,7 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import add_flag, add_number
+from facerender.commands.common import Options
 from facerender.commands.help import Help
 from facerender.commands.streams import print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
@@ -25,7 +25,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
     listing.description = (
         "List every public function of the GLSL library: signature, file, summary, unit\nand error."
     )
-    add_flag(listing, "json", "print all facts of the shader headers as JSON")
+    Options(listing).add_flag("json", "print all facts of the shader headers as JSON")
     listing.set_defaults(command=run_list)
     path = actions.add_parser("path", help="print the include directory")
     path.description = (
@@ -45,16 +45,14 @@ def add(shaders: argparse.ArgumentParser) -> None:
     flatten.add_argument("name", metavar="NAME", help=Help(text, "required"))
     versions = "330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal"
     default = "GLSL to include, without #version"
-    target = Help("#version line or language of the result", default, note=versions)
-    flatten.add_argument("--target", choices=(*TARGETS, *LANGUAGES), help=target)
-    lobe = Help("the only lobe in the result", "the lobe that FR_LOBE selects")
-    flatten.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
-    slope = "RMS slope of the microfacets, as a constant"
-    add_number(flatten, "m", slope, SLOPES, "a parameter", metavar="M")
-    folder = Help("folder of files that your file includes; repeatable", "none")
-    flatten.add_argument(
-        "-I", dest="paths", action="append", default=[], metavar="DIR", help=folder
-    )
+    options = Options(flatten)
+    text, targets = "#version line or language of the result", (*TARGETS, *LANGUAGES)
+    options.add_option("--target", text, default, versions, choices=targets)
+    text, default = "the only lobe in the result", "the lobe that FR_LOBE selects"
+    options.add_option("--lobe", text, default, choices=tuple(LOBES))
+    options.add_number("m M", "RMS slope of the microfacets, as a constant", SLOPES, "a parameter")
+    folder = "folder of files that your file includes; repeatable"
+    options.add_option("-I DIR", folder, "none", dest="paths", action="append", default=[])
     flatten.set_defaults(command=run_flatten)
 
 
@@ -62,13 +60,11 @@ def run_list(options: argparse.Namespace) -> int:
     from facerender.glsl.catalogue import functions
 
     if options.json:
-        print_result(
-            json.dumps([dataclasses.asdict(function) for function in functions()], indent=2)
-        )
+        listed = [dataclasses.asdict(function) for function in functions()]
+        print_result(json.dumps(listed, indent=2))
         return 0
     for function in functions():
-        print_result(f"{function.signature}    {function.file}")
-        print_result(f"    {function.summary}")
+        print_result(f"{function.signature}    {function.file}", f"    {function.summary}")
         for name, text in (("unit", function.unit), ("error", function.error)):
             lines = textwrap.wrap(text, 86, break_on_hyphens=False)
             print_result(f"    {name:6}" + f"\n{'':10}".join(lines))

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 from facerender.errors import FacerenderError, reason
@@ -31,20 +32,21 @@ def print_result(*lines: object, end: str = "\n") -> None:
     ------
     FacerenderError : standard output cannot be written
     """
-    try:
+    with _reported():
         _print("\n".join(map(str, lines)) + end, sys.stdout)
-    except OSError as error:
-        _mute(sys.stdout)
-        raise FacerenderError(
-            f"cannot write standard output: {reason(error)}; redirect it to another place"
-        ) from None
 
 
 def print_bytes(content: bytes) -> None:
     """Write bytes to standard output. For errors see :func:`print_result`."""
-    try:
+    with _reported():
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         _mute(sys.stdout)
         raise FacerenderError(

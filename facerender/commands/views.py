@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import string
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -22,7 +24,6 @@ from facerender.system.memory import MIB, limit
 STANDARD_OUTPUT = "-"
 FPS = 12.0  # default frame rate of animations of several views
 CLIP_FPS = 25.0  # default frame rate of clips
-_FIELDS = {"index", "name"}
 _PIXEL_BYTES = 32  # memory per pixel of a sheet: 16 for linear RGBA, up to 16 to write the file
 
 
@@ -62,10 +63,7 @@ class Destination:
         Parameters
         ----------
         path : file name, in which {index} and {name} are replaced, or STANDARD_OUTPUT
-        names : names of the images
-        as_sheet : whether all images go into one sheet
         format, fps : values of the options; None if they are not given
-        transparent : whether the background is transparent
         plays : whether the images are the frames of a sequence, to which --fps applies
 
         Raises
@@ -103,20 +101,19 @@ class Destination:
 
     def write(self, frames: Iterator[Frame], exposure: float, background: Vector | None) -> Frame:
         """Write each image as soon as it is drawn, and return the last image."""
-        last: list[Frame] = []
+        last = deque[Frame](maxlen=1)
 
         def remembered() -> Iterator[Frame]:
-            for last[:] in ([frame] for frame in frames):
-                yield last[0]
+            for frame in frames:
+                last.append(frame)
+                yield frame
 
+        images = remembered()
         if self.kind == "moving":
             from facerender.images.animation import save_animation
 
-            save_animation(
-                self.files[0], (frame.srgb8(exposure) for frame in remembered()), self.fps
-            )
+            save_animation(self.files[0], (frame.srgb8(exposure) for frame in images), self.fps)
             return last[0]
-        images = remembered()
         if self.kind == "sheet":
             images = iter([sheet(images, self.count, background)])
         for file, frame in zip(self.files, images, strict=True):
@@ -169,26 +166,20 @@ def is_several(path: str) -> bool:
 def _has_fields(pattern: str) -> bool:
     """Return whether a file name contains {index} or {name}. Other braces have no meaning."""
     try:
-        return any(part[1] in _FIELDS for part in string.Formatter().parse(pattern))
+        return any(part[1] in ("index", "name") for part in string.Formatter().parse(pattern))
     except ValueError:
         return False
 
 
 def _plain(name: str) -> str:
     """Return a camera's name, possibly from an untrusted file, as a safe part of a file name."""
-    plain = "".join(
-        character if character.isalnum() or character in "._-+" else "_" for character in name
-    )
+    plain = re.sub(r"[^\w.+-]", "_", name)
     return plain.lstrip(".")[:80] or "_"
 
 
 def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:
     """Raise InputError if a sheet of images is too large.
 
-    Parameters
-    ----------
-    count : number of images
-    size : width and height of each image, in pixels
     memory : limit of the process's memory in MiB; None for the free memory of the system
     """
     columns, rows = _grid(count)

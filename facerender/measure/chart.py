@@ -160,13 +160,9 @@ def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, i
 
 def _nearest(box: Box, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Return the point that is nearest to a box."""
-    left, top, right, bottom = box
-
-    def distance(point: tuple[float, float]) -> float:
-        x, y = point
-        return math.hypot(max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom))
-
-    return min(points, key=distance)
+    corners = np.reshape(box, (2, 2))
+    gaps = np.maximum(0.0, np.maximum(corners[0] - points, points - corners[1]))
+    return points[np.hypot(*gaps.T).argmin()]
 
 
 def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:
@@ -174,6 +170,5 @@ def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:
     left, top, right, bottom = box
     outside = left < _LEFT or top < _TOP or right > _RIGHT or bottom > _BOTTOM
     return outside or any(
-        left < obstacle[2] and right > obstacle[0] and top < obstacle[3] and bottom > obstacle[1]
-        for obstacle in obstacles
+        left < x1 and right > x0 and top < y1 and bottom > y0 for x0, y0, x1, y1 in obstacles
     )

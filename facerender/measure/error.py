@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,26 +70,18 @@ def _from_angles(theta: Array, phi: Array | float) -> Array:
     return np.stack([x, y, z], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class Renderings:
-    """Images of one scene: the float64 reference, and the OpenGL images with their errors."""
-
-    reference: Array
-    images: list[NDArray[np.float32]]
-    errors: list[ImageError]
-
-
 def image_errors(
     scene: Scene,
     shadings: Sequence[Shading],
     size: tuple[int, int],
     backend: Backend = "auto",
     undrawn: Sequence[Shading] = (),
-) -> Renderings:
+) -> tuple[Array, list[NDArray[np.float32]], list[ImageError]]:
     """Draw a scene with each shading, one sample per pixel, and compare the images with float64.
 
-    The float64 reference uses `shadings[0]`, but with the exact lobe. The errors of `undrawn`,
-    which OpenGL cannot draw, come last; their images are float64, too.
+    Return the float64 reference, the OpenGL images and the errors. The reference uses
+    `shadings[0]`, but with the exact lobe. The errors of `undrawn`, which OpenGL cannot draw, come
+    last; their images are float64, too.
 
     Raises
     ------
@@ -102,10 +95,9 @@ def image_errors(
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.coverage > 0.0
-    errors = [image_error(image, reference, covered) for image in images]
     others = [shade(gbuffer, scene, shading) for shading in undrawn]
-    errors += [image_error(image, reference, covered) for image in others]
-    return Renderings(reference, images, errors)
+    errors = [image_error(image, reference, covered) for image in (*images, *others)]
+    return reference, images, errors
 
 
 def image_error(
@@ -115,6 +107,9 @@ def image_error(
     relative = np.abs(image - reference)[covered] / np.maximum(reference[covered], 0.01)
     displayed, expected = encode_srgb8(image), encode_srgb8(reference.astype(np.float32))
     steps = np.abs(displayed.astype(int) - expected)[covered].max(axis=-1)
+    flip_error = None
+    with suppress(InputError):  # the package for FLIP may be missing
+        flip_error = float(flip.errors(expected / 255.0, displayed / 255.0).mean())
     return ImageError(
         point=point_error(image, reference),
         block=block_error(image, reference, covered.astype(np.float64)),
@@ -122,7 +117,7 @@ def image_error(
         percentile=float(np.quantile(relative.max(axis=-1), 0.999)),
         steps=int(steps.max()),
         steps_percentile=float(np.quantile(steps, 0.999)),
-        flip=_flip(displayed, expected),
+        flip=flip_error,
     )
 
 
@@ -164,10 +159,3 @@ def block_error(
         change = np.abs(block_sums(cell_sums((y - x) * inside))) / divisor
         worst = max(worst, float(change[count >= BLOCK**2 // 4].max(initial=0.0)))
     return worst
-
-
-def _flip(displayed: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:
-    try:
-        return float(flip.errors(expected / 255.0, displayed / 255.0).mean())
-    except InputError:
-        return None

@@ -1,4 +1,7 @@
-"""Records of ``facerender measure`` and their JSON (docs/measurements/measure-schema.md)."""
+"""Records of ``facerender measure`` and their JSON (docs/measurements/measure-schema.md).
+
+The attributes have the names and units of the JSON, which the schema describes.
+"""
 
 from __future__ import annotations
 
@@ -20,35 +23,8 @@ BySlope = Mapping[str, float | None]  # keyed by m as text, "%g" % m
 
 
 @dataclass(frozen=True)
-class Environment:
-    """The conditions of a measurement: date, versions, OpenGL driver, processor.
-
-    ``software`` is true if the CPU draws. ``cores`` counts the cores that the process may use.
-    """
-
-    date: str
-    facerender: str
-    GL_RENDERER: str
-    GL_VERSION: str
-    software: bool
-    processor: str
-    cores: int
-    python: str
-    numpy: str
-
-
-@dataclass(frozen=True)
 class Settings:
-    """The settings of a measurement.
-
-    Attributes
-    ----------
-    mesh : name of the mesh
-    m : roughness of the skin
-    size : width and height of the images in pixels
-    repeats : number of repeats of each timing
-    quick : whether the measurement was reduced to save time
-    """
+    """The settings of a measurement; ``m`` is the roughness of the skin."""
 
     mesh: str
     m: float
@@ -64,19 +40,8 @@ class Settings:
 
 @dataclass(frozen=True)
 class ImageError:
-    """Errors of an image against exact float64 shading of the same G-buffer.
-
-    Attributes
-    ----------
-    point : largest distance in radiance from a pixel of the image or the reference to the range of
-        3 x 3 pixels in the other image, see ``error.point_error``
-    block : largest error of the mean over 16 x 16 pixels, relative to max(reference mean, 0.01)
-    largest : largest error of linear radiance, relative to max(reference, 0.01)
-    percentile : 99.9th percentile, over the covered pixels, of the error in ``largest``
-    steps : largest error of the displayed image, in 8-bit levels
-    steps_percentile : 99.9th percentile of the displayed image's error, in 8-bit levels
-    flip : mean FLIP error of the image (Andersson et al. 2020); None without flip-evaluator
-    """
+    """Errors of an image against exact float64 shading of the same G-buffer: fractions and counts,
+    never percent. ``flip`` is None without flip-evaluator."""
 
     point: float
     block: float
@@ -88,44 +53,33 @@ class ImageError:
 
 
 @dataclass(frozen=True)
-class Costs:
-    """The costs of a variant; None if not measured.
+class MeasuredVariant:
+    """A variant with its costs and errors.
 
     Attributes
     ----------
-    lobe_ns : time per evaluation of the lobe alone, in ns
-    term_ns : time per evaluation of the whole term, in ns
-    frame_ms : time per frame, in ms
+    lobe_ns, term_ns, frame_ms : costs of the lobe alone, the whole term and a frame; None if not
+        measured
+    lobe_error, brdf_error : largest errors in percent, keyed by m; None if m is outside the domain
+    image_error : error of the image at the m of the settings; None if no image was drawn
     """
 
+    variant: Variant
     lobe_ns: Interval | None
     term_ns: Interval
     frame_ms: Interval | None
+    lobe_error: BySlope
+    brdf_error: BySlope
+    image_error: ImageError | None
 
-
-@dataclass(frozen=True)
-class Errors:
-    """The errors of a variant.
-
-    Attributes
-    ----------
-    lobe : largest error of the lobe in percent, keyed by m; None if m is outside the domain
-    brdf : largest error of the BRDF in percent, keyed by m; None if m is outside the domain
-    image : error of the image at the m of the settings; None if no image was drawn
-    """
-
-    lobe: BySlope
-    brdf: BySlope
-    image: ImageError | None
-
-
-@dataclass(frozen=True)
-class MeasuredVariant:
-    """A variant with its cost and its error."""
-
-    variant: Variant
-    cost: Costs
-    error: Errors
+    def as_dict(self) -> dict[str, Any]:
+        """Return the variant's row of measure.json."""
+        values, variant = asdict(self), self.variant
+        return {
+            **{name: getattr(variant, name) for name in ("model", "name", "lobe")},
+            "cost": {name: values[name] for name in ("lobe_ns", "term_ns", "frame_ms")},
+            "error": {name: values[f"{name}_error"] for name in ("lobe", "brdf", "image")},
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +103,11 @@ class Measurement:
 
     Attributes
     ----------
+    environment : date, versions, OpenGL driver and processor
     not_measured : missing results, with the reasons
     """
 
-    environment: Environment
+    environment: Mapping[str, Any]
     settings: Settings
     variants: Sequence[MeasuredVariant]
     not_measured: Sequence[str]
@@ -170,17 +125,8 @@ class Measurement:
         """Return the content of measure.json."""
         return {
             "schema": SCHEMA,
-            "environment": asdict(self.environment),
+            "environment": dict(self.environment),
             "settings": asdict(self.settings) | {"size": list(self.settings.size)},
-            "variants": [
-                {
-                    "model": measured.variant.model,
-                    "name": measured.variant.name,
-                    "lobe": measured.variant.lobe,
-                    "cost": asdict(measured.cost),
-                    "error": asdict(measured.error),
-                }
-                for measured in self.variants
-            ],
+            "variants": [measured.as_dict() for measured in self.variants],
             "not_measured": list(self.not_measured),
         }

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, Literal
+from typing import Literal
 
 from facerender.measure.measurement import ImageError, MeasuredVariant, Measurement
 from facerender.pricing.interval import Interval
@@ -19,12 +20,10 @@ LIMITS = (EXACT, 1.0, 3.0)  # errors of recommended variants are at most these, 
 
 @dataclass(frozen=True)
 class CostKind:
-    """A kind of cost.
+    """A kind of cost, with its title and unit in tables and plots.
 
     Attributes
     ----------
-    title : name of the kind of cost in tables and plots
-    unit : unit of the cost in tables and plots
     of : function that returns a variant's cost, or None if the cost was not measured
     columns : functions that return a variant's values in further columns of the table, keyed by
         column title; the table shows both ends of an interval
@@ -39,17 +38,17 @@ class CostKind:
 TERM = CostKind(
     "specular term",
     "ns per evaluation",
-    lambda measured: measured.cost.term_ns,
+    lambda measured: measured.term_ns,
     {
-        "95 % interval, ns": lambda measured: measured.cost.term_ns,
-        "lobe alone, ns": lambda measured: lobe.value if (lobe := measured.cost.lobe_ns) else None,
+        "95 % interval, ns": lambda measured: measured.term_ns,
+        "lobe alone, ns": lambda measured: lobe.value if (lobe := measured.lobe_ns) else None,
     },
 )
 FRAME = CostKind(
     "whole frame",
     "ms per frame",
-    lambda measured: measured.cost.frame_ms,
-    {"95 % interval, ms": lambda measured: measured.cost.frame_ms},
+    lambda measured: measured.frame_ms,
+    {"95 % interval, ms": lambda measured: measured.frame_ms},
 )
 KINDS = (TERM, FRAME)
 
@@ -82,7 +81,7 @@ class Row:
 def measure_of(measurement: Measurement, model: str) -> Literal["image", "lobe"]:
     """Return the kind of error that ranks variants: "image", or "lobe" if an image is missing."""
     variants, m = measurement.of_model(model), measurement.settings.slope
-    inside = {row.variant.lobe for row in variants if row.error.lobe[m] is not None}
+    inside = {row.variant.lobe for row in variants if row.lobe_error[m] is not None}
     return "image" if inside <= _images(variants).keys() else "lobe"
 
 
@@ -90,42 +89,24 @@ def pareto(measurement: Measurement, model: str, kind: CostKind) -> list[Row]:
     """Return the variants of a model, cheapest first; variants without a cost come last."""
     variants = measurement.of_model(model)
     images = _images(variants)
-    by_image = measure_of(measurement, model) == "image"
+    measure = measure_of(measurement, model)
 
     def error(measured: MeasuredVariant) -> float | None:
-        if not by_image:
-            return measured.error.lobe[measurement.settings.slope]
-        image = measured.error.image
+        if measure == "lobe":
+            return measured.lobe_error[measurement.settings.slope]
+        image = measured.image_error
         if image is None and not measured.variant.unclamped:
             image = images.get(measured.variant.lobe)
         return 100.0 * image.largest if image else None
 
     rows = [Row(measured, kind.of(measured), error(measured)) for measured in variants]
-    marked = [replace(row, dominated=any(_dominates(rival, row) for rival in rows)) for row in rows]
-
-    def order(row: Row) -> tuple[bool, float, float]:
-        return row.cost is None, row.cost.value if row.cost else 0.0, row.error or 0.0
-
-    return sorted(marked, key=order)
+    rows.sort(key=lambda row: (row.cost.value if row.cost else math.inf, row.error or 0.0))
+    return [replace(row, dominated=any(_dominates(rival, row) for rival in rows)) for row in rows]
 
 
-@dataclass(frozen=True)
-class Recommendation:
-    """The row of the cheapest variant of a model, for each of these limits in percent."""
-
-    model: str
-    limits: tuple[float, ...]
-    row: Row
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the recommendation for measure.json."""
-        variant = self.row.variant
-        names = {"model": self.model, "name": variant.name, "lobe": variant.lobe}
-        return names | {"limits": list(self.limits), "error": self.row.error}
-
-
-def recommended(measurement: Measurement, model: str) -> list[Recommendation]:
-    """Return the recommended variants of a model, by the cost of the term, from the lowest limit.
+def recommended(measurement: Measurement, model: str) -> list[tuple[tuple[float, ...], Row]]:
+    """Return the recommended variants of a model, by the cost of the term, from the lowest limit:
+    the limits in percent, and the row of the cheapest variant within each of these limits.
 
     Dominated variants and published forms are not recommended. A limit of ``LIMITS`` that no
     variant meets is absent.
@@ -134,7 +115,7 @@ def recommended(measurement: Measurement, model: str) -> list[Recommendation]:
     best = [row for row in rows if not (row.dominated or row.variant.printed)]
     chosen = [next((row for row in best if (row.error or 0.0) <= limit), None) for limit in LIMITS]
     return [
-        Recommendation(model, tuple(limit for limit, _ in pairs), row)
+        (tuple(limit for limit, _ in pairs), row)
         for row, pairs in groupby(zip(LIMITS, chosen, strict=True), key=lambda pair: pair[1])
         if row
     ]
@@ -151,7 +132,7 @@ def _dominates(a: Row, b: Row) -> bool:
 def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:
     """Return image errors keyed by lobe; a variant without image uses its lobe's image error."""
     return {
-        measured.variant.lobe: measured.error.image
+        measured.variant.lobe: measured.image_error
         for measured in variants
-        if measured.error.image is not None and not measured.variant.unclamped
+        if measured.image_error is not None and not measured.variant.unclamped
     }

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,7 @@ import numpy as np
 
 from facerender.measure import chart
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
-from facerender.measure.pareto import (
-    EXACT,
-    FRAME,
-    KINDS,
-    TERM,
-    CostKind,
-    measure_of,
-    pareto,
-    recommended,
-)
+from facerender.measure.pareto import EXACT, FRAME, TERM, CostKind, measure_of, pareto, recommended
 from facerender.measure.tables import (
     ERRORS,
     NOT_MEASURED,
@@ -82,17 +73,7 @@ DOMINATED = (
     " return NaN in some directions, and dominate no other variant; D16 as published has no clamp."
 )
 
-
 JSON, PAGE = "measure.json", "index.html"
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A PNG file with its caption."""
-
-    file: str
-    png: bytes
-    caption: str
 
 
 def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
@@ -106,21 +87,28 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
     ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
-    strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
-    files = {
-        JSON: text.encode(),
-        **{strip.file: strip.png for strip in strips},
-        PAGE: _page(measurement, strips).encode(),
-    }
-    return write_files(directory, files)
+    images, captions = {}, []
+    for triptych in triptychs:
+        model, lobe = triptych.model, triptych.lobe
+        images[f"images-{model}-{lobe}.png"] = _png(triptych)
+        captions.append(
+            f"{MODELS[model]}, m = {measurement.settings.slope}: exact (left), {lobe} (middle), and"
+            f" {MAGNIFIED} times their difference (right)."
+        )
+    page = _page(measurement, map(figure, images.values(), captions))
+    return write_files(directory, {JSON: text.encode(), **images, PAGE: page.encode()})
 
 
 def content(measurement: Measurement) -> dict[str, Any]:
     """Return the content of measure.json: the measurement and the recommended variants."""
     best = [
-        choice.as_dict()
+        {
+            **{name: getattr(row.variant, name) for name in ("model", "name", "lobe")},
+            "limits": list(limits),
+            "error": row.error,
+        }
         for model in measurement.models
-        for choice in recommended(measurement, model)
+        for limits, row in recommended(measurement, model)
     ]
     return {"recommended": best, **measurement.as_dict()}
 
@@ -153,27 +141,21 @@ def table(measurement: Measurement) -> str:
     return "\n\n".join(["\n".join(filter(None, sentences)), *(table.text() for table in tables)])
 
 
-def _strip(triptych: Triptych, slope: str) -> Figure:
-    """Return a figure of the exact image, the approximated image, and their difference."""
+def _png(triptych: Triptych) -> bytes:
     from PIL import Image
 
     file = io.BytesIO()
     pixels = np.hstack([triptych.exact, triptych.image, triptych.difference])
     Image.fromarray(pixels).save(file, "PNG", optimize=True)
-    caption = (
-        f"{MODELS[triptych.model]}, m = {slope}: exact (left), {triptych.lobe} (middle), and"
-        f" {MAGNIFIED} times their difference (right)."
-    )
-    return Figure(f"images-{triptych.model}-{triptych.lobe}.png", file.getvalue(), caption)
+    return file.getvalue()
 
 
-def _page(measurement: Measurement, strips: Iterable[Figure]) -> str:
+def _page(measurement: Measurement, figures: Iterable[str]) -> str:
     """Return the page: one self-contained HTML file."""
     models, slope = measurement.models, measurement.settings.slope
     frames = " ".join(frame_advice(measurement, model) for model in models)
     missing = "".join(f"<li>{escape(text)}</li>" for text in measurement.not_measured)
-    terms, *frame_tables = (tables_of(measurement, kind) for kind in KINDS)
-    machine = f"{measurement.settings.mesh} on {measurement.environment.GL_RENDERER}"
+    machine = f"{measurement.settings.mesh} on {measurement.environment['GL_RENDERER']}"
     body = [
         f'<p class="note">{escape(machine)}</p>',
         _trades(measurement, TERM),
@@ -181,17 +163,17 @@ def _page(measurement: Measurement, strips: Iterable[Figure]) -> str:
         f"<p>{escape(INTRODUCTION)}</p>",
         f'<p class="note">{escape(DOMINATED)}</p>',
         *(_html(recommendation_table(measurement, model), "numbers costs") for model in models),
-        *(_html(table, "numbers costs") for table in terms),
+        *(_html(table, "numbers costs") for table in tables_of(measurement, TERM)),
         _folded(
             "Cost of a whole frame",
             _trades(measurement, FRAME),
-            *(_html(table, "numbers costs") for tables in frame_tables for table in tables),
+            *(_html(table, "numbers costs") for table in tables_of(measurement, FRAME)),
         ),
         _folded(
             f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",
             *(_html(table, "numbers") for table in error_tables(measurement)),
         ),
-        _folded(f"Images at m = {slope}", *(figure(strip.png, strip.caption) for strip in strips)),
+        _folded(f"Images at m = {slope}", *figures),
         _folded(
             "How the values are measured",
             "<dl>",
@@ -205,12 +187,6 @@ def _page(measurement: Measurement, strips: Iterable[Figure]) -> str:
     return document(f"Cost and error at m = {slope}", "\n".join(body), chart.STYLE)
 
 
-def _marked(sentence: str) -> str:
-    """Return a sentence as HTML; quoted names of variants become bold."""
-    pieces = escape(sentence, quote=False).split('"')
-    return "".join(f"<b>{piece}</b>" if i % 2 else piece for i, piece in enumerate(pieces))
-
-
 def _trades(measurement: Measurement, kind: CostKind) -> str:
     """Return the charts of cost and error side by side, for each model with its recommendation."""
     cost = f"cost of the {kind.title}, {kind.unit}"
@@ -220,7 +196,8 @@ def _trades(measurement: Measurement, kind: CostKind) -> str:
         svg = chart.trade(pareto(measurement, model, kind), cost, error)
         say = advice if kind is TERM else frame_advice
         if svg:
-            text = _marked(say(measurement, model))
+            sentence = escape(say(measurement, model), quote=False)
+            text = re.sub('"(.*?)"', r"<b>\1</b>", sentence)  # the names of variants
             figures.append(f'<figure><figcaption class="lead">{text}</figcaption>{svg}</figure>')
     return f'<div class="pair trades">{"".join(figures)}</div>'
 
@@ -238,15 +215,15 @@ def _facts(measurement: Measurement) -> list[str]:
         "size of the images, pixels": "{} x {}".format(*settings.size),
         "repeats of each timing": settings.repeats,
         "reduced measurement (--quick)": "yes" if settings.quick else "no",
-        "OpenGL driver (GL_RENDERER)": environment.GL_RENDERER,
-        "version of OpenGL (GL_VERSION)": environment.GL_VERSION,
-        "drawn by": "CPU" if environment.software else "GPU",
-        "processor": environment.processor,
-        "processor cores that the process may use": environment.cores,
-        "version of facerender": environment.facerender,
-        "version of Python": environment.python,
-        "version of NumPy": environment.numpy,
-        "date of the measurement": environment.date,
+        "OpenGL driver (GL_RENDERER)": environment["GL_RENDERER"],
+        "version of OpenGL (GL_VERSION)": environment["GL_VERSION"],
+        "drawn by": "CPU" if environment["software"] else "GPU",
+        "processor": environment["processor"],
+        "processor cores that the process may use": environment["cores"],
+        "version of facerender": environment["facerender"],
+        "version of Python": environment["python"],
+        "version of NumPy": environment["numpy"],
+        "date of the measurement": environment["date"],
     }
     return [row(name, [escape(str(value))]) for name, value in facts.items()]
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +24,7 @@ from facerender.measure import error
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
-    Costs,
-    Environment,
-    Errors,
-    ImageError,
+    BySlope,
     MeasuredVariant,
     Measurement,
     Settings,
@@ -60,7 +58,6 @@ def measure(
     mesh : mesh for the cost of a frame and the error of an image
     m : roughness of the skin, in [1e-4, 2]; see :meth:`facerender.Mesh.with_skin`
     quick : whether to use smaller images and fewer repeats, and skip the cost of lobes alone
-    progress : called with the current step and its completed fraction
 
     Raises
     ------
@@ -79,7 +76,7 @@ def measure(
         measured += rows
         triptychs += images
     not_measured = []
-    if any(row.error.image and row.error.image.flip is None for row in measured):
+    if any(row.image_error and row.image_error.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
     return Measurement(environment(backend), settings, measured, not_measured), triptychs
 
@@ -108,36 +105,50 @@ def _model(
     )
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
-    renderings = error.image_errors(scene, shadings, size, backend, others)
-    images = dict(zip([*rendered, *undrawn], renderings.errors, strict=True))
+    reference, images, image_errors = error.image_errors(scene, shadings, size, backend, others)
+    image_error = dict(zip([*rendered, *undrawn], image_errors, strict=True))
     measured = [
         MeasuredVariant(
             variant,
-            Costs(lobe_ns.get(variant.name), term_ns[variant.name], frame_ms.get(variant)),
-            _errors(variant, sorted({*SLOPES, m}), images.get(variant)),
+            lobe_ns.get(variant.name),
+            term_ns[variant.name],
+            frame_ms.get(variant),
+            *_errors(variant, sorted({*SLOPES, m})),
+            image_error.get(variant),
         )
         for variant in of_model(model)
         if not variant.plain or m >= SMALL_SLOPE
     ]
-    return measured, _triptychs(rendered, renderings)
+    exact = reference.astype(np.float32)
+    triptychs = [
+        Triptych(
+            model,
+            variant.lobe,
+            encode_srgb8(exact),
+            encode_srgb8(image),
+            encode_srgb8(MAGNIFIED * np.abs(image - exact)),
+        )
+        for variant, image in zip(rendered, images, strict=True)
+        if variant.lobe != "exact"
+    ]
+    return measured, triptychs
 
 
-def environment(backend: Backend = "auto") -> Environment:
+def environment(backend: Backend = "auto") -> dict[str, Any]:
     """Return the conditions of a measurement: OpenGL driver, processor, versions, date."""
     context = create_context(backend)
-    renderer, version = context.renderer, context.version
     context.release()
-    return Environment(
-        date=datetime.now(UTC).strftime("%Y-%m-%d"),
-        facerender=__version__,
-        GL_RENDERER=renderer,
-        GL_VERSION=version,
-        software=context.software,
-        processor=_processor(),
-        cores=len(os.sched_getaffinity(0)),
-        python=platform.python_version(),
-        numpy=np.__version__,
-    )
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "facerender": __version__,
+        "GL_RENDERER": context.renderer,
+        "GL_VERSION": context.version,
+        "software": context.software,
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
 
 
 def _processor() -> str:
@@ -154,35 +165,20 @@ def _inside(variant: Variant, m: float) -> bool:
     return bool(LOBES[variant.lobe].belongs(m, variant.k).all())
 
 
-def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None) -> Errors:
-    errors = {f"{m:g}": _errors_at(variant, m) for m in slopes}
-    lobe = {m: of_lobe for m, (of_lobe, _) in errors.items()}
-    return Errors(lobe, {m: of_brdf for m, (_, of_brdf) in errors.items()}, image)
-
-
-def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
+def _errors(variant: Variant, slopes: Sequence[float]) -> tuple[BySlope, BySlope]:
     """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain."""
-    if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m):
-        return None, None
-    return _errors_of(variant.shading, m)
+    errors = [
+        (None, None)
+        if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m)
+        else _errors_of(variant.shading, m)
+        for m in slopes
+    ]
+    names = [f"{m:g}" for m in slopes]
+    lobe, brdf = (dict(zip(names, column, strict=True)) for column in zip(*errors, strict=True))
+    return lobe, brdf
 
 
 @cache
 def _errors_of(shading: Shading, m: float) -> tuple[float, float]:
     lobe = np.abs(error.lobe_error(shading.term.lobe, m, shading.term.entry.k)).max()
     return 100.0 * float(lobe), 100.0 * error.brdf_error(shading, m)
-
-
-def _triptychs(rendered: Sequence[Variant], renderings: error.Renderings) -> list[Triptych]:
-    reference = renderings.reference.astype(np.float32)
-    return [
-        Triptych(
-            variant.model,
-            variant.lobe,
-            encode_srgb8(reference),
-            encode_srgb8(image),
-            encode_srgb8(MAGNIFIED * np.abs(image - reference)),
-        )
-        for variant, image in zip(rendered, renderings.images, strict=True)
-        if variant.lobe != "exact"
-    ]

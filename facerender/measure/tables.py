@@ -9,12 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from facerender.glsl.code import lobe_macros
-from facerender.measure.measurement import (
-    MODELS,
-    BySlope,
-    ImageError,
-    Measurement,
-)
+from facerender.measure.measurement import MODELS, ImageError, MeasuredVariant, Measurement
 from facerender.measure.pareto import (
     EXACT,
     FRAME,
@@ -34,27 +29,8 @@ ERRORS = {
     "lobe": "largest error of the lobe, % of its peak",
 }
 NOT_MEASURED = "not measured"
-_RECOMMENDED_HEAD = (
-    "limit of the error, %",
-    "variant",
-    "error, %",
-    "ns per evaluation",
-    "95 % interval, ns",
-    "95 % interval of a frame, ms",
-    "render option",
-    "shader macros",
-)
-_LEFT = ("variant", "lobe", "remark", "shading", *_RECOMMENDED_HEAD[-2:])  # aligned to the left
-_IMAGE_HEAD = (
-    "lobe",
-    "largest, %",
-    "99.9th percentile, %",
-    "16 x 16 blocks, %",
-    "beyond 3 x 3 neighbours, radiance",
-    "displayed, 8-bit levels",
-    "99.9th percentile, levels",
-    "mean FLIP",
-)
+# Titles of the columns that are aligned to the left.
+_LEFT = ("variant", "lobe", "remark", "shading", "render option", "shader macros")
 
 
 @dataclass(frozen=True)
@@ -89,18 +65,14 @@ def advice(measurement: Measurement, model: str) -> str:
     if not best:
         return f"{start}no variant has an error of at most {LIMITS[-1]:g} %."
     parts = []
-    for choice in best:
-        limit = choice.limits[0]
+    for (limit, *_), row in best:
         allowed = f" if an error of {limit:g} % is acceptable" if limit > EXACT else ""
-        parts.append(f'"{choice.row.variant.name}"{allowed} ({_cost_and_error(choice.row)})')
+        error = row.error or 0.0
+        size = f"below {EXACT:g} %" if error <= EXACT else f"{_number(error)} %"
+        cost = _number(row.cost.value if row.cost else None)
+        parts.append(f'"{row.variant.name}"{allowed} ({cost} ns per evaluation, error {size})')
     ending = f"; no variant with an error of at most {LIMITS[-1]:g} % is measurably cheaper"
     return f"{start}use {', or '.join(parts)}{ending * (len(parts) == 1)}."
-
-
-def _cost_and_error(row: Row) -> str:
-    error = row.error or 0.0
-    words = f"error below {EXACT:g} %" if error <= EXACT else f"error {_number(error)} %"
-    return f"{_number(row.cost.value if row.cost else None)} ns per evaluation, {words}"
 
 
 def frame_advice(measurement: Measurement, model: str) -> str:
@@ -113,14 +85,14 @@ def frame_advice(measurement: Measurement, model: str) -> str:
     best = next((row for row in rows if row.variant.lobe == "exact"), None)
     if best is None or best.cost is None:
         return ""
-    exact, term = best.cost, best.measured.cost.term_ns
+    exact, term = best.cost, best.measured.term_ns
     allowed = f"with an error of at most {LIMITS[-1]:g} %"
     faster = [
         f"{row.variant.name} ({_number(row.cost.value)} ms)"
         for row in rows
         if row.cost
         and row.cost.high < exact.low
-        and row.measured.cost.term_ns.high < term.low
+        and row.measured.term_ns.high < term.low
         and (row.error or 0.0) <= LIMITS[-1]
     ]
     sentence = f"No lobe {allowed} is measurably faster."
@@ -136,27 +108,24 @@ def recommendation_table(measurement: Measurement, model: str) -> Table:
     error = ERRORS[measure_of(measurement, model)]
     frames = {row.variant.lobe: row.cost for row in pareto(measurement, model, FRAME) if row.cost}
     rows = []
-    for choice in recommended(measurement, model):
-        variant, cost = choice.row.variant, choice.row.cost
+    for limits, row in recommended(measurement, model):
+        variant, cost = row.variant, row.cost
         macros = lobe_macros(variant.lobe) | ({"FR_SMALL_SLOPE": "0"} if variant.plain else {})
         rows.append(
-            [
-                ", ".join(f"{limit:g}" for limit in choice.limits),
-                variant.name,
-                _number(choice.row.error),
-                _number(cost.value if cost else None),
-                _cell(cost),
-                _cell(frames.get(variant.lobe)),
-                f"--lobe {variant.lobe}",
-                ", ".join(f"{name} {value}" for name, value in macros.items()),
-            ]
+            {
+                "limit of the error, %": ", ".join(f"{limit:g}" for limit in limits),
+                "variant": variant.name,
+                "error, %": _number(row.error),
+                "ns per evaluation": _number(cost.value if cost else None),
+                "95 % interval, ns": _cell(cost),
+                "95 % interval of a frame, ms": _cell(frames.get(variant.lobe)),
+                "render option": f"--lobe {variant.lobe}",
+                "shader macros": ", ".join(f"{name} {value}" for name, value in macros.items()),
+            }
         )
-    return _table(
-        f"{MODELS[model]}, m = {measurement.settings.slope}: recommended variants",
-        f"The cheapest term with an error up to the limit. Error: {error}.",
-        _RECOMMENDED_HEAD,
-        rows,
-    )
+    title = f"{MODELS[model]}, m = {measurement.settings.slope}: recommended variants"
+    note = f"The cheapest term with an error up to the limit. Error: {error}."
+    return _table(title, note, rows)
 
 
 def cost_tables(measurement: Measurement) -> list[Table]:
@@ -179,7 +148,6 @@ def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
                 _table(
                     f"{title}, m = {measurement.settings.slope}: {kind.title}",
                     f"Error: {ERRORS[measure_of(measurement, model)]}.",
-                    ["variant", "remark", kind.unit, "cost / exact", "error, %", *kind.columns],
                     [_cost_cells(row, kind, exact) for row in rows if row.cost],
                     [row.variant.name for row in rows if row.dominated],
                 )
@@ -187,13 +155,19 @@ def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
     return tables or [Table(kind.title[0].upper() + kind.title[1:])]
 
 
-def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
+def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> dict[str, str]:
     cost = row.cost.value if row.cost else None
-    ratio = f"{cost / exact.value:.2f}" if cost is not None and exact else ""
     remarks = ["as published"] * row.variant.printed + ["dominated"] * row.dominated
-    error = _number(row.error, NOT_MEASURED if row.variant.printed else "outside the domain")
-    extra = [_cell(column(row.measured)) for column in kind.columns.values()]
-    return [row.variant.name, ", ".join(remarks), _number(cost), ratio, error, *extra]
+    return {
+        "variant": row.variant.name,
+        "remark": ", ".join(remarks),
+        kind.unit: _number(cost),
+        "cost / exact": f"{cost / exact.value:.2f}" if cost is not None and exact else "",
+        "error, %": _number(
+            row.error, NOT_MEASURED if row.variant.printed else "outside the domain"
+        ),
+        **{title: _cell(column(row.measured)) for title, column in kind.columns.items()},
+    }
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
@@ -203,62 +177,49 @@ def error_tables(measurement: Measurement) -> list[Table]:
     """
     tables = []
     for model, title in MODELS.items():
-        errors = {
-            row.variant.lobe: row.error
-            for row in measurement.of_model(model)
-            if row.variant.standard
-        }
-        if not errors:
+        rows = [row for row in measurement.of_model(model) if row.variant.standard]
+        if not rows:
             continue
-        tables += [
-            _table(
-                f"{title}, m = {measurement.settings.slope}: error of the image",
-                "Errors of linear radiance in % of max(exact radiance, 0.01); displayed errors in"
-                " 8-bit levels (1/255).",
-                _IMAGE_HEAD,
-                [[lobe, *_image_cells(e.image)] for lobe, e in errors.items() if e.image],
-            ),
-            _slope_table(
-                f"{title}: error of the lobe",
-                "Largest error over 0 to 90 degrees, % of the lobe's peak.",
-                {lobe: error.lobe for lobe, error in errors.items()},
-            ),
-            _slope_table(
-                f"{title}: error of the BRDF",
-                "Largest error of the BRDF times N.L, % of its largest exact value.",
-                {lobe: error.brdf for lobe, error in errors.items()},
-            ),
-        ]
+        note = "Errors of linear radiance in % of max(exact radiance, 0.01); displayed errors in"
+        note += " 8-bit levels (1/255)."
+        images = [_image_cells(row, row.image_error) for row in rows if row.image_error]
+        name = f"{title}, m = {measurement.settings.slope}: error of the image"
+        tables.append(_table(name, note, images))
+        slopes = [*rows[0].lobe_error]
+        for name, note in (
+            ("lobe", "Largest error over 0 to 90 degrees, % of the lobe's peak."),
+            ("BRDF", "Largest error of the BRDF times N.L, % of its largest exact value."),
+        ):
+            cells = []
+            for row in rows:
+                errors = getattr(row, f"{name.lower()}_error")
+                cells.append([row.variant.lobe, *(_number(errors[m], "outside") for m in slopes)])
+            head = ["lobe", *(f"m = {m}" for m in slopes)]
+            tables.append(Table(f"{title}: error of the {name}", note, head, cells))
     return tables
 
 
 def _table(
-    title: str,
-    note: str,
-    head: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    dominated: Collection[str] = (),
+    title: str, note: str, rows: Sequence[Mapping[str, str]], dominated: Collection[str] = ()
 ) -> Table:
     """Return a table without the columns that are empty or were not measured in any row."""
-    columns = zip(head, zip(*rows, strict=True), strict=True) if rows else ()
-    filled = [(name, *cells) for name, cells in columns if {*cells} - {"", NOT_MEASURED}]
+    columns = [(name, *(row[name] for row in rows)) for name in (rows[0] if rows else ())]
+    filled = [column for column in columns if {*column[1:]} - {"", NOT_MEASURED}]
     lines = list(zip(*filled, strict=True)) or [()]
     return Table(title, note, lines[0], lines[1:], dominated)
 
 
-def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
-    slopes = list(next(iter(errors.values())))
-    rows = [
-        [lobe, *(_number(by_slope[m], "outside") for m in slopes)]
-        for lobe, by_slope in errors.items()
-    ]
-    return Table(title, note, ["lobe", *(f"m = {m}" for m in slopes)], rows)
-
-
-def _image_cells(error: ImageError) -> list[str]:
-    percent = [100.0 * fraction for fraction in (error.largest, error.percentile, error.block)]
-    absolute = (error.point, error.steps, error.steps_percentile, error.flip)
-    return [_number(value) for value in (*percent, *absolute)]
+def _image_cells(row: MeasuredVariant, error: ImageError) -> dict[str, str]:
+    values = {
+        "largest, %": 100.0 * error.largest,
+        "99.9th percentile, %": 100.0 * error.percentile,
+        "16 x 16 blocks, %": 100.0 * error.block,
+        "beyond 3 x 3 neighbours, radiance": error.point,
+        "displayed, 8-bit levels": error.steps,
+        "99.9th percentile, levels": error.steps_percentile,
+        "mean FLIP": error.flip,
+    }
+    return {"lobe": row.variant.lobe, **{title: _number(value) for title, value in values.items()}}
 
 
 def _cell(value: float | Interval | None) -> str:

@@ -24,6 +24,9 @@ Float = NDArray[np.float64]
 # Upper bound of the error that float32 and the driver's rounding add to the float64 error.
 ROUNDING: dict[Unit, float] = {"display": 0.05 / 255.0, "relative": 5e-4, "flip": 1e-3}
 
+# Factor and format of an error as text.
+_TEXTS = {"display": (255.0, "{}/255"), "relative": (100.0, "{} %"), "flip": (1.0, "FLIP {}")}
+
 _GIVEN = re.compile(
     r"([-+.\deE]+|[-+]?(?:nan|inf))\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.IGNORECASE
 )
@@ -97,9 +100,8 @@ class Budget:
         InputError : the package for FLIP is missing
         """
         if self.unit == "relative":
-            return np.asarray(
-                (np.abs(image - reference) / np.maximum(reference, FLOOR)).max(axis=-1)
-            )
+            relative = np.abs(image - reference) / np.maximum(reference, FLOOR)
+            return np.asarray(relative.max(axis=-1))
         shown, expected = self._displayed(image), self._displayed(reference)
         if self.unit == "display":
             return np.asarray(np.abs(shown - expected).max(axis=-1))
@@ -118,12 +120,9 @@ class Budget:
         """Return an error as text, in the budget's unit."""
         if not math.isfinite(error):
             return "infinity"
-        scale = {"display": 255.0, "relative": 100.0, "flip": 1.0}[self.unit]
+        scale, form = _TEXTS[self.unit]
         value = scale * error
-        digits = "<0.001" if 0.0 < value < 0.001 else f"{value:.3g}"
-        return {"display": f"{digits}/255", "relative": f"{digits} %", "flip": f"FLIP {digits}"}[
-            self.unit
-        ]
+        return form.format("<0.001" if 0.0 < value < 0.001 else f"{value:.3g}")
 
     def _displayed(self, linear: Float) -> Float:
         return linear_to_srgb(linear * 2.0**self.exposure)

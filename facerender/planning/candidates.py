@@ -108,34 +108,26 @@ def _surfaces(
     single = constants.single if full.two_lobes else ()
     changes = [*((full.two_lobes, m) for m in means), *((False, m) for m in single)]
     slopes = [(full.two_lobes, full.term.m)]
-    slopes += [
-        (two_lobes, m) for two_lobes, m in changes if fits(full.replace(two_lobes=two_lobes, m=m))
-    ]
+    slopes += [(two, m) for two, m in changes if fits(full.replace(two_lobes=two, m=m))]
     cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
     scatters = any(material.scattering and material.diffuse_weight > 0.0 for material in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
-    has_environment = scene.environment is not None and full.environment
-    samples = [
-        count
-        for count in ENVIRONMENT_SAMPLES
-        if has_environment and count < full.environment_samples
-    ]
+    reflects = scene.environment is not None and full.environment
+    most = full.environment_samples if reflects else 0
+    samples = [count for count in ENVIRONMENT_SAMPLES if count < most]
 
-    def options(name: str, replacements: Iterable[Any]) -> list[Any]:
-        full_value = getattr(full, name)
-        return [
-            full_value,
-            *(value for value in replacements if fits(replace(full, **{name: value}))),
-        ]
-
-    choices: dict[str, list[Any]] = {
-        "ks": options("ks", [constants.ks] if full.ks is None and specular_maps else []),
-        "shadow_lights": options("shadow_lights", cast),
-        "scatter_samples": options("scatter_samples", fewer),
-        "normal_map": options("normal_map", [False] if full.normal_map and normal_maps else []),
-        "ambient": options("ambient", [False] if full.ambient and np.any(scene.ambient) else []),
-        "diffuse": options("diffuse", {"lambert"} - {full.diffuse}),
-        "environment_samples": options("environment_samples", samples),
+    replacements: dict[str, Iterable[Any]] = {
+        "ks": [constants.ks] if full.ks is None and specular_maps else [],
+        "shadow_lights": cast,
+        "scatter_samples": fewer,
+        "normal_map": [False] if full.normal_map and normal_maps else [],
+        "ambient": [False] if full.ambient and np.any(scene.ambient) else [],
+        "diffuse": {"lambert"} - {full.diffuse},
+        "environment_samples": samples,
+    }
+    choices = {
+        name: [getattr(full, name), *(v for v in values if fits(replace(full, **{name: v})))]
+        for name, values in replacements.items()
     }
     for (two_lobes, m), *combination in product(slopes, *choices.values()):
         attributes = dict(zip(choices, combination, strict=True))

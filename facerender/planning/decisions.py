@@ -25,6 +25,8 @@ from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
+ErrorOf = Callable[[Shading], float]
+
 # Decisions whose saving is stated as a fraction of the whole cost, not of the specular cost.
 _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
 
@@ -58,11 +60,7 @@ class Decision:
 
 
 def decisions(
-    choice: Choice,
-    shading: Shading,
-    error: Callable[[Shading], float],
-    otherwise: Callable[[Shading], float],
-    bound: Callable[[Shading], float],
+    choice: Choice, shading: Shading, error: ErrorOf, otherwise: ErrorOf, bound: ErrorOf
 ) -> Iterator[Decision]:
     """Yield each decision of a shading.
 
@@ -98,17 +96,12 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
             added = drawn.error(choice.full, alone_)
             chosen, other = (_detail(name, value, drawn) for value in (planned, full_value))
             text = f"{chosen} instead of {other}: error {choice.budget.text(added)} on its own, "
-            text += (
-                f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % "
-                "of the frame time"
-            )
+            text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
             yield Decision(name, True, chosen, other, added, saved, text)
             continue
-        refused = (attempt for attempt in drawn.tried if getattr(attempt[0], name) != planned)
-        for detail, error in islice(refused, 1):
-            chosen, other = (
-                _detail(name, value, drawn) for value in (planned, getattr(detail, name))
-            )
+        tried = ((getattr(detail, name), error) for detail, error in drawn.tried)
+        for value, error in islice((pair for pair in tried if pair[0] != planned), 1):
+            chosen, other = (_detail(name, detail, drawn) for detail in (planned, value))
             text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)}"
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
@@ -120,16 +113,11 @@ def _detail(name: str, value: int | str | None, drawn: DrawnViews) -> str:
 
 
 def _changed(
-    choice: Choice,
-    shading: Shading,
-    name: str,
-    names: Sequence[str],
-    error: Callable[[Shading], float],
+    choice: Choice, shading: Shading, name: str, names: Sequence[str], error: ErrorOf
 ) -> Decision:
     chosen, other = (_words(choice.scene, variant, names) for variant in (shading, choice.full))
     added = error(alone(shading, choice.full, names))
-    reverted = with_decisions(shading, choice.full, names)
-    saved = choice.saved(shading, reverted)
+    saved = choice.saved(shading, with_decisions(shading, choice.full, names))
     instead = f" instead of {other}" if other != "none" else ""
     text = f"{chosen}{instead}: error {choice.budget.text(added)} on its own, "
     text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
@@ -137,19 +125,15 @@ def _changed(
 
 
 def _unchanged(
-    choice: Choice,
-    shading: Shading,
-    name: str,
-    otherwise: Callable[[Shading], float],
-    bound: Callable[[Shading], float],
+    choice: Choice, shading: Shading, name: str, otherwise: ErrorOf, bound: ErrorOf
 ) -> Decision | None:
     cost = choice.total(shading)
     names = SINGLE if name == "two lobes" else (name,)
-    refused = [
+    refused = (
         with_decisions(shading, variant, names)
         for variant in choice.refused
         if name in changed(variant, choice.full) and separable(shading, names)
-    ]
+    )
     alternatives = [
         alternative
         for alternative in (*choice.ordered, *filter(choice.is_priced, refused))

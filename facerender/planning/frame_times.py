@@ -38,9 +38,7 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
     draws = [_frame(drawn, *frame) for frame in frames]
     durations = seconds(draws, _REPEATS)
     medians = 1e3 * np.median(durations[:, 0]) * np.median(durations / durations[:, :1], axis=0)
-    times: dict[tuple[LevelOfDetail, Shading], float] = dict(
-        zip(frames, medians.tolist(), strict=True)
-    )
+    times = dict(zip(frames, medians.tolist(), strict=True))
     prices = choice.total(full), choice.total(cheap)
 
     def line(detail: LevelOfDetail) -> Line:

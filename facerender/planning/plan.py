@@ -148,7 +148,7 @@ class Plan:
         given_up = self.cost.measured is not None and not self.cost.saves
         exact = self.shading == self.full and not given_up
         fits = "fits" if self.cost.measured is None else "fits and shortens the frame"
-        lines = {
+        return {
             "budget": f"{self.budget.text(limit)}{fraction}, {reserve}",
             "basis": self._basis(),
             **({"elsewhere": self._elsewhere(self.elsewhere)} if self.elsewhere else {}),
@@ -157,7 +157,6 @@ class Plan:
             "error": self._error(),
             "cost": str(self.cost),
         }
-        return lines
 
     def shader(self, target: Target | Language | None = None) -> str:
         """Return a GLSL file as text: it contains only the chosen terms, with folded constants.
@@ -186,8 +185,8 @@ class Plan:
         """Return a scene file for ``facerender render --scene``, with the chosen shading and level
         of detail, and with the image sizes of the plan."""
         lines = ["Give mesh and maps again: this file has none.", *self.explain().splitlines()]
-        notes = [f"# {line}\n" for line in lines]
-        return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, self.planned)
+        notes = "".join(f"# {line}\n" for line in lines)
+        return f"{notes}\n{scene_toml(self.scene, self.shading, self.planned)}"
 
     @property
     def planned(self) -> Planned | None:
@@ -251,15 +250,12 @@ class Plan:
 
     def _elsewhere(self, elsewhere: Elsewhere) -> str:
         text, fraction = self.budget.text, self.budget.fraction
-        within = (
-            f"{fraction} within {text(elsewhere.within)}, up to "
-            if self.budget.within < 1.0
-            else ""
-        )
+        azimuth, within = elsewhere.camera.azimuth, ""
+        if self.budget.within < 1.0:
+            within = f"{fraction} within {text(elsewhere.within)}, up to "
         return (
-            f"{within}{text(elsewhere.maximum)} as rendered at azimuth "
-            f"{elsewhere.camera.azimuth:g}: plan with all cameras and sizes, and each "
-            "pose on its own"
+            f"{within}{text(elsewhere.maximum)} as rendered at azimuth {azimuth:g}: plan with all "
+            "cameras and sizes, and each pose on its own"
         )
 
     def _error(self) -> str:
@@ -336,41 +332,21 @@ def plan(
         lobe, or a missing package for FLIP
     ContextError : no OpenGL context
     """
-    _check_types(scene, budget, full, cost, renderer)
-    allowed = Budget.parse(budget, exposure, within)
-    measured_cameras = (scene.camera,) if cameras is None else cameras_of(cameras)
-    task = _Task(scene, allowed, _checked(scene, full), measured_cameras, cost, progress)
-    with ExitStack() as stack:
-        return _planned(task, _renderers(renderer, sizes, stack))
-
-
-@dataclass(frozen=True)
-class _Task:
-    """The parameters of :func:`plan`, checked and parsed."""
-
-    scene: Scene
-    budget: Budget
-    full: Shading
-    cameras: tuple[Camera, ...]
-    cost: str
-    progress: Progress
-
-
-def _check_types(scene: Any, budget: Any, full: Any, cost: Any, renderer: Any) -> None:
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_type("budget", budget, str | float | int, 'an error with its unit, such as "1/255"')
     check_type("full", full, Shading, "a facerender.Shading")
     check_type("cost", cost, str, f'the source of prices, such as "{FRAME}"')
     check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
-
-
-def _checked(scene: Scene, full: Shading) -> Shading:
-    """Return the shading with automatic ``small_slope``; raise like :func:`plan`."""
+    allowed = Budget.parse(budget, exposure, within)
+    measured_cameras = (scene.camera,) if cameras is None else cameras_of(cameras)
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
     if not scene.lights and scene.environment is None:
         raise InputError("the scene has no lights, so there is no shading to plan: add a light")
-    return replace(full, term=replace(full.term, small_slope=None))
+    full = replace(full, term=replace(full.term, small_slope=None))
+    with ExitStack() as stack:
+        renderers = _renderers(renderer, sizes, stack)
+        return _planned(scene, allowed, full, measured_cameras, cost, renderers, progress)
 
 
 def _renderers(
@@ -380,49 +356,53 @@ def _renderers(
     if sizes is not None:
         sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
     base = renderer or stack.enter_context(Renderer())
-
-    def resized(size: tuple[int, int]) -> Renderer:
-        return Renderer(
-            size,
-            samples=base.samples,
-            backend=base.context.backend,  # type: ignore[arg-type]
-            anisotropy=base.anisotropy,
-            float_albedo=base.albedo_kind == "linear-color",
-            full_maps=base.full_maps,
-            memory=base.memory,
-        )
-
+    options: dict[str, Any] = {
+        "samples": base.samples,
+        "backend": base.context.backend,
+        "anisotropy": base.anisotropy,
+        "float_albedo": base.albedo_kind == "linear-color",
+        "full_maps": base.full_maps,
+        "memory": base.memory,
+    }
     return [
-        base if size == base.size else stack.enter_context(resized(size))
+        base if size == base.size else stack.enter_context(Renderer(size, **options))
         for size in (sizes or [base.size])
     ]
 
 
-def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
-    scene, progress, sizes = task.scene, task.progress, [renderer.size for renderer in renderers]
+def _planned(
+    scene: Scene,
+    budget: Budget,
+    full: Shading,
+    cameras: tuple[Camera, ...],
+    cost: str,
+    renderers: Sequence[Renderer],
+    progress: Progress,
+) -> Plan:
+    sizes = [renderer.size for renderer in renderers]
     viewpoints = [
         Viewpoint(replace(scene, camera=camera), renderer)
         for renderer in renderers
-        for camera in task.cameras
+        for camera in cameras
     ]
     views = []
     for number, viewpoint in enumerate(viewpoints):
         progress("views", number / len(viewpoints))
-        views.append(Region.of_viewpoint(viewpoint, task.full, task.budget))
+        views.append(Region.of_viewpoint(viewpoint, full, budget))
     if not any(view.counted.any() for view in views):
         raise InputError(f"the cameras see nothing of {scene.mesh.name}: give other cameras")
-    constants = constants_of(scene, task.full, views)
+    constants = constants_of(scene, full, views)
     progress("prices", 0.0)
     software = renderers[0].context.software
-    choice = Choice(scene, task.full, task.budget, constants, task.cost, software, views)
+    choice = Choice(scene, full, budget, constants, cost, software, views)
     samples, drawn = renderers[0].samples, None
     pairs = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     layered = any(
         material.refracts or drawn_alpha(part, material) == "blend" for part, material in pairs
     )
-    if samples > 1 or layered or task.cost == FRAME:
-        drawn = DrawnViews(viewpoints, choice.full, choice.budget)
-    framed = drawn if task.cost == FRAME else None  # set if the level of detail is chosen too
+    if samples > 1 or layered or cost == FRAME:
+        drawn = DrawnViews(viewpoints, full, budget)
+    framed = drawn if cost == FRAME else None  # set if the level of detail is chosen too
     if framed and choice.limit >= 0.0:
         progress("samples and triangles", 0.0)
         framed.coarsen()
@@ -433,74 +413,69 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         progress("frames", 0.0)
         choice.frames = measured_frames(choice, framed)
         shading = choice.without_idle_changes(shading, witnesses.accepts)
-        if (shading, framed.detail) != (choice.full, framed.finest):
-            measured = relative_time(choice.full, shading, framed)
+        if (shading, framed.detail) != (full, framed.finest):
+            measured = relative_time(full, shading, framed)
             if not saves(measured):
-                shading, framed.detail = choice.full, framed.finest
+                shading, framed.detail = full, framed.finest
                 choice.frames = replace(choice.frames, own=choice.frames.full)
     maps = [view.errors(shading) for view in views]
-    error = _error(maps, views, task.cameras, sizes, [*drawn.errors(shading)] if drawn else [])
+    error = _error(maps, views, cameras, sizes, [*drawn.errors(shading)] if drawn else [])
     progress("decisions", 0.0)
-    detail_error = partial(_largest_error, views, drawn, None)
-    finest_error = partial(_largest_error, views, drawn, drawn.finest if drawn else None)
-    plan_decisions = [*decisions(choice, shading, finest_error, detail_error, witnesses.error)]
+
+    def largest_error(shading: Shading, detail: LevelOfDetail | None = None) -> float:
+        """Return the larger of two errors: in float64, and of the images at a level of detail."""
+        errors = [view.error(shading) for view in views]
+        return max([*errors, drawn.error(shading, detail)] if drawn else errors)
+
+    finest_error = partial(largest_error, detail=drawn.finest if drawn else None)
+    plan_decisions = [*decisions(choice, shading, finest_error, largest_error, witnesses.error)]
     if framed:
         plan_decisions = [*details(choice, framed), *plan_decisions]
         maps = [*framed.maps(shading)] if framed.detail != framed.finest else maps
     return Plan(
-        scene=choice.scene,
+        scene=scene,
         shading=shading,
-        full=choice.full,
+        full=full,
         error=error,
         cost=choice.measured_cost(shading, measured) if framed else choice.cost(shading),
         # Changes that fit, but save nothing, would look like changes that the search has missed.
         decisions=tuple(
             decision
             for decision in plan_decisions
-            if decision.changed or decision.error > task.budget.limit
+            if decision.changed or decision.error > budget.limit
         ),
-        budget=choice.budget,
-        cameras=task.cameras,
+        budget=budget,
+        cameras=cameras,
         sizes=tuple(dict.fromkeys(sizes)),
         samples=samples,
         detail=framed.detail if framed else None,
-        elsewhere=_elsewhere(viewpoints[0], task, choice, shading, framed),
-        constants=choice.constants,
+        elsewhere=_elsewhere(viewpoints[0], cameras, full, budget, shading, framed),
+        constants=constants,
         candidates=choice.count,
         tried=witnesses.tried,
         error_map=maps[_worst(maps)],
     )
 
 
-def _largest_error(
-    views: Sequence[Region],
-    drawn: DrawnViews | None,
-    detail: LevelOfDetail | None,
-    shading: Shading,
-) -> float:
-    """Return the larger of two errors: in float64, and of the images at a level of detail."""
-    largest = max(view.error(shading) for view in views)
-    return largest if drawn is None else max(largest, drawn.error(shading, detail))
-
-
 def _elsewhere(
     viewpoint: Viewpoint,
-    task: _Task,
-    choice: Choice,
+    cameras: tuple[Camera, ...],
+    full: Shading,
+    budget: Budget,
     shading: Shading,
     framed: DrawnViews | None,
 ) -> Elsewhere | None:
     """Return the error at a camera that looks at the mesh, even if the first one does not."""
-    if shading == choice.full and (framed is None or framed.detail == framed.finest):
+    if shading == full and (framed is None or framed.detail == framed.finest):
         return None
-    first_camera, count = task.cameras[0], len(task.cameras)
+    first_camera, count = cameras[0], len(cameras)
     azimuths = (
         (first_camera.azimuth + 45.0 / 2**n + 180.0) % 360.0 - 180.0 for n in range(count + 1)
     )
     candidates = (orbiting(first_camera, azimuth=azimuth, target=None) for azimuth in azimuths)
-    camera = next(candidate for candidate in candidates if candidate not in task.cameras)
+    camera = next(candidate for candidate in candidates if candidate not in cameras)
     other_viewpoint = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
-    drawn = DrawnViews([other_viewpoint], choice.full, choice.budget)
+    drawn = DrawnViews([other_viewpoint], full, budget)
     ((maximum, within),) = drawn.errors(shading, framed.detail if framed else None)
     return Elsewhere(camera, maximum, within)
 
@@ -520,16 +495,13 @@ def _error(
     """Return the error over all views, which are ordered by size, then by camera."""
     worst = _worst(maps)
     y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
-    covered = np.concatenate(
-        [errors[view.counted] for errors, view in zip(maps, views, strict=True)]
-    )
+    pairs = [*zip(maps, views, strict=True)]
+    covered = np.concatenate([errors[view.counted] for errors, view in pairs])
     maximum, within = np.max(drawn, axis=0).tolist() if drawn else (None, None)
     number, camera = divmod(worst, len(cameras))
     return Error(
         maximum=float(covered.max()),
-        within=max(
-            highest_but(errors, view.spared) for errors, view in zip(maps, views, strict=True)
-        ),
+        within=max(highest_but(errors, view.spared) for errors, view in pairs),
         percentile=float(np.quantile(covered, 0.999)),
         camera=camera,
         size=sizes[number],

@@ -279,40 +279,35 @@ class Witnesses:
         return shadings
 
 
+@dataclass(eq=False)
 class Region:
-    """Pixels of one camera: G-buffers, evaluated terms, and radiance with the full shading."""
+    """Pixels of one camera: G-buffers, evaluated terms, and radiance with the full shading.
 
-    def __init__(
-        self,
-        scene: Scene,
-        mapped: GBuffer,
-        plain: GBuffer,
-        counted: NDArray[np.bool_],
-        full: Shading,
-        budget: Budget,
-        spared: int,
-        *,
-        most_known: int = 1,
-        scattered: Callable[[Shading], Float] | None = None,
-    ) -> None:
-        """Evaluate the full shading at the region's pixels.
+    Attributes
+    ----------
+    mapped, plain : G-buffers with and without the normal map
+    counted : (H, W), mask of the pixels whose errors count
+    spared : number of pixels of the whole image that may exceed the budget
+    scattered : function that returns the change that scattering causes in the pixels' radiance;
+        None if no material scatters
+    most_known : largest number of shadings with cached terms; the first is the full shading
+    """
 
-        Parameters
-        ----------
-        mapped, plain : G-buffers with and without the normal map
-        counted : (H, W), mask of the pixels whose errors count
-        spared : number of pixels of the whole image that may exceed the budget
-        most_known : largest number of shadings with cached terms; the first is the full shading
-        scattered : function that returns the change that scattering causes in the pixels' radiance;
-            None if no material scatters
-        """
-        self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
-        self.full, self.budget, self.spared, self.most_known = full, budget, spared, most_known
-        self.scattered = scattered
+    scene: Scene
+    mapped: GBuffer
+    plain: GBuffer
+    counted: NDArray[np.bool_]
+    full: Shading
+    budget: Budget
+    spared: int
+    scattered: Callable[[Shading], Float] | None
+    most_known: int = 1
+
+    def __post_init__(self) -> None:
         self.known: dict[Shading, Layers] = {}
         self.environments: dict[Shading, Float] = {}
-        self.terms = self.layers(full)
-        self.exact = self.image(full)
+        self.terms = self.layers(self.full)
+        self.exact = self.image(self.full)
 
     @classmethod
     def of_viewpoint(cls, viewpoint: Viewpoint, full: Shading, budget: Budget) -> Region:
@@ -320,15 +315,13 @@ class Region:
         renderer, scene = viewpoint.renderer, viewpoint.scene
         mapped = renderer.gbuffer(scene, full, blended=False)
         plain = mapped
-        if any(
-            material.normal_map is not None for material in simplify(scene, full).mesh.materials
-        ):
+        materials = simplify(scene, full).mesh.materials
+        if any(material.normal_map is not None for material in materials):
             plain = renderer.gbuffer(scene, replace(full, normal_map=False), blended=False)
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
-        scatters = mapped.facing is not None
-        scattered = ScatteredLight(viewpoint) if scatters else None
-        return cls(scene, mapped, plain, counted, full, budget, spared, scattered=scattered)
+        scattered = None if mapped.facing is None else ScatteredLight(viewpoint)
+        return cls(scene, mapped, plain, counted, full, budget, spared, scattered)
 
     def layers(self, shading: Shading) -> Layers:
         """Return the terms of a shading for all lights and ambient light."""
@@ -341,9 +334,8 @@ class Region:
             gbuffer = replace(gbuffer, specular_weight=weight)
         bare_term = replace(lit_shading.term, lobe="exact", small_slope=None)
         environment_shading = replace(lit_shading, term=bare_term, shadow_lights=())
-        if environment_shading in self.environments:
-            environment = self.environments[environment_shading]
-        else:
+        environment = self.environments.get(environment_shading)
+        if environment is None:
             environment = environment_layer(gbuffer, self.scene, environment_shading)
             if len(self.environments) < _ENVIRONMENTS * self.most_known:
                 self.environments[environment_shading] = environment
@@ -387,16 +379,16 @@ class Region:
 
     def _pixels(self, flat: NDArray[np.int64]) -> Region:
         index = np.unravel_index(flat[None], self.counted.shape)
-        mapped, plain = (_part_of(gbuffer, index) for gbuffer in (self.mapped, self.plain))
-        budget = self.budget
-        if budget.unit == "flip":
-            budget = Budget(1.0, "display", budget.exposure)
-        scattered_image = self.scattered
-        arguments = self.scene, mapped, plain, self.counted[index], self.full, budget, self.spared
-        scattered = (
-            None if scattered_image is None else lambda shading: scattered_image(shading)[index]
+        budget, scattered = self.budget, self.scattered
+        return replace(
+            self,
+            mapped=_part_of(self.mapped, index),
+            plain=_part_of(self.plain, index),
+            counted=self.counted[index],
+            budget=Budget(1.0, "display", budget.exposure) if budget.unit == "flip" else budget,
+            scattered=scattered and (lambda shading: scattered(shading)[index]),
+            most_known=1 + _KEPT // flat.size,
         )
-        return Region(*arguments, most_known=1 + _KEPT // flat.size, scattered=scattered)
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:

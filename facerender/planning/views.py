@@ -65,14 +65,13 @@ class ScatteredLight:
         if light not in self.known:
             if len(self.known) >= _MOST_SCATTERED:
                 del self.known[next(iter(self.known))]
-            shadings = (light, light.replace(scatter_samples=0))
-            images = [self._drawn(variant).astype(np.float64) for variant in shadings]
-            self.known[light] = images[0] - images[1]
+            render, scene = self.viewpoint.renderer.render, self.viewpoint.scene
+            scattered, local = (
+                render(scene, variant, "diffuse", samples=1).linear[..., :3].astype(np.float64)
+                for variant in (light, light.replace(scatter_samples=0))
+            )
+            self.known[light] = scattered - local
         return self.known[light]
-
-    def _drawn(self, shading: Shading) -> NDArray[np.float32]:
-        renderer, scene = self.viewpoint.renderer, self.viewpoint.scene
-        return renderer.render(scene, shading, "diffuse", samples=1).linear[..., :3]
 
 
 class DrawnViews:

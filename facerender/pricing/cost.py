@@ -70,25 +70,19 @@ def by_slope(
     backend: Backend = "auto",
     progress: Callable[[float], object] = lambda done: None,
 ) -> dict[str, Interval]:
-    """Measure the time per evaluation of each term, minus the time per turn of an empty loop.
+    """Measure the nanoseconds per evaluation of each term, minus those per turn of an empty loop.
 
     A fragment evaluates the term n times, for three values of n. The gradient of a line through the
-    three times is the time per evaluation. The terms are measured alternately, so that a slow phase
-    of the machine affects all of them. On a GPU, timer queries measure the time. On a CPU, the
-    processor time of this process up to ``glFinish`` is divided by the number of drawing threads;
-    the quotient is close to the wall time of an idle machine.
+    three times, divided by the number of pixels, is the time per evaluation. The terms are measured
+    alternately, so that a slow phase of the machine affects all of them. On a GPU, timer queries
+    measure the time. On a CPU, the processor time of this process up to ``glFinish`` is divided by
+    the number of drawing threads; the quotient is close to the wall time of an idle machine.
 
     Parameters
     ----------
     terms : GLSL prelude (may include library files) and float expression, keyed by name; variables:
         vec3 n, l, v and float c (cosine of the angle between normal and half vector), m, f0
     empty : expression whose cost is subtracted: OF_VECTORS for whole terms, OF_COSINE for lobes
-    repeats : number of measurements
-    progress : called with the completed fraction
-
-    Returns
-    -------
-    nanoseconds per evaluation: total time divided by the number of evaluations of all pixels
 
     Raises
     ------
@@ -139,8 +133,6 @@ def slopes(
     runs : functions that draw a given number of times and return the seconds
     first : the smallest count; it is doubled while the times are too short for the clock
     weights : weight of each run in each sum, (N, runs)
-    repeats : number of measurements
-    progress : called with the completed fraction
     """
     for run in runs:
         run(1)  # compiles

@@ -65,12 +65,6 @@ def scene_with(
 ) -> Scene:
     """Return a scene with one triangle that fills the image, and maps of 1024 x 1024 texels.
 
-    Parameters
-    ----------
-    maps : names of the maps
-    ambient : whether there is ambient light
-    shadow : whether the lights cast shadows
-    environment : whether there is an environment map
     lights : number of lights, keyed by kind; default: one directional light
     """
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
@@ -149,13 +143,9 @@ def parts_of(program: Program) -> dict[str, int]:
 
 def environment_samples(program: Program) -> int:
     """Return the number of environment samples of all lobes of a program."""
-    counts = (
-        feature.split()[1:]
-        for feature in program.features
-        if feature.startswith("ENVIRONMENT_SAMPLES")
-    )
-    lobes = program.environment.count("environment_map")
-    return lobes * sum(int(count) for (count,) in counts)
+    prefix = "ENVIRONMENT_SAMPLES "
+    counts = [int(f.removeprefix(prefix)) for f in program.features if f.startswith(prefix)]
+    return program.environment.count("environment_map") * sum(counts)
 
 
 def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
@@ -218,21 +208,13 @@ def by_slope(
     progress: Callable[[float], object] = lambda done: None,
     shading: Shading | None = None,
 ) -> dict[str, Interval]:
-    """Measure the time per fragment of each part on this machine.
+    """Measure the nanoseconds per fragment of each part on this machine.
 
     Every program fills the target n times, for three values of n; ``cost.by_slope`` describes the
     method. Additive blending prevents drivers from skipping fragments that later fragments cover.
     The cost of blending and of the rasteriser is measured with an empty program and subtracted.
 
-    Parameters
-    ----------
-    repeats : number of measurements
-    progress : called with the completed fraction
     shading : see :func:`samples`
-
-    Returns
-    -------
-    nanoseconds per fragment: total time divided by the number of all fragments
 
     Raises
     ------

@@ -28,10 +28,6 @@ def seconds(
 
     The draws alternate. A first round, which compiles and uploads, is not measured.
 
-    Parameters
-    ----------
-    repeats : number of rounds
-    progress : called with the completed fraction
     limit : seconds after which no further round begins, once there are _FEWEST rounds
     """
     for draw in draws:

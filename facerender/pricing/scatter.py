@@ -19,9 +19,7 @@ _SIZE = 512
 
 def scene() -> Scene:
     """Return a scene of a skin wall that fills a square image at four pixels per millimetre."""
-    corners = np.array(
-        [(-80.0, -80.0, 0.0), (80.0, -80.0, 0.0), (80.0, 80.0, 0.0), (-80.0, 80.0, 0.0)]
-    )
+    corners = 80.0 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
     wall = Part(corners, np.tile((0.0, 0.0, 1.0), (4, 1)), faces)
     skin = Material(scattering="skin", ks=0.0)

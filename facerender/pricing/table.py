@@ -96,11 +96,8 @@ class Prices:
         lights: float,
         smallest: float,
     ) -> tuple[float, float]:
-        """Return the cost of a fragment of one mesh part, and the specular part of this cost.
-
-        lights : cost of all lights without their specular terms
-        smallest : smallest slope m of the part
-        """
+        """Return :meth:`cost` for one mesh part; ``lights`` is the cost of all lights without their
+        specular terms, ``smallest`` the smallest slope m of the part."""
         scene, shading, count = resolved.scene, resolved.shading, resolved.lighting.shining
         shine = 0.0
         if material.ks and count:
@@ -167,7 +164,6 @@ def load_prices(
     kind : "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table; "auto" and "frame" choose
         llvmpipe if the CPU draws, otherwise navi21; "here" measures on this machine, which takes
         up to a minute
-    software : whether the CPU draws
 
     Raises
     ------
@@ -260,7 +256,7 @@ def measured(
 
     Parameters
     ----------
-    terms : terms, keyed by :func:`term_name`
+    terms : keyed by :func:`term_name`
     seconds : terms whose second lobes are priced, keyed by :func:`second_name`; ``terms`` also
         contains each of these
 

@@ -24,7 +24,6 @@ _PRINTED_EXACT = {
     "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
     "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
 }
-_PRINTED_LOBES = ("exact", "d16")
 
 
 def printed_lobe(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
@@ -113,7 +112,7 @@ class Variant:
 
 def of_model(model: str) -> tuple[Variant, ...]:
     """Return the variants of a model, the published variants first."""
-    printed = [Variant(model, lobe, printed=True) for lobe in _PRINTED_LOBES]
+    printed = [Variant(model, lobe, printed=True) for lobe in ("exact", "d16")]
     library = [
         Variant(model, lobe, plain=plain)
         for lobe in LOBES

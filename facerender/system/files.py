@@ -71,7 +71,6 @@ def suffix_of(
 
     Parameters
     ----------
-    known : accepted suffixes
     kind : kind of the file for messages, such as "image"
     what, most : see :func:`check_file`, which also lists the errors
 

@@ -35,22 +35,20 @@ class Bar(ExitStack):
         self._on_step = on_step
         self._shown = on_step is None and shows_bars(quiet)
         self._bar: Any = None
-        self._done: list[str] = []
-        self._what, self._fraction = "", 0.0
+        self._steps: list[str] = []
+        self._fraction = 0.0
         self.enter_context(if_ended(self._ended))
         self.callback(self._close)
 
-    def __call__(self, what: str, done: float) -> None:
-        if what != self._what:
-            self._begin(what)
-        self._fraction = done
+    def __call__(self, step: str, fraction: float) -> None:
+        if self._steps[-1:] != [step]:
+            self._begin(step)
+        self._fraction = fraction
         if self._bar is not None:
-            self._bar.update(done - self._bar.n)
+            self._bar.update(fraction - self._bar.n)
 
     def _begin(self, step: str) -> None:
-        if self._what:
-            self._done.append(self._what)
-        self._what = step
+        self._steps.append(step)
         self._close()
         if self._on_step:
             self._on_step(step)
@@ -66,7 +64,7 @@ class Bar(ExitStack):
 
     def _ended(self) -> str:
         self._close()
-        if not self._what:
+        if not self._steps:
             return "before the first step"
-        current_step = f"{100.0 * self._fraction:.0f} % of {self._what}"
-        return f"done: {', '.join([*self._done, current_step])}"
+        *done, step = self._steps
+        return f"done: {', '.join([*done, f'{100.0 * self._fraction:.0f} % of {step}'])}"

@@ -9,9 +9,6 @@ from facerender.errors import InputError
 from facerender.measure.measurement import (
     MODELS,
     SCHEMA,
-    Costs,
-    Environment,
-    Errors,
     ImageError,
     MeasuredVariant,
     Measurement,
@@ -33,7 +30,7 @@ def measurement_of(content: Mapping[str, Any]) -> Measurement:
             f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure again"
         )
     return Measurement(
-        environment=Environment(**content["environment"]),
+        environment=content["environment"],
         settings=Settings(**content["settings"] | {"size": tuple(content["settings"]["size"])}),
         variants=[_measured_variant(row) for row in content["variants"]],
         not_measured=content["not_measured"],
@@ -44,12 +41,12 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
     cost, error = row["cost"], row["error"]
     return MeasuredVariant(
         _variant(row["model"], row["name"]),
-        Costs(
-            lobe_ns=cost["lobe_ns"] and Interval(**cost["lobe_ns"]),
-            term_ns=Interval(**cost["term_ns"]),
-            frame_ms=cost["frame_ms"] and Interval(**cost["frame_ms"]),
-        ),
-        Errors(error["lobe"], error["brdf"], error["image"] and ImageError(**error["image"])),
+        lobe_ns=cost["lobe_ns"] and Interval(**cost["lobe_ns"]),
+        term_ns=Interval(**cost["term_ns"]),
+        frame_ms=cost["frame_ms"] and Interval(**cost["frame_ms"]),
+        lobe_error=error["lobe"],
+        brdf_error=error["brdf"],
+        image_error=error["image"] and ImageError(**error["image"]),
     )
 
 

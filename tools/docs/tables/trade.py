@@ -83,9 +83,9 @@ def headline(measurement: Measurement) -> str:
     rows = []
     for row in variants:
         name = published(row.variant.name)
-        ns, of = row.cost.term_ns.value, base.cost.term_ns.value
+        ns, of = row.term_ns.value, base.term_ns.value
         cycles, all_cycles = (amd("navi21", each).inverse_throughput for each in (row, base))
-        error = row.error.lobe[measurement.settings.slope]
+        error = row.lobe_error[measurement.settings.slope]
         rows.append(
             [
                 f"**{name}**" if name.startswith("exact") else name,
@@ -113,8 +113,7 @@ def by_target(cpu: Measurement, gpu: Measurement, instructions: dict[str, dict[s
     )
     for title, measurement in (("desktop GPU: NVIDIA H200", gpu), ("CPU: llvmpipe", cpu)):
         costs = {
-            row.variant.name: row.cost.term_ns.value
-            for row in measurement.of_model("cook-torrance")
+            row.variant.name: row.term_ns.value for row in measurement.of_model("cook-torrance")
         }
         rows.append([title, "ns per evaluation", *(f"{costs[name]:#.3g}" for name in names)])
     return markdown_table(["target", "unit", *names], rows)
@@ -125,7 +124,7 @@ def in_program(measurement: Measurement, model: str) -> str:
     per fragment and with a constant m. Costs are bold unless another lobe dominates them: at most
     the same error and the same costs."""
     error = {
-        row.variant: row.error.lobe[measurement.settings.slope] or 0.0
+        row.variant: row.lobe_error[measurement.settings.slope] or 0.0
         for row in measurement.of_model(model)
         if not row.variant.printed
     }
