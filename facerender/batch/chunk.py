@@ -12,13 +12,14 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from uuid import uuid4
 
 from facerender import __version__
-from facerender.batch.jobs import Row
+from facerender.batch.jobs import FILES, Row
+from facerender.errors import InputError
 from facerender.job import MESH_PATHS
 from facerender.loading.references import named_files
 from facerender.system.data import data_dir
@@ -112,6 +113,10 @@ def chunks(
     Few rows are in memory at a time.
 
     size : maximum number of jobs per chunk; None: the result of :func:`chunk_size`
+
+    Raises
+    ------
+    InputError : an id contains a dot, which layout "shards" does not allow
     """
     rows = iter(rows)
     if size is None:
@@ -120,13 +125,10 @@ def chunks(
         rows = chain(first_rows, rows)
         del first_rows
     waiting: dict[str, list[Row]] = {}
-    number = waiting_count = 0
+    waiting_count, numbers = 0, count()
 
     def close(group: list[Row]) -> Chunk:
-        nonlocal number, waiting_count
-        keys = tuple(map(key_of, group))
-        number, waiting_count = number + 1, waiting_count - len(group)
-        return Chunk(number - 1, tuple(group), keys)
+        return Chunk(next(numbers), tuple(group), tuple(map(key_of, group)))
 
     def pack() -> list[Row]:
         """Return the rows of the longest-waiting groups: as many groups as fit into a chunk."""
@@ -138,14 +140,23 @@ def chunks(
         return packed
 
     for row in rows:
+        if layout == "shards" and "." in row.id:
+            raise InputError(
+                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
+                "an id without a dot, or use --layout files"
+            )
         name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
         group = waiting.setdefault(name, [])
         group.append(row)
         waiting_count += 1
         if len(group) == size:
-            yield close(waiting.pop(name))
+            packed = waiting.pop(name)
         elif waiting_count >= _CHUNKS * size:
-            yield close(pack())
+            packed = pack()
+        else:
+            continue
+        waiting_count -= len(packed)
+        yield close(packed)
     while waiting:
         yield close(pack())
 
@@ -173,13 +184,11 @@ def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a job, with digests of files instead of their paths."""
     tables = dict(tables)
     tables["mesh"] = _mesh_facts(json.dumps(tables.get("mesh", {})))
-    if isinstance(environment := tables.get("environment"), dict):
-        tables["environment"] = environment | {"file": _content(environment["file"])}
+    for key, names in FILES.items():
+        if isinstance(table := tables.get(key), dict):
+            tables[key] = table | {n: _content(table[n]) for n in names if table.get(n)}
     if isinstance(landmarks := tables.get("landmarks"), str):
         tables["landmarks"] = _content(landmarks)
-    for key in ("pose", "before"):
-        if isinstance(pose := tables.get(key), dict) and pose.get("vertices"):
-            tables[key] = pose | {"vertices": _content(pose["vertices"])}
     return tables
 
 

@@ -31,17 +31,8 @@ _MOST_TOML = 2**26  # Bytes.
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # Columns of a .csv file with text in each cell, even if the cell looks like a number.
-    *(
-        "id",
-        "outputs",
-        "scene",
-        "mesh",
-        "mesh.parts",
-        "mesh.hide",
-        "environment",
-        "environment.file",
-    ),
-    *(f"mesh.{name}" for name in MESH_PATHS),
+    *("id", "outputs", "scene", "mesh", "mesh.parts", "mesh.hide", "environment"),
+    *("environment.file", *(f"mesh.{name}" for name in MESH_PATHS)),
 }
 
 
@@ -80,9 +71,8 @@ def _lines(path: Path) -> Generator[str, None, None]:
     InputError : a line is not UTF-8, or longer than _LONGEST_LINE bytes
     """
     with path.open("rb") as file:
-        number = 0
-        while line := file.readline(_LONGEST_LINE + 1):
-            number += 1
+        lines = iter(lambda: file.readline(_LONGEST_LINE + 1), b"")
+        for number, line in enumerate(lines, 1):
             if len(line) > _LONGEST_LINE:
                 raise InputError(
                     f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give one "
@@ -225,19 +215,14 @@ def _toml(path: Path) -> Iterator[Found]:
 def _py(path: Path) -> Iterator[Found]:
     path.open("rb").close()  # Raises OSError here if the file cannot be read.
 
-    def running(step: Callable[[], Any]) -> Any:
-        try:
-            return step()
-        except (Exception, SystemExit) as error:
-            raise InputError(_where(path, error)) from None
-
-    jobs = running(lambda: runpy.run_path(str(path), run_name="facerender_jobs")).get("jobs")
+    try:
+        jobs = runpy.run_path(str(path), run_name="facerender_jobs").get("jobs")
+        for row in jobs() if callable(jobs) else ():
+            yield None, _nested(row)
+    except (Exception, SystemExit) as error:
+        raise InputError(_where(path, error)) from None
     if not callable(jobs):
         raise InputError(f"{path.name} has no function jobs(): write one that yields rows")
-    rows = running(lambda: iter(jobs()))
-    end = object()
-    while (row := running(lambda: next(rows, end))) is not end:
-        yield None, _nested(row)
 
 
 def _where(path: Path, error: BaseException) -> str:

@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from facerender.errors import InputError, clipped, shown
 from facerender.scenes.camera import orbit_of
-from facerender.scenes.file import EnvironmentFile, parse_environment
+from facerender.scenes.file import parse_environment
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.scene import Scene
 
@@ -46,9 +47,8 @@ def nested(row: Any) -> Table:
         if key == "mesh" and isinstance(value, str | os.PathLike):
             key = "mesh.path"
         elif key == "environment" and isinstance(value, str):
-            environment = parse_environment(value)
-            for name in [field.name for field in fields(EnvironmentFile)][: value.count(",") + 1]:
-                values[f"environment.{name}"] = getattr(environment, name)
+            parts = islice(asdict(parse_environment(value)).items(), value.count(",") + 1)
+            values |= {f"environment.{name}": part for name, part in parts}
             continue
         elif key == "camera" and isinstance(value, str):
             values |= {f"camera.{name}": number for name, number in orbit_of(value).items()}
@@ -136,17 +136,11 @@ def _places(table: Table) -> bool:
 
 def _plain(value: Any, name: str, depth: int) -> Any:
     kind = type(value)
-    if kind is str or kind is bool:
-        return value
-    if kind is float:
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value!r}: give a finite number")
-        return value
-    if kind is int:
-        if value.bit_length() > _MOST_BITS:
-            raise InputError(
-                f"{name} = {shown(value)}: a whole number has at most {_MOST_BITS} bits"
-            )
+    if kind is float and not math.isfinite(value):
+        raise InputError(f"{name} = {value!r}: give a finite number")
+    if kind is int and value.bit_length() > _MOST_BITS:
+        raise InputError(f"{name} = {shown(value)}: a whole number has at most {_MOST_BITS} bits")
+    if kind in (str, bool, float, int):
         return value
     if depth > _DEEPEST:
         raise InputError(
