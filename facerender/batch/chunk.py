@@ -32,11 +32,7 @@ Layout = Literal["files", "shards"]
 Record = dict[str, Any]  # the record of a drawn or failed job
 
 _PACKAGE = Path(__file__).parents[1]
-# Source files that the pixels depend on.
-_FOLDERS = ("terms", "glsl", "scenes", "loading", "drawing", "images")
-_MODULES = ("batch/outputs.py", "job.py", "shading.py")
 _LARGEST = 128  # maximum number of jobs per chunk
-_SHARD = 32  # minimum number of jobs per tar, if there are enough: readers shuffle whole tars
 # Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
 # same mesh; the waiting jobs would fill at most this number of chunks.
 _CHUNKS = 64
@@ -44,44 +40,27 @@ _CHUNKS = 64
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings that all jobs of a batch share.
+    """Settings that all jobs of a batch share."""
 
-    Attributes
-    ----------
-    output : a folder, or a URL
-    layout : "files" (a folder per job) or "shards" (a tar per chunk)
-    backend : OpenGL backend, see :class:`facerender.Renderer`
-    timeout : seconds without a message after which a worker counts as hung
-    tries : maximum number of attempts for a job that crashes or hangs its worker
-    code_version : digest of the code that draws, see :func:`code_version`
-    run : ID of the command. A worker that outlives its killed command stops writing if batch.json
-        contains the ID of another command
-    """
-
-    output: str
-    layout: Layout = "files"
+    output: str  # A folder, or a URL.
+    layout: Layout = "files"  # "files": a folder per job; "shards": a tar per chunk.
     backend: Backend = "auto"
-    timeout: float = 300.0
-    tries: int = 3
-    code_version: str = ""
+    timeout: float = 300.0  # Seconds without a message after which a worker counts as hung.
+    tries: int = 3  # Maximum number of attempts for a job that crashes or hangs its worker.
+    code_version: str = ""  # Digest of the code that draws, see :func:`code_version`.
+    # ID of the command. A worker that outlives its killed command stops writing if batch.json
+    # contains the ID of another command.
     run: str = field(default_factory=lambda: uuid4().hex)
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A group of jobs.
+    """A group of jobs."""
 
-    Attributes
-    ----------
-    number : index among the chunks of the batch
-    rows : the jobs
-    keys : for each job, a digest of everything that the job's files depend on
-    kept : records of jobs that an earlier run has drawn, keyed by the job's index in the chunk
-    """
-
-    number: int
+    number: int  # Index among the chunks of the batch.
     rows: tuple[Row, ...]
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # For each job, a digest of everything that its files depend on.
+    # Records of jobs that an earlier run has drawn, keyed by the job's index in the chunk.
     kept: Mapping[int, Record] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -99,7 +78,7 @@ def chunk_size(total: int, layout: Layout) -> int:
     The size depends only on the total number of jobs and the layout: any number of workers gives
     the same chunks.
     """
-    size = _SHARD if layout == "shards" else 1
+    size = 32 if layout == "shards" else 1  # Readers shuffle whole tars.
     while size < _LARGEST and total >= 2 * _CHUNKS * size:
         size *= 2
     return size
@@ -164,8 +143,9 @@ def chunks(
 @cache
 def code_version() -> str:
     """Return a digest of the package version and of all sources that the pixels depend on."""
-    paths = [path for name in _FOLDERS for path in sorted((_PACKAGE / name).rglob("*.py"))]
-    paths += (_PACKAGE / name for name in _MODULES)
+    folders = ("terms", "glsl", "scenes", "loading", "drawing", "images")
+    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
+    paths += (_PACKAGE / name for name in ("batch/outputs.py", "job.py", "shading.py"))
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
     return digest_of(__version__, *(path.read_bytes() for path in paths))
 

@@ -27,7 +27,6 @@ from facerender.system.files import check_suffix, read_file, tables_of
 Found = tuple[int | None, Table | InputError]
 
 _LONGEST_LINE = 2**20
-_MOST_TOML = 2**26  # Bytes.
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # Columns of a .csv file with text in each cell, even if the cell looks like a number.
@@ -64,12 +63,7 @@ def _nested(row: Any) -> Table | InputError:
 
 
 def _lines(path: Path) -> Generator[str, None, None]:
-    """Yield the lines of a text file.
-
-    Raises
-    ------
-    InputError : a line is not UTF-8, or longer than _LONGEST_LINE bytes
-    """
+    """Yield the lines of a text file in UTF-8, of at most _LONGEST_LINE bytes each."""
     with path.open("rb") as file:
         lines = iter(lambda: file.readline(_LONGEST_LINE + 1), b"")
         for number, line in enumerate(lines, 1):
@@ -199,7 +193,7 @@ def read_toml(path: Path) -> Table:
     ------
     InputError : the file cannot be read, or is not TOML
     """
-    return tables_of(read_file(path, "tables as TOML", _MOST_TOML), path.name)
+    return tables_of(read_file(path, "tables as TOML", 2**26), path.name)
 
 
 def _toml(path: Path) -> Iterator[Found]:

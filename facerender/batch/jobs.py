@@ -40,8 +40,6 @@ FILES = {
 
 _ID = re.compile("[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}")
 _SPEC = re.compile(r"[+-]?0?[0-9]{0,2}(\.[0-9]{1,2})?[defgs]?")
-_LONGEST_FAULT = 400  # Maximum number of characters in a message.
-_MOST_TWICE = 10_000  # Maximum number of duplicate ids that are described.
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +115,7 @@ class JobTable:
                 _check(row)
             except InputError as error:
                 self._bad += 1
-                text = clipped(str(error), _LONGEST_FAULT)
+                text = clipped(str(error), 400)
                 if text in errors or len(errors) < self._most:
                     errors.setdefault(text, (position, array("L")))[1].append(self.rows)
                 continue
@@ -130,7 +128,7 @@ class JobTable:
         ordered = np.sort(np.asarray(ids))
         twice = ordered[1:][ordered[1:] == ordered[:-1]]
         if len(twice) and len(self.faults) < self._most:
-            faults = self._duplicates({*twice[:_MOST_TWICE].tolist()})
+            faults = self._duplicates({*twice[:10_000].tolist()})
             self.faults, described = self.faults + faults, described + len(faults)
         self.more = self._bad + len(twice) - described
 
@@ -231,12 +229,9 @@ def _scene_tables(path: str) -> Table:
 
 
 def _absolute(path: Any, name: str, folder: str) -> Any:
-    """Return a path as an absolute path: workers may have another working directory.
-
-    A value that is not text is returned unchanged: `Job.from_dict` rejects it.
-    """
+    """Return a path as an absolute path: workers may have another working directory."""
     if not isinstance(path, str):
-        return path
+        return path  # `Job.from_dict` rejects it.
     with suppress(ValueError):
         if path and b"\0" not in os.fsencode(path):
             return path if "://" in path else os.path.normpath(os.path.join(folder, path))
@@ -329,12 +324,7 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
 
 
 def _check(row: Row) -> None:
-    """Check the tables of a row as :meth:`facerender.Job.from_dict` does.
-
-    Raises
-    ------
-    InputError : a value is outside its range, or the shading names a light that the row lacks
-    """
+    """Check the tables of a row as :meth:`facerender.Job.from_dict` does."""
     try:
         for key, value in row.tables.items():
             if key == "mesh":

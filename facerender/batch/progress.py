@@ -18,14 +18,12 @@ from facerender.errors import clipped
 from facerender.system.progress import shows_bars
 from facerender.system.signals import if_ended
 
-_FRAME = 0.2  # seconds between two updates of a bar
-_LONGEST = 400  # maximum characters of a reason
 NAMED = 5  # maximum number of failed jobs, and of workers that ended, that are named
 
 
 def failed_line(record: Record) -> str:
     """Return a message that names a failed job and the reason."""
-    return f"facerender: job {record['id']} failed: {clipped(record['error'], _LONGEST)}"
+    return f"facerender: job {record['id']} failed: {clipped(record['error'], 400)}"
 
 
 class Progress(ExitStack):
@@ -62,7 +60,7 @@ class Progress(ExitStack):
             total=work.jobs,
             initial=work.jobs - work.left,
             unit=" jobs",
-            mininterval=_FRAME,
+            mininterval=0.2,
             disable=not terminal,
             smoothing=0.05,
         )

@@ -180,12 +180,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
 
 
 def _joined(base: Any, addition: Any, name: str) -> Any:
-    """Add the values of table `addition` to table `base`, and return `base`.
-
-    Raises
-    ------
-    InputError : both tables define the same value
-    """
+    """Add the values of table `addition` to table `base`, and return `base`."""
     if type(base) is not dict or type(addition) is not dict:
         raise InputError(f"{clipped(name)} is given twice, or as a whole and in parts: remove one")
     for key, value in addition.items():
@@ -194,15 +189,13 @@ def _joined(base: Any, addition: Any, name: str) -> Any:
 
 
 def _lights(lights: Any) -> Any:
-    if isinstance(lights, str):
-        lights = [lights]
-    if type(lights) is list:
-        return [_light(light) if isinstance(light, str) else light for light in lights]
+    def table_of(light: Any) -> Any:
+        return _light(light) if isinstance(light, str) else light
+
     if type(lights) is dict:
-        return {
-            k: _light(light) if isinstance(light, str) else light for k, light in lights.items()
-        }
-    return lights
+        return {key: table_of(light) for key, light in lights.items()}
+    lights = [lights] if isinstance(lights, str) else lights
+    return [table_of(light) for light in lights] if type(lights) is list else lights
 
 
 @lru_cache(1024)

@@ -80,22 +80,13 @@ def _close(file: IO[bytes]) -> None:
 
 @dataclass(frozen=True)
 class Work:
-    """The remaining work of a batch.
-
-    Attributes
-    ----------
-    spool : all chunks
-    todo : names of the chunks to draw
-    jobs : number of jobs in all chunks
-    left : number of jobs in the chunks to draw
-    stale : names of chunks that an earlier run drew or began and whose jobs have changed since
-    """
+    """The remaining work of a batch."""
 
     spool: Spool
-    todo: tuple[str, ...]
-    jobs: int
-    left: int
-    stale: frozenset[str]
+    todo: tuple[str, ...]  # Names of the chunks to draw.
+    jobs: int  # Number of jobs in all chunks.
+    left: int  # Number of jobs in the chunks to draw.
+    stale: frozenset[str]  # Chunks that an earlier run drew or began; their jobs have changed.
 
 
 def check_removed(spool: Spool, storage: Storage, table: str) -> None:

@@ -35,17 +35,13 @@ AROUND = {1: 17, BLOCK: 2 * BLOCK}
 class Entry:
     """A pair as text, which takes less memory than its images and can be sent between processes.
 
-    Attributes
-    ----------
-    name, status : name and status of the pair
-    row : HTML of the pair's table row; the placeholder INDEX stands for the entry's index
-    section : HTML of the pair's section, also with INDEX
+    In the HTML, the placeholder INDEX stands for the entry's index.
     """
 
     name: str
     status: int
-    row: str
-    section: str
+    row: str  # HTML of the pair's table row
+    section: str  # HTML of the pair's section
 
 
 def entry(pair: Pair) -> Entry:
@@ -55,12 +51,10 @@ def entry(pair: Pair) -> Entry:
     pixel_count = max((image.pixels[..., 0].size for image in images.values()), default=0)
     large = pixel_count > visualization.MAX_PIXELS
     displayed = {} if large else {key: visualization.displayed(x) for key, x in images.items()}
-    return Entry(
-        name=pair.name,
-        status=pair.status,
-        row=_row(pair),
-        section=_section(pair, displayed, large),
-    )
+    name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
+    cells = _verdict(pair), escape(_reasons(pair)[0])
+    summary = row(name, cells, VERDICTS[pair.status])
+    return Entry(pair.name, pair.status, summary, _section(pair, displayed, large))
 
 
 def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
@@ -113,12 +107,6 @@ def _page(entries: Sequence[Entry]) -> str:
     summary = table("names", ("pair", "verdict", "reason"), rows) if len(ranked) > 1 else ""
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
-
-
-def _row(pair: Pair) -> str:
-    name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
-    cells = (_verdict(pair), escape(_reasons(pair)[0]))
-    return row(name, cells, VERDICTS[pair.status])
 
 
 def _reasons(pair: Pair) -> Sequence[str]:
@@ -327,9 +315,8 @@ def _figure(
 def _mark(place: tuple[int, int, int], shape: Sequence[int], kind: str) -> str:
     """Return HTML that marks a place in an image of a shape."""
     x, y, side = place
-    sides = {"left": x / shape[1], "top": y / shape[0]}
-    sides |= {"width": side / shape[1], "height": side / shape[0]}
-    style = ";".join(f"{name}:{100.0 * fraction:.4f}%" for name, fraction in sides.items())
+    sides = x / shape[1], y / shape[0], side / shape[1], side / shape[0]
+    style = "left:{:.4%};top:{:.4%};width:{:.4%};height:{:.4%}".format(*sides)
     return f'<i class="mark {kind}" style="{style}"></i>'
 
 
