@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from facerender.comparison.compare import Driver
-    from facerender.comparison.goldens import GoldenResult, Updates
+    from facerender.comparison.goldens import GoldenResult
     from facerender.comparison.sources import Comparable
 
 LONGEST = 180  # characters of a file name; most systems allow 255 bytes
@@ -89,13 +89,6 @@ def _setting(config: pytest.Config, name: str) -> Any:
     return config.getini(f"facerender_{name}") if value is None else value
 
 
-def _updates(config: pytest.Config) -> Updates:
-    """Return the options that select the goldens that the session writes."""
-    from facerender.comparison.goldens import Updates
-
-    return Updates(*(_setting(config, name) for name in ("update_missing", "update", "force")))
-
-
 def _limit(config: pytest.Config, name: str) -> float | None:
     """Return a limit from the ini file, or None if the file does not set this limit."""
     text = config.getini(f"facerender_{name}")
@@ -148,7 +141,7 @@ class Snapshot:
         """
         __tracebackhide__ = True
         from facerender import InputError
-        from facerender.comparison.goldens import check
+        from facerender.comparison.goldens import Updates, check
 
         node, config = self._request.node, self._request.config
         if unknown := sorted(limits.keys() - {*LIMITS}):
@@ -169,7 +162,7 @@ class Snapshot:
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
             golden,
-            _updates(config),
+            Updates(*(_setting(config, key) for key in ("update_missing", "update", "force"))),
             written,
             metadata=metadata,
             mask=mask,
@@ -182,7 +175,7 @@ class Snapshot:
         record = self._record(result, golden)
         if result.failure:
             record["actual"] = actual = self._save_actual(result, golden)
-            remedy = "" if _updates(config).differing else _remedy(node.nodeid, result)
+            remedy = "" if _setting(config, "update") else _remedy(node.nodeid, result)
             raise AssertionError(f"{result.failure}\n  golden {golden}\n  actual {actual}{remedy}")
 
     def _record(self, result: GoldenResult, golden: Path) -> dict[str, str]:
@@ -237,10 +230,8 @@ def _name_of(node: pytest.Item) -> str:
 
 
 def _owners(session: pytest.Session) -> dict[str, str]:
-    """Return the ids of the tests that own goldens, keyed by the goldens' paths in lower case.
-
-    Each xdist worker collects all tests, so all workers find the same owners of unnamed images.
-    """
+    """Return the ids of the tests that own goldens, keyed by the goldens' paths in lower case. Each
+    xdist worker collects all tests, so all workers find the same owners of unnamed images."""
     if _OWNERS not in session.stash:
         owners = session.stash[_OWNERS] = {}
         for item in session.items:

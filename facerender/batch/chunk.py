@@ -89,13 +89,9 @@ def chunks(
 ) -> Iterator[Chunk]:
     """Divide rows into chunks; rows with equal mesh and image tables share a chunk where possible.
 
-    Few rows are in memory at a time.
+    Few rows are in memory at a time. Raise InputError for an id with a dot in layout "shards".
 
     size : maximum number of jobs per chunk; None: the result of :func:`chunk_size`
-
-    Raises
-    ------
-    InputError : an id contains a dot, which layout "shards" does not allow
     """
     rows = iter(rows)
     if size is None:

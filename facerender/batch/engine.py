@@ -38,12 +38,8 @@ def local(workers: int) -> Iterator[Engine]:
 
 @contextmanager
 def dask(address: str) -> Iterator[Engine]:
-    """Yield an engine on a Dask scheduler, whose workers may join and leave.
-
-    Raises
-    ------
-    InputError : there is no scheduler or no worker, or dask.distributed is missing
-    """
+    """Yield an engine on a Dask scheduler, whose workers may join and leave. Raise InputError if
+    there is no scheduler or no worker, or dask.distributed is missing."""
     try:
         from distributed import Client
     except ImportError:

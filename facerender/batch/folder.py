@@ -38,12 +38,8 @@ Table = Literal["jsonl", "parquet"]
 
 @contextmanager
 def locked(output: str) -> Iterator[Storage]:
-    """Create and lock the output folder. An output URL is not locked.
-
-    Raises
-    ------
-    InputError : another command writes to the folder, or the folder cannot be written
-    """
+    """Create and lock the output folder. An output URL is not locked. Raise InputError if another
+    command writes to the folder, or the folder cannot be written."""
     import fcntl  # absent on Windows
 
     storage = Storage(output)
@@ -73,11 +69,7 @@ def start(storage: Storage, settings: Settings, about: Mapping[str, Any]) -> Non
 
 def status(output: str) -> dict[str, int]:
     """Return the number of "jobs" of a batch, and how many of them are "done", "failed", "left".
-
-    Raises
-    ------
-    InputError : the output contains no batch
-    """
+    Raise InputError if the output contains no batch."""
     storage = Storage(output)
     try:
         jobs = int(json.loads(storage.get(ABOUT))["jobs"])
@@ -108,8 +100,6 @@ def set_aside(storage: Storage, work: Work) -> None:
 def finish(storage: Storage, table: Table, transforms: bool) -> None:
     """Write the missing tables of a finished batch, and remove files that no job uses.
 
-    Parameters
-    ----------
     table : format of the table of drawn jobs, jobs.jsonl (one record per line) or jobs.parquet.
         Failed jobs are always in failed.jsonl
     transforms : whether to write transforms.json

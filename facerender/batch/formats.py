@@ -37,11 +37,7 @@ _TEXT = {  # Columns of a .csv file with text in each cell, even if the cell loo
 
 def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     """Yield the rows of a table as :func:`nested` returns them; the suffix determines the format.
-
-    Raises
-    ------
-    InputError : the file or a part of it cannot be read
-    """
+    Raise InputError if the file or a part of it cannot be read."""
     file = Path(path)
     try:
         mode = file.stat().st_mode
@@ -187,12 +183,7 @@ def _parquet(path: Path) -> Iterator[Found]:
 
 
 def read_toml(path: Path) -> Table:
-    """Read the tables of a TOML file.
-
-    Raises
-    ------
-    InputError : the file cannot be read, or is not TOML
-    """
+    """Read the tables of a TOML file; raise InputError if it cannot be read, or is not TOML."""
     return tables_of(read_file(path, "tables as TOML", 2**26), path.name)
 
 
@@ -208,7 +199,6 @@ def _toml(path: Path) -> Iterator[Found]:
 
 def _py(path: Path) -> Iterator[Found]:
     path.open("rb").close()  # Raises OSError here if the file cannot be read.
-
     try:
         jobs = runpy.run_path(str(path), run_name="facerender_jobs").get("jobs")
         for row in jobs() if callable(jobs) else ():

@@ -44,26 +44,17 @@ _SPEC = re.compile(r"[+-]?0?[0-9]{0,2}(\.[0-9]{1,2})?[defgs]?")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A job of a batch.
+    """A job of a batch."""
 
-    Parameters
-    ----------
-    number : index of the row in the table, from 0
-    id : name of the job's files: 1 to 128 letters, digits, ".", "_" and "-"; no "." at the start
-    tables : nested plain data for :meth:`facerender.Job.from_dict`, with absolute paths. With an
-        environment map, lights and ambient light default to none. Rows share parts of their
-        tables: do not modify these tables
-    outputs : names from OUTPUTS
-    exposure : exposure of the 8-bit images, in stops
-    meta : values that the job's record repeats, such as the age of a person
-    """
-
-    number: int
-    id: str
+    number: int  # Index of the row in the table, from 0.
+    id: str  # Name of the job's files: at most 128 letters, digits, ".", "_", "-"; no "." first.
+    # Nested plain data for :meth:`facerender.Job.from_dict`, with absolute paths. With an
+    # environment map, lights and ambient light default to none. Rows share parts of their tables:
+    # do not modify these tables.
     tables: Table
-    outputs: tuple[str, ...] = ("image",)
-    exposure: float = 0.0
-    meta: Table = field(default_factory=dict)
+    outputs: tuple[str, ...] = ("image",)  # Names from OUTPUTS.
+    exposure: float = 0.0  # Exposure of the 8-bit images, in stops.
+    meta: Table = field(default_factory=dict)  # Values that the job's record repeats.
 
 
 class JobTable:
@@ -149,14 +140,13 @@ class JobTable:
         faults: list[str] = []
         for position, row in _rows(self._path, self._common):
             if isinstance(row, Row) and hash(row.id) in hashes:
-                if row.id in row_numbers:
-                    first_number = row_numbers[row.id] + 1
+                first = row_numbers.setdefault(row.id, row.number)
+                if first != row.number:
                     faults.append(
-                        f"{position}: id = {row.id!r} is used by row {first_number}: give another"
+                        f"{position}: id = {row.id!r} is used by row {first + 1}: give another"
                     )
-                    if len(self.faults) + len(faults) == self._most:
-                        break
-                row_numbers.setdefault(row.id, row.number)
+                if len(self.faults) + len(faults) == self._most:
+                    break
         return faults
 
 

@@ -30,20 +30,16 @@ class Progress(ExitStack):
     """Progress bars on a terminal, names of failed jobs and ended workers, or JSON lines.
 
     The bars show jobs done, rate, time left and failures, and the current step of each worker. If
-    a signal ends the process, the number of finished jobs is printed.
+    a signal ends the process, the number of finished jobs is printed. `failed` and `deaths` are the
+    numbers of failed jobs, and of workers that ended or hung.
 
     Parameters
     ----------
-    work : the work of the batch
     workers : number of local workers, which report every step; 0 for a cluster
     lines : whether to print a JSON line for each chunk, failed job and ended worker. Otherwise,
         the first NAMED failed jobs and ended workers are messages
     message : prints a message on standard error
     quiet : whether to hide the bars
-
-    Attributes
-    ----------
-    failed, deaths : number of failed jobs, and of workers that ended or hung
     """
 
     def __init__(

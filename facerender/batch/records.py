@@ -30,10 +30,8 @@ _BLOCK = 512  # Bytes per tar block.
 class Writer:
     """Writer of a chunk's output files, in the order of its jobs: separate files or one tar.
 
-    Parameters
-    ----------
-    tar : the unfinished tar with layout "shards"; None with layout "files"
-    size : number of valid bytes in the tar; the constructor cuts off the rest
+    ``tar``: the unfinished tar with layout "shards"; None with layout "files"; ``size``: number of
+    valid bytes in the tar; the constructor cuts off the rest.
     """
 
     def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:

@@ -133,7 +133,10 @@ class Supervisor:
             failed=tuple(record for record in records if "error" in record),
             seconds=time.perf_counter() - began,
             deaths=tuple(deaths),
-            renderer=next(filter(None, map(_renderer, records)), ""),
+            renderer=next(
+                (f"{r['GL_RENDERER']}; {r['GL_VERSION']}" for r in records if "GL_RENDERER" in r),
+                "",
+            ),
             worker=self.worker,
         )
 
@@ -250,10 +253,6 @@ def _kills_for_memory() -> int:
 def _id(chunk: Chunk, message: Message) -> str:
     """Return the ID of a message's job, or "" if the message is about no job."""
     return chunk.rows[message.position].id if message.position >= 0 else ""
-
-
-def _renderer(record: Record) -> str:
-    return f"{record['GL_RENDERER']}; {record['GL_VERSION']}" if "GL_RENDERER" in record else ""
 
 
 def _at_fault(chunk: Chunk, message: Message) -> set[int]:

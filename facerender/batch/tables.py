@@ -74,10 +74,7 @@ def merged(base: Table, over: Table) -> Table:
 
     Nested tables are merged, numbered items replace items of a list, and other values are replaced.
     The arguments are not modified; the result may share parts with the arguments.
-
-    Raises
-    ------
-    InputError : a numbered item is not in the list and does not extend it by one
+    Raise InputError if a numbered item is not in the list and does not extend it by one.
     """
     table = dict(base)
     for key, value in over.items():
@@ -108,12 +105,8 @@ def with_default_lights(tables: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists, except ``parts``.
-
-    Raises
-    ------
-    InputError : a number is missing among these keys
-    """
+    """Convert tables with the keys 0, 1, 2, ... into lists, except ``parts``; raise InputError if a
+    number is missing among these keys."""
     if type(value) is dict:
         items = {
             key: listed(item, f"{name}.{key}") if type(item) in (dict, list) else item

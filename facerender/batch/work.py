@@ -6,7 +6,7 @@ import pickle
 import tempfile
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import IO
@@ -27,16 +27,12 @@ class Spool:
     """The chunks of a batch in a temporary file.
 
     The table of jobs is therefore read only once, with few rows in memory at a time.
-
-    Attributes
-    ----------
-    sizes : number of jobs of each chunk, keyed by the chunk's name, in order
-    ids : hashes of the ids of all jobs, 8 bytes each
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file, self.ids = file, array("q")
-        self.sizes: dict[str, int] = {}
+        self._file = file
+        self.ids = array("q")  # hashes of the ids of all jobs, 8 bytes each
+        self.sizes: dict[str, int] = {}  # number of jobs, keyed by the name of a chunk, in order
         self._offsets: dict[str, int] = {}
 
     def add(self, chunk: Chunk) -> None:
@@ -55,27 +51,20 @@ class Spool:
 
 @contextmanager
 def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterator[Spool]:
-    """Read all rows and store them as chunks; `size` as in :func:`chunks`.
-
-    Raises
-    ------
-    InputError : the temporary file cannot be written; an error of :func:`chunks`
-    """
+    """Read all rows and store them as chunks; `size` and errors as in :func:`chunks`. Raise
+    CannotUse if the temporary file cannot be written."""
     forget_files()
-    with ExitStack() as stack:
-        file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115
-        stack.callback(_close, file)
+    file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115
+    try:
         spool = Spool(file)
         with reported("write", temporary_folder(), "or set TMPDIR to another folder"):
             for chunk in chunks(rows, size, settings.layout):
                 spool.add(chunk)
             file.flush()
         yield spool
-
-
-def _close(file: IO[bytes]) -> None:
-    with suppress(OSError):  # on a full disk, the rest of the buffer cannot be written
-        file.close()
+    finally:
+        with suppress(OSError):  # on a full disk, the rest of the buffer cannot be written
+            file.close()
 
 
 @dataclass(frozen=True)

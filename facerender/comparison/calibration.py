@@ -135,12 +135,12 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
     """
     folder = Path(folder)
     try:
-        runs = sorted(path for path in folder.iterdir() if path.is_dir())
+        folders = (path for path in folder.iterdir() if not path.name.startswith("."))
+        runs = sorted(path for path in folders if path.is_dir())
     except OSError as error:
         raise InputError(
             f"cannot read {folder}: {reason(error)}; give a folder with a subfolder for each run"
         ) from None
-    runs = [run for run in runs if not run.name.startswith(".")]
     if len(runs) < 2:
         raise InputError(
             f"{folder} holds fewer than two subfolders: give one for each run or driver, with "

@@ -24,7 +24,6 @@ from facerender.system.atomic import write_bytes
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the order of the page
 # Placeholder in the HTML of an entry; names do not contain this character.
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
-THUMBNAIL = 160  # largest width and height in pixels
 OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
 MAP = 1 << 18  # largest number of pixels of a difference
 # Width of the enlarged area around a place, keyed by the width of the place, in pixels.
@@ -58,12 +57,8 @@ def entry(pair: Pair) -> Entry:
 
 
 def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
-    """Write a self-contained page of all pairs; pairs that differ come first.
-
-    Raises
-    ------
-    InputError : the file cannot be written
-    """
+    """Write a self-contained page of all pairs; pairs that differ come first. Raise InputError if
+    the file cannot be written."""
     # The names of files may contain invalid UTF-8.
     write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
@@ -117,7 +112,7 @@ def _reasons(pair: Pair) -> Sequence[str]:
 def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
     checks = "" if pair.comparison is None else _check_table(pair.comparison)
     if pair.status == 0 and pair.reference:
-        source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
+        source = _source(visualization.thumbnail(pair.reference, 160))
         images = f"<p>{_image(source, 'the image')}</p>{_largest(pair)}"
     else:
         images = _viewer(pair, displayed, large)

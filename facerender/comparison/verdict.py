@@ -6,7 +6,7 @@ The first reason has the cause that explains most of the change. Changed metadat
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,6 @@ _LONE = {
     "linear": {SMOOTH: 0.0, ROUGH: 0.1, EDGE: 0.5},
     "srgb8": {SMOOTH: 0.0, ROUGH: 53.0, EDGE: 90.0},
 }
-_WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
-_BRIGHTER = 5e-5  # smallest gain that is reported
-_SHIFTED = 0.01  # smallest shift that is reported, in pixels
-_LONELY = 0.02  # largest squared change of the pixels around a pixel fault, relative to the fault's
 _LONG = 60  # longer values of the metadata are cut to this number of characters
 _SEPARATOR = re.compile(r"[;,] (?![^(]*\))")  # of the entries of a metadata value, such as a mesh's
 _FIELD = re.compile(r"(\w+)=((?:\([^()]*\)|'[^']*'|[^,()])+)")  # of a value such as Light(m=1)
@@ -49,7 +45,7 @@ def reasons_of(
     wrong = _wrong(result, over)
     block = _block_change(result, images)
     holes = not wrong.any() and result.holes > HOLES
-    subtle = "" if wrong.any() or block or holes else next(_subtle(result), "")
+    subtle = "" if wrong.any() or block or holes else _subtle_change(result)
     uncovered = result.coverage > result.limits.coverage
     if not (wrong.any() or block or holes or subtle or uncovered):
         return (), ""
@@ -190,27 +186,27 @@ def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> flo
     return float(max(change, key=abs))
 
 
-def _subtle(result: Comparison) -> Iterator[str]:
-    """Describe failures of the checks of grain, texture and shift. Other changes cause these
-    failures too, so they are reported only if no other check fails."""
+def _subtle_change(result: Comparison) -> str:
+    """Describe a failure of the checks of grain, texture and shift; "" if there is none. Other
+    changes cause these failures too, so they are reported only if no other check fails."""
     limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
         scale, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
         change = f"{decimal(scale * result.grain, sign=True)}{unit or ' of 255'}"
-        yield f"grain {change}, limit {decimal(scale * grain, 6)}{unit}"
+        return f"grain {change}, limit {decimal(scale * grain, 6)}{unit}"
     if not BLUR * -texture <= result.texture <= texture:
         change = decimal(100.0 * result.texture, sign=True)
-        yield f"texture {change} %, limit {decimal(100.0 * texture, 6)} %"
+        return f"texture {change} %, limit {decimal(100.0 * texture, 6)} %"
     x, y = result.shift
-    if max(abs(x), abs(y)) > limits.shift:
-        yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}"
+    moved = max(abs(x), abs(y)) > limits.shift
+    return f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}" if moved else ""
 
 
 def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
     """Return the name of the fault of a few wrong pixels; "" if they have none in common."""
     count, judged = wrong.sum(), result.blocks_judged * BLOCK**2
-    if count > _WIDELY * judged > 0:
+    if count > 0.1 * judged > 0:
         return ""
     bright = (over[wrong] > 0).mean()
     touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
@@ -225,7 +221,7 @@ def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
 def _lonely(change: Change, wrong: Mask) -> bool:
     """Return whether the pixels around most wrong pixels hardly changed."""
     surroundings = filtered(np.where(wrong, np.float32(0.0), change.power), np.maximum)
-    return bool(np.median((surroundings <= _LONELY * change.power)[wrong]) > 0.5)
+    return bool(np.median((surroundings <= 0.02 * change.power)[wrong]) > 0.5)
 
 
 def _at_edge(over: NDArray[np.int8]) -> bool:
@@ -236,10 +232,10 @@ def _at_edge(over: NDArray[np.int8]) -> bool:
 def _estimate(result: Comparison, cause: str) -> str:
     """Return the image's gain as text if one factor explains the change, and its shift if the mesh
     or the camera may have changed."""
-    brighter = result.encoding == "linear" and cause == EXPOSURE and abs(result.gain) > _BRIGHTER
-    gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
-    displaced = cause == GEOMETRY and max(abs(x), abs(y)) > _SHIFTED
-    moved = f"shift ({decimal(x)}, {decimal(y)})" if displaced else ""
-    estimate = ", ".join(filter(None, (gain, moved)))
-    return f" ({estimate})" if estimate else ""
+    linear = result.encoding == "linear"
+    if cause == EXPOSURE and linear and abs(result.gain) > 5e-5:
+        return f" (gain {round(1.0 + result.gain, 4):g})"
+    if cause == GEOMETRY and max(abs(x), abs(y)) > 0.01:
+        return f" (shift ({decimal(x)}, {decimal(y)}))"
+    return ""
