@@ -190,10 +190,8 @@ class Snapshot:
         return record
 
     def _save_actual(self, result: GoldenResult, golden: Path) -> str:
-        """Write an image that failed; return its path, or the reason why it was not written.
-
-        The path in the folder is the golden's path in pytest's root directory.
-        """
+        """Write an image that failed; return its path, or the reason why it was not written. The
+        path in the folder is the golden's path in pytest's root directory."""
         from facerender import InputError
         from facerender.images.exr import save_exr
 

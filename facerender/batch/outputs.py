@@ -72,8 +72,7 @@ def draw(
 
     Parameters
     ----------
-    mesh : the result of ``job.mesh.load()``
-    renderer : renderer with the job's image settings
+    mesh, renderer : ``job.mesh.load()``, and a renderer with the job's image settings
     outputs : names from OUTPUTS
     exposure : exposure of image.png, specular.png and diffuse.png, in stops
 
