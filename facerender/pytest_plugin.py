@@ -13,7 +13,7 @@ import shlex
 import tempfile
 import zlib
 from collections.abc import Generator, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from facerender.comparison.compare import Driver
-    from facerender.comparison.goldens import GoldenResult, Updates
+    from facerender.comparison.goldens import GoldenResult
     from facerender.comparison.sources import Comparable
 
 LONGEST = 180  # characters of a file name; most systems allow 255 bytes
@@ -40,19 +40,19 @@ _OWNERS = pytest.StashKey[dict[str, str]]()  # ids of the tests that own goldens
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("facerender", "facerender: images compared with goldens")
 
-    def flag(name: str, text: str) -> None:
-        group.addoption(f"--facerender-{name}", action="store_true", default=None, help=text)
-        parser.addini(f"facerender_{name.replace('-', '_')}", text, type="bool", default=False)
+    def add(name: str, text: str, default: str | bool = False, **options: Any) -> None:
+        flag = {} if options else {"action": "store_true"}
+        group.addoption(f"--facerender-{name}", default=None, help=text, **options, **flag)
+        kind: Any = "bool" if flag else None
+        parser.addini(f"facerender_{name.replace('-', '_')}", text, kind, default)
 
-    flag("update", "write missing goldens, and goldens that differ if this renderer recorded them")
-    flag("force", "with --facerender-update: also overwrite goldens of another renderer")
-    flag("update-missing", "write missing goldens")
+    add("update", "write missing goldens, and goldens that differ if this renderer recorded them")
+    add("force", "with --facerender-update: also overwrite goldens of another renderer")
+    add("update-missing", "write missing goldens")
     report = "write DIR/index.html with all images and goldens, and failed images as EXR"
-    group.addoption("--facerender-report", metavar="DIR", help=report)
-    parser.addini("facerender_report", report, default="")
+    add("report", report, "", metavar="DIR")
     unused = "action for goldens that no test used, in modules whose tests all passed"
-    group.addoption("--facerender-unused", choices=UNUSED, help=unused)
-    parser.addini("facerender_unused", unused, default="ignore")
+    add("unused", unused, "ignore", choices=UNUSED)
     driver = "same or other: whether one driver draws images and goldens; auto: see their metadata"
     parser.addini("facerender_driver", driver, default="auto")
     for name in LIMITS:
@@ -61,10 +61,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if _setting(config, "unused") not in UNUSED:
-        raise pytest.UsageError(f"facerender_unused: give one of {', '.join(UNUSED)}")
-    if config.getini("facerender_driver") not in DRIVERS:
-        raise pytest.UsageError(f"facerender_driver: give one of {', '.join(DRIVERS)}")
+    for name, known in {"unused": UNUSED, "driver": DRIVERS}.items():
+        if _setting(config, name) not in known:
+            raise pytest.UsageError(f"facerender_{name}: give one of {', '.join(known)}")
     for name in LIMITS:
         _limit(config, name)
     if _setting(config, "force") and not _setting(config, "update"):
@@ -86,17 +85,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def _setting(config: pytest.Config, name: str) -> Any:
     """Return the value of an option from the command line, or else from the ini file."""
-    value = config.getoption(f"facerender_{name}")
+    value = config.getoption(f"facerender_{name}", None)
     return config.getini(f"facerender_{name}") if value is None else value
-
-
-def _updates(config: pytest.Config) -> Updates:
-    """Return the options that select the goldens that the session writes."""
-    from facerender.comparison.goldens import Updates
-
-    names = {"missing": "update_missing", "differing": "update"}
-    kinds = (field.name for field in fields(Updates))
-    return Updates(**{kind: _setting(config, names.get(kind, kind)) for kind in kinds})
 
 
 def _limit(config: pytest.Config, name: str) -> float | None:
@@ -151,7 +141,7 @@ class Snapshot:
         """
         __tracebackhide__ = True
         from facerender import InputError
-        from facerender.comparison.goldens import check
+        from facerender.comparison.goldens import Updates, check
 
         node, config = self._request.node, self._request.config
         if unknown := sorted(limits.keys() - {*LIMITS}):
@@ -172,11 +162,11 @@ class Snapshot:
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
             golden,
-            _updates(config),
+            Updates(*(_setting(config, key) for key in ("update_missing", "update", "force"))),
             written,
             metadata=metadata,
             mask=mask,
-            driver=driver or config.getini("facerender_driver"),
+            driver=driver or _setting(config, "driver"),
             **{limit_name: _limit(config, limit_name) for limit_name in LIMITS}
             | {limit_name: limit for limit_name, limit in limits.items() if limit is not None},
         )
@@ -185,13 +175,13 @@ class Snapshot:
         record = self._record(result, golden)
         if result.failure:
             record["actual"] = actual = self._save_actual(result, golden)
-            remedy = "" if _updates(config).differing else _remedy(node.nodeid, result)
+            remedy = "" if _setting(config, "update") else _remedy(node.nodeid, result)
             raise AssertionError(f"{result.failure}\n  golden {golden}\n  actual {actual}{remedy}")
 
     def _record(self, result: GoldenResult, golden: Path) -> dict[str, str]:
         """Record a check for the session, with its report entry as JSON, and return the record."""
-        record = {"golden": str(golden), "entry": ""}
-        record["written"] = str(golden) if result.written else ""
+        written = str(golden) if result.written else ""
+        record = {"golden": str(golden), "written": written, "entry": ""}
         self._request.node.stash.setdefault(_CHECKS, []).append(record)
         if _setting(self._request.config, "report"):
             from facerender.comparison.report import entry
@@ -200,20 +190,17 @@ class Snapshot:
         return record
 
     def _save_actual(self, result: GoldenResult, golden: Path) -> str:
-        """Write an image that failed; return its path, or the reason why it was not written.
-
-        The path in the folder is the golden's path in pytest's root directory.
-        """
+        """Write an image that failed; return its path, or the reason why it was not written. The
+        path in the folder is the golden's path in pytest's root directory."""
         from facerender import InputError
         from facerender.images.exr import save_exr
 
+        root = self._request.config.rootpath
         if report := _setting(self._request.config, "report"):
             folder = Path(report) / "actual"
         else:
             folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
-        root = self._request.config.rootpath
-        inside = golden.is_relative_to(root)
-        actual = folder / (golden.relative_to(root) if inside else golden.name)
+        actual = folder / (golden.relative_to(root) if golden.is_relative_to(root) else golden.name)
         try:
             actual.parent.mkdir(parents=True, exist_ok=True)
             save_exr(actual, result.image.pixels, result.image.metadata)
@@ -227,9 +214,9 @@ def _remedy(test: str, result: GoldenResult) -> str:
     if result.pair.reference is None:
         return ""
     comparison = result.pair.comparison
-    names = {"slivers": "point"}
-    failed = [names.get(name, name) for name in comparison.failed] if comparison is not None else []
-    wider = ", ".join(f"{name}=..." for name in dict.fromkeys(failed) if name in LIMITS)
+    failed = [] if comparison is None else comparison.failed
+    names = dict.fromkeys("point" if name == "slivers" else name for name in failed)
+    wider = ", ".join(f"{name}=..." for name in names if name in LIMITS)
     text = f"\n  if intended: pytest {shlex.quote(test)} --facerender-update"
     return f"{text}, or a wider limit: check(image, {wider})" if wider else text
 
@@ -241,10 +228,8 @@ def _name_of(node: pytest.Item) -> str:
 
 
 def _owners(session: pytest.Session) -> dict[str, str]:
-    """Return the ids of the tests that own goldens, keyed by the goldens' paths in lower case.
-
-    Each xdist worker collects all tests, so all workers find the same owners of unnamed images.
-    """
+    """Return the ids of the tests that own goldens, keyed by the goldens' paths in lower case. Each
+    xdist worker collects all tests, so all workers find the same owners of unnamed images."""
     if _OWNERS not in session.stash:
         owners = session.stash[_OWNERS] = {}
         for item in session.items:
@@ -343,12 +328,8 @@ class _Session:
         for root in {folder.parent for folder in folders}:
             orphans = (f for f in root.glob("*/") if not (root.parent / f"{f.name}.py").exists())
             folders.update(orphans)
-        return sorted(
-            golden
-            for folder in folders
-            for golden in folder.glob("[!.]*.exr")
-            if str(golden) not in used
-        )
+        goldens = (golden for folder in folders for golden in folder.glob("[!.]*.exr"))
+        return sorted(golden for golden in goldens if str(golden) not in used)
 
     def _write_report(self, folder: Path) -> None:
         """Write the report, and remove images of attempts that were not a test's last one."""

@@ -12,13 +12,14 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from uuid import uuid4
 
 from facerender import __version__
-from facerender.batch.jobs import Row
+from facerender.batch.jobs import FILES, Row
+from facerender.errors import InputError
 from facerender.job import MESH_PATHS
 from facerender.loading.references import named_files
 from facerender.system.data import data_dir
@@ -31,11 +32,7 @@ Layout = Literal["files", "shards"]
 Record = dict[str, Any]  # the record of a drawn or failed job
 
 _PACKAGE = Path(__file__).parents[1]
-# Source files that the pixels depend on.
-_FOLDERS = ("terms", "glsl", "scenes", "loading", "drawing", "images")
-_MODULES = ("batch/outputs.py", "job.py", "shading.py")
 _LARGEST = 128  # maximum number of jobs per chunk
-_SHARD = 32  # minimum number of jobs per tar, if there are enough: readers shuffle whole tars
 # Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
 # same mesh; the waiting jobs would fill at most this number of chunks.
 _CHUNKS = 64
@@ -43,44 +40,27 @@ _CHUNKS = 64
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings that all jobs of a batch share.
+    """Settings that all jobs of a batch share."""
 
-    Attributes
-    ----------
-    output : a folder, or a URL
-    layout : "files" (a folder per job) or "shards" (a tar per chunk)
-    backend : OpenGL backend, see :class:`facerender.Renderer`
-    timeout : seconds without a message after which a worker counts as hung
-    tries : maximum number of attempts for a job that crashes or hangs its worker
-    code_version : digest of the code that draws, see :func:`code_version`
-    run : ID of the command. A worker that outlives its killed command stops writing if batch.json
-        contains the ID of another command
-    """
-
-    output: str
-    layout: Layout = "files"
+    output: str  # A folder, or a URL.
+    layout: Layout = "files"  # "files": a folder per job; "shards": a tar per chunk.
     backend: Backend = "auto"
-    timeout: float = 300.0
-    tries: int = 3
-    code_version: str = ""
+    timeout: float = 300.0  # Seconds without a message after which a worker counts as hung.
+    tries: int = 3  # Maximum number of attempts for a job that crashes or hangs its worker.
+    code_version: str = ""  # Digest of the code that draws, see :func:`code_version`.
+    # ID of the command. A worker that outlives its killed command stops writing if batch.json
+    # contains the ID of another command.
     run: str = field(default_factory=lambda: uuid4().hex)
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A group of jobs.
+    """A group of jobs."""
 
-    Attributes
-    ----------
-    number : index among the chunks of the batch
-    rows : the jobs
-    keys : for each job, a digest of everything that the job's files depend on
-    kept : records of jobs that an earlier run has drawn, keyed by the job's index in the chunk
-    """
-
-    number: int
+    number: int  # Index among the chunks of the batch.
     rows: tuple[Row, ...]
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # For each job, a digest of everything that its files depend on.
+    # Records of jobs that an earlier run has drawn, keyed by the job's index in the chunk.
     kept: Mapping[int, Record] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -98,7 +78,7 @@ def chunk_size(total: int, layout: Layout) -> int:
     The size depends only on the total number of jobs and the layout: any number of workers gives
     the same chunks.
     """
-    size = _SHARD if layout == "shards" else 1
+    size = 32 if layout == "shards" else 1  # Readers shuffle whole tars.
     while size < _LARGEST and total >= 2 * _CHUNKS * size:
         size *= 2
     return size
@@ -109,7 +89,7 @@ def chunks(
 ) -> Iterator[Chunk]:
     """Divide rows into chunks; rows with equal mesh and image tables share a chunk where possible.
 
-    Few rows are in memory at a time.
+    Few rows are in memory at a time. Raise InputError for an id with a dot in layout "shards".
 
     size : maximum number of jobs per chunk; None: the result of :func:`chunk_size`
     """
@@ -120,13 +100,10 @@ def chunks(
         rows = chain(first_rows, rows)
         del first_rows
     waiting: dict[str, list[Row]] = {}
-    number = waiting_count = 0
+    waiting_count, numbers = 0, count()
 
     def close(group: list[Row]) -> Chunk:
-        nonlocal number, waiting_count
-        keys = tuple(map(key_of, group))
-        number, waiting_count = number + 1, waiting_count - len(group)
-        return Chunk(number - 1, tuple(group), keys)
+        return Chunk(next(numbers), tuple(group), tuple(map(key_of, group)))
 
     def pack() -> list[Row]:
         """Return the rows of the longest-waiting groups: as many groups as fit into a chunk."""
@@ -138,14 +115,23 @@ def chunks(
         return packed
 
     for row in rows:
+        if layout == "shards" and "." in row.id:
+            raise InputError(
+                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
+                "an id without a dot, or use --layout files"
+            )
         name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
         group = waiting.setdefault(name, [])
         group.append(row)
         waiting_count += 1
         if len(group) == size:
-            yield close(waiting.pop(name))
+            packed = waiting.pop(name)
         elif waiting_count >= _CHUNKS * size:
-            yield close(pack())
+            packed = pack()
+        else:
+            continue
+        waiting_count -= len(packed)
+        yield close(packed)
     while waiting:
         yield close(pack())
 
@@ -153,8 +139,9 @@ def chunks(
 @cache
 def code_version() -> str:
     """Return a digest of the package version and of all sources that the pixels depend on."""
-    paths = [path for name in _FOLDERS for path in sorted((_PACKAGE / name).rglob("*.py"))]
-    paths += (_PACKAGE / name for name in _MODULES)
+    folders = ("terms", "glsl", "scenes", "loading", "drawing", "images")
+    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
+    paths += (_PACKAGE / name for name in ("batch/outputs.py", "job.py", "shading.py"))
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
     return digest_of(__version__, *(path.read_bytes() for path in paths))
 
@@ -173,13 +160,11 @@ def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a job, with digests of files instead of their paths."""
     tables = dict(tables)
     tables["mesh"] = _mesh_facts(json.dumps(tables.get("mesh", {})))
-    if isinstance(environment := tables.get("environment"), dict):
-        tables["environment"] = environment | {"file": _content(environment["file"])}
+    for key, names in FILES.items():
+        if isinstance(table := tables.get(key), dict):
+            tables[key] = table | {n: _content(table[n]) for n in names if table.get(n)}
     if isinstance(landmarks := tables.get("landmarks"), str):
         tables["landmarks"] = _content(landmarks)
-    for key in ("pose", "before"):
-        if isinstance(pose := tables.get(key), dict) and pose.get("vertices"):
-            tables[key] = pose | {"vertices": _content(pose["vertices"])}
     return tables
 
 

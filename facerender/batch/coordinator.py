@@ -55,15 +55,10 @@ def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> i
                 send(chunk, tries + 1)
                 continue
             drawn += outcome.drawn
-            _check_renderer(outcome, renderers)
+            if outcome.renderer and renderers and outcome.renderer not in renderers:
+                warn(
+                    f"{outcome.worker} draws with {outcome.renderer}, others with "
+                    f"{min(renderers)}: pixels may differ in the last digits"
+                )
+            renderers |= {outcome.renderer} - {""}
             progress.finished(outcome)
-
-
-def _check_renderer(outcome: Outcome, renderers: set[str]) -> None:
-    """Warn if a worker's OpenGL driver differs from the drivers of other workers."""
-    if outcome.renderer and renderers and outcome.renderer not in renderers:
-        warn(
-            f"{outcome.worker} draws with {outcome.renderer}, others with {min(renderers)}: pixels "
-            "may differ in the last digits"
-        )
-    renderers |= {outcome.renderer} - {""}

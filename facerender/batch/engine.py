@@ -19,18 +19,11 @@ _SECONDS = 30  # timeout of the connection to a scheduler, and of the wait for i
 
 @dataclass(frozen=True)
 class Engine:
-    """An executor of chunks.
-
-    Attributes
-    ----------
-    executor : runs the submitted chunks
-    slots : returns the number of chunks that can be drawn at the same time
-    workers : number of supervisor threads in this process; 0 on a cluster
-    """
+    """An executor of chunks."""
 
     executor: Executor
-    slots: Callable[[], int]
-    workers: int
+    slots: Callable[[], int]  # Returns the number of chunks that can be drawn at the same time.
+    workers: int  # Number of supervisor threads in this process; 0 on a cluster.
 
 
 @contextmanager
@@ -45,12 +38,8 @@ def local(workers: int) -> Iterator[Engine]:
 
 @contextmanager
 def dask(address: str) -> Iterator[Engine]:
-    """Yield an engine on a Dask scheduler, whose workers may join and leave.
-
-    Raises
-    ------
-    InputError : there is no scheduler or no worker, or dask.distributed is missing
-    """
+    """Yield an engine on a Dask scheduler, whose workers may join and leave. Raise InputError if
+    there is no scheduler or no worker, or dask.distributed is missing."""
     try:
         from distributed import Client
     except ImportError:

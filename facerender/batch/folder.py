@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -33,18 +33,13 @@ from facerender.system.signals import if_ended
 
 FAILED = "failed.jsonl"  # Records of the failed jobs.
 TABLES = ("jobs.jsonl", "jobs.parquet", FAILED, "transforms.json")
-_MOST_FAILURES = 1 << 24  # bytes of FAILED that are read to name jobs on the screen
 Table = Literal["jsonl", "parquet"]
 
 
 @contextmanager
 def locked(output: str) -> Iterator[Storage]:
-    """Create and lock the output folder. An output URL is not locked.
-
-    Raises
-    ------
-    InputError : another command writes to the folder, or the folder cannot be written
-    """
+    """Create and lock the output folder. An output URL is not locked. Raise InputError if another
+    command writes to the folder, or the folder cannot be written."""
     import fcntl  # absent on Windows
 
     storage = Storage(output)
@@ -74,11 +69,7 @@ def start(storage: Storage, settings: Settings, about: Mapping[str, Any]) -> Non
 
 def status(output: str) -> dict[str, int]:
     """Return the number of "jobs" of a batch, and how many of them are "done", "failed", "left".
-
-    Raises
-    ------
-    InputError : the output contains no batch
-    """
+    Raise InputError if the output contains no batch."""
     storage = Storage(output)
     try:
         jobs = int(json.loads(storage.get(ABOUT))["jobs"])
@@ -109,8 +100,6 @@ def set_aside(storage: Storage, work: Work) -> None:
 def finish(storage: Storage, table: Table, transforms: bool) -> None:
     """Write the missing tables of a finished batch, and remove files that no job uses.
 
-    Parameters
-    ----------
     table : format of the table of drawn jobs, jobs.jsonl (one record per line) or jobs.parquet.
         Failed jobs are always in failed.jsonl
     transforms : whether to write transforms.json
@@ -129,25 +118,27 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
         if failed.stat().st_size:
             storage.move(failed, FAILED)
         if transforms:
-            with storage.temporary() as cameras:
-                with storage.scratch():
-                    _write_transforms(drawn, cameras)
-                storage.move(cameras, "transforms.json")
+            _put(storage, "transforms.json", _write_transforms, drawn)
         if table == "jsonl":
             storage.move(drawn, table_name)
-            return
-        from facerender.batch.parquet import write_parquet
+        else:
+            from facerender.batch.parquet import write_parquet
 
-        with storage.temporary() as parquet:
-            with storage.scratch():
-                write_parquet(drawn, parquet)
-            storage.move(parquet, table_name)
+            _put(storage, table_name, write_parquet, drawn)
+
+
+def _put(storage: Storage, name: str, write: Callable[[Path, Path], None], drawn: Path) -> None:
+    """Write a file atomically with a function that converts the records of the drawn jobs."""
+    with storage.temporary() as file:
+        with storage.scratch():
+            write(drawn, file)
+        storage.move(file, name)
 
 
 def failures(storage: Storage) -> Iterator[Record]:
-    """Yield the records of the first failed jobs of a finished batch."""
+    """Yield the records of the failed jobs of a finished batch, from the first 16 MiB of FAILED."""
     if storage.has(FAILED):
-        lines = storage.get(FAILED, _MOST_FAILURES).splitlines(keepends=True)
+        lines = storage.get(FAILED, 1 << 24).splitlines(keepends=True)
         yield from (json.loads(line) for line in lines if line.endswith(b"\n"))
 
 
@@ -163,7 +154,7 @@ def _drop_stale(storage: Storage, drawn: Path) -> None:
     named = array("q")  # hashes of paths: 8 bytes each
     for record in _records(drawn):
         named.extend(hash(about["path"]) for about in record["files"].values())
-    current = np.sort(np.frombuffer(named, np.int64)) if named else np.empty(0, np.int64)
+    current = np.sort(np.asarray(named))
     for name in stale:
         for record in records_of(storage, name.removesuffix(".jsonl"), STALE):
             for path in {about["path"] for about in record.get("files", {}).values()}:

@@ -27,31 +27,17 @@ from facerender.system.files import check_suffix, read_file, tables_of
 Found = tuple[int | None, Table | InputError]
 
 _LONGEST_LINE = 2**20
-_MOST_TOML = 2**26  # Bytes.
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # Columns of a .csv file with text in each cell, even if the cell looks like a number.
-    *(
-        "id",
-        "outputs",
-        "scene",
-        "mesh",
-        "mesh.parts",
-        "mesh.hide",
-        "environment",
-        "environment.file",
-    ),
-    *(f"mesh.{name}" for name in MESH_PATHS),
+    *("id", "outputs", "scene", "mesh", "mesh.parts", "mesh.hide", "environment"),
+    *("environment.file", *(f"mesh.{name}" for name in MESH_PATHS)),
 }
 
 
 def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     """Yield the rows of a table as :func:`nested` returns them; the suffix determines the format.
-
-    Raises
-    ------
-    InputError : the file or a part of it cannot be read
-    """
+    Raise InputError if the file or a part of it cannot be read."""
     file = Path(path)
     try:
         mode = file.stat().st_mode
@@ -73,16 +59,10 @@ def _nested(row: Any) -> Table | InputError:
 
 
 def _lines(path: Path) -> Generator[str, None, None]:
-    """Yield the lines of a text file.
-
-    Raises
-    ------
-    InputError : a line is not UTF-8, or longer than _LONGEST_LINE bytes
-    """
+    """Yield the lines of a text file in UTF-8, of at most _LONGEST_LINE bytes each."""
     with path.open("rb") as file:
-        number = 0
-        while line := file.readline(_LONGEST_LINE + 1):
-            number += 1
+        lines = iter(lambda: file.readline(_LONGEST_LINE + 1), b"")
+        for number, line in enumerate(lines, 1):
             if len(line) > _LONGEST_LINE:
                 raise InputError(
                     f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give one "
@@ -203,13 +183,8 @@ def _parquet(path: Path) -> Iterator[Found]:
 
 
 def read_toml(path: Path) -> Table:
-    """Read the tables of a TOML file.
-
-    Raises
-    ------
-    InputError : the file cannot be read, or is not TOML
-    """
-    return tables_of(read_file(path, "tables as TOML", _MOST_TOML), path.name)
+    """Read the tables of a TOML file; raise InputError if it cannot be read, or is not TOML."""
+    return tables_of(read_file(path, "tables as TOML", 2**26), path.name)
 
 
 def _toml(path: Path) -> Iterator[Found]:
@@ -224,20 +199,14 @@ def _toml(path: Path) -> Iterator[Found]:
 
 def _py(path: Path) -> Iterator[Found]:
     path.open("rb").close()  # Raises OSError here if the file cannot be read.
-
-    def running(step: Callable[[], Any]) -> Any:
-        try:
-            return step()
-        except (Exception, SystemExit) as error:
-            raise InputError(_where(path, error)) from None
-
-    jobs = running(lambda: runpy.run_path(str(path), run_name="facerender_jobs")).get("jobs")
+    try:
+        jobs = runpy.run_path(str(path), run_name="facerender_jobs").get("jobs")
+        for row in jobs() if callable(jobs) else ():
+            yield None, _nested(row)
+    except (Exception, SystemExit) as error:
+        raise InputError(_where(path, error)) from None
     if not callable(jobs):
         raise InputError(f"{path.name} has no function jobs(): write one that yields rows")
-    rows = running(lambda: iter(jobs()))
-    end = object()
-    while (row := running(lambda: next(rows, end))) is not end:
-        yield None, _nested(row)
 
 
 def _where(path: Path, error: BaseException) -> str:

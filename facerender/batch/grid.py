@@ -45,8 +45,8 @@ def grid_rows(tables: Table) -> Iterator[Table]:
     chance = dict(chance)
     count = _whole("random.count", chance.pop("count", 1), 1)
     seed = _whole("random.seed", chance.pop("seed", 0), 0)
-    random = [*_leaves(chance, "random", _is_random)]
-    axes = [_axis(key, value) for key, value in _leaves(grid, "grid", _is_range)]
+    random = [*_leaves(chance, "random", {*_DISTRIBUTIONS, "choice"})]
+    axes = [_axis(key, value) for key, value in _leaves(grid, "grid", {"from", "to", "step"})]
     draws = {key: _random(key, how, seed) for key, how in random}
     if len(axes) > _MOST_AXES or len(random) > _MOST_AXES:
         raise InputError(f"more than {_MOST_AXES} axes in grid or random: give fewer")
@@ -91,27 +91,17 @@ def _spread(base: Table, axes: Sequence[_Axis]) -> Iterator[Table]:
         yield from _spread(merged(base, axes[0].row(place)), axes[1:])
 
 
-def _leaves(
-    table: Mapping[str, Any], name: str, is_leaf: Callable[[Any], bool]
-) -> Iterator[tuple[str, Any]]:
+def _leaves(table: Mapping[str, Any], name: str, leaf_keys: set[str]) -> Iterator[tuple[str, Any]]:
     """Yield the values of nested tables with their dotted keys; keys may contain dots themselves.
 
-    A table for which `is_leaf` returns true counts as a value.
+    A table with one of `leaf_keys` counts as a value.
     """
     for key, value in table.items():
-        if isinstance(value, Mapping) and value and not is_leaf(value):
-            for subkey, leaf in _leaves(value, f"{name}.{key}", is_leaf):
+        if isinstance(value, Mapping) and value and leaf_keys.isdisjoint(value):
+            for subkey, leaf in _leaves(value, f"{name}.{key}", leaf_keys):
                 yield f"{key}.{subkey}", leaf
         else:
             yield key, value
-
-
-def _is_range(value: Mapping[str, Any]) -> bool:
-    return bool({"from", "to", "step"} & set(value))
-
-
-def _is_random(value: Mapping[str, Any]) -> bool:
-    return not set(value).isdisjoint({*_DISTRIBUTIONS, "choice"})
 
 
 def _axis(key: str, value: Any) -> _Axis:
@@ -147,11 +137,7 @@ def _axis(key: str, value: Any) -> _Axis:
     number = int if integral else float
     keys = key.split(".")
 
-    def row(place: int) -> Table:
-        table: Table = placed(keys, number(start + place * step))
-        return table
-
-    return _Axis(key, count, row)
+    return _Axis(key, count, lambda index: placed(keys, number(start + index * step)))
 
 
 def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
@@ -165,7 +151,7 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     References: Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3".
     """
     name, keys = f"random.{key}", key.split(".")
-    if not isinstance(how, Mapping) or len(how) != 1 or not _is_random(how):
+    if not isinstance(how, Mapping) or len(how) != 1 or not {*how} <= {*_DISTRIBUTIONS, "choice"}:
         raise InputError(f"{name} = {shown(how)}: give one of {_REMEDY}")
     ((kind, values),) = how.items()
     if not isinstance(values, list) or not values:
@@ -174,11 +160,9 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     stream = np.array([seed, int.from_bytes(digest, "little")], dtype=np.uint64)
 
     @lru_cache(1)
-    def words(block: int) -> list[list[int]]:
+    def words(block: int) -> Any:
         generator = np.random.Philox(key=stream, counter=[block * _BLOCK, 0, 0, 0])
-        block_words = generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2]
-        pairs: list[list[int]] = block_words.tolist()
-        return pairs
+        return generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2].tolist()
 
     if kind == "choice":
         rows = [nested({key: value}) for value in values]
@@ -186,16 +170,22 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     if len(values) != 2:
         raise InputError(f"{name}.{kind} = {shown(values)}: give two numbers")
     parameters = [float(_number(f"{name}.{kind}", value)) for value in values]
-    _check_ends(name, kind, *parameters)
-    low, high = (-math.inf, math.inf) if kind == "normal" else parameters
+    low, high = parameters
+    if kind == "normal":
+        if high < 0.0:
+            raise InputError(f"{name}.normal: sigma = {high:g} is negative; give at least 0")
+        low, high = -math.inf, math.inf
+    elif low > high:
+        raise InputError(f"{name}.{kind} = [{low:g}, {high:g}]: give the lower end first")
+    elif kind == "log_uniform" and low <= 0.0:
+        raise InputError(f"{name}.log_uniform = [{low:g}, {high:g}]: give ends above 0")
 
-    def draw(number: int) -> Table:
+    def draw(number: int) -> Any:
         u_bits, v_bits = words(number // _BLOCK)[number % _BLOCK]
         u, v = (u_bits >> 11) * 2.0**-53, (v_bits >> 11) * 2.0**-53
-        value = _DISTRIBUTIONS[kind](parameters[0], parameters[1], u, v)
+        value = _DISTRIBUTIONS[kind](*parameters, u, v)
         # Rounded, because exp and log agree between machines only to 12 digits.
-        row: Table = placed(keys, min(max(float(f"{value:.12g}"), low), high))
-        return row
+        return placed(keys, min(max(float(f"{value:.12g}"), low), high))
 
     return draw
 
@@ -216,15 +206,6 @@ _REMEDY = (
     "{ uniform = [LOW, HIGH] }, { log_uniform = [LOW, HIGH] }, { normal = [MEAN, SIGMA] }, "
     "{ choice = [...] }"
 )
-
-
-def _check_ends(name: str, kind: str, low: float, high: float) -> None:
-    if kind == "normal" and high < 0.0:
-        raise InputError(f"{name}.normal: sigma = {high:g} is negative; give at least 0")
-    if kind != "normal" and low > high:
-        raise InputError(f"{name}.{kind} = [{low:g}, {high:g}]: give the lower end first")
-    if kind == "log_uniform" and low <= 0.0:
-        raise InputError(f"{name}.log_uniform = [{low:g}, {high:g}]: give ends above 0")
 
 
 def _number(name: str, value: Any) -> int | float:

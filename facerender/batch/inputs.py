@@ -7,9 +7,8 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from facerender.batch.jobs import Row
+from facerender.batch.jobs import FILES, Row
 from facerender.errors import InputError, clipped
-from facerender.job import MESH_PATHS
 from facerender.loading import load_mesh
 from facerender.loading.environment import load_environment
 from facerender.loading.vertices import frame_count, posed
@@ -47,9 +46,6 @@ def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
                 mesh_uses[use] = moment, place
     faults: dict[tuple[_File, str], _Place] = {}
 
-    def read(file: _File) -> Any:
-        return _READ[file[0]](*file[1:])
-
     def attempt(file: _File, place: _Place, name: str, call: _Call, *arguments: Any) -> Any:
         """Return the result of a call, or note its error and return None."""
         try:
@@ -65,10 +61,11 @@ def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
 
     unread = set[str]()
     for file in first_places.keys() - uses.keys():
-        if attempt(file, first_places[file], file[1], read, file) is None:
+        if attempt(file, first_places[file], file[1], _READ[file[0]], *file[1:]) is None:
             unread.add(file[1])
     for file, mesh_uses in uses.items():
-        mesh = attempt(file, first_places[file], file[1] or "the built-in head", read, file)
+        name = file[1] or "the built-in head"
+        mesh = attempt(file, first_places[file], name, _read_mesh, *file[1:])
         for use, (moment, place) in mesh_uses.items():
             if mesh is not None and use[1] not in unread:
                 attempt(file, place, use[1] or "its clip", _check_use, mesh, *use, moment)
@@ -84,16 +81,12 @@ def _mesh_of(row: Row) -> _File:
 
 def _files(row: Row) -> Iterator[_File]:
     """Yield the files of a row, without the mesh."""
-    mesh = row.tables.get("mesh", {})
-    for name in MESH_PATHS:
-        if name != "path" and name in mesh:
-            yield "map", mesh[name]
-    environment = row.tables.get("environment")
-    if environment and environment["file"] != STUDIO:
-        yield "environment", environment["file"]
-    for key in ("pose", "before"):
-        if vertices := row.tables.get(key, {}).get("vertices"):
-            yield "vertices", vertices
+    for key, names in FILES.items():
+        kind = {"mesh": "map", "environment": "environment"}.get(key, "vertices")
+        table = row.tables.get(key, {})
+        for path in (table.get(name) for name in names if name != "path"):
+            if path and path != STUDIO:
+                yield kind, path
     if "landmarks" in row.tables:
         yield "landmarks", row.tables["landmarks"]
 
@@ -136,7 +129,6 @@ def _read_mesh(path: str | None, replaced: bool, options: str) -> Mesh:
 
 
 _READ: dict[str, _Call] = {
-    "mesh": _read_mesh,
     "map": lambda path: Texture.open(path).rgb(),
     "environment": lambda path: load_environment(EnvironmentFile(path)),
     "vertices": frame_count,

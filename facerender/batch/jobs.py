@@ -10,6 +10,7 @@ import re
 import string
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePath
@@ -21,69 +22,39 @@ from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
 from facerender.errors import InputError, check_known, check_path, clipped, shown
 from facerender.job import MESH_PATHS, MeshFile, parse_size
-from facerender.scenes.camera import Camera
-from facerender.scenes.file import (
-    KEYS,
-    STUDIO,
-    EnvironmentFile,
-    ImageSettings,
-    Pose,
-    from_table,
-    scene_value,
-)
-from facerender.scenes.light import Light
-from facerender.scenes.lod import Planned
-from facerender.scenes.material import Material
+from facerender.scenes.file import KEYS, STUDIO, from_table, scene_value
 from facerender.scenes.scene import ONLY, Scene
 from facerender.shading import Shading
-from facerender.terms.ranges import EXPOSURES, ranges_of
+from facerender.terms.ranges import EXPOSURES
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "landmarks")
 OWN = ("id", "outputs", "exposure", "scene", "meta")  # Keys of a row that are not in TABLES.
-TABLE_KINDS: dict[str, Any] = {
-    "mesh": MeshFile,
-    "camera": Camera,
-    "lights": Light,
-    "environment": EnvironmentFile,
-    "material": Material,
-    "pose": Pose,
-    "before": Pose,
-    "planned": Planned,
-    "image": ImageSettings,
+# Keys of a table whose values are paths of files, keyed by the table.
+FILES = {
+    "mesh": MESH_PATHS,
+    "environment": ("file",),
+    "pose": ("vertices",),
+    "before": ("vertices",),
 }
-_TOGETHER = ("m", "second_slope", "lobe_weight")  # Values that limit each other's range.
-ID = "[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}"
 
-_ID = re.compile(ID)
+_ID = re.compile("[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}")
 _SPEC = re.compile(r"[+-]?0?[0-9]{0,2}(\.[0-9]{1,2})?[defgs]?")
-_LONGEST_FAULT = 400  # Maximum number of characters in a message.
-_MOST_GOOD = 4096  # Maximum number of cached hashes of valid tables.
-_MOST_TWICE = 10_000  # Maximum number of duplicate ids that are described.
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A job of a batch.
+    """A job of a batch."""
 
-    Parameters
-    ----------
-    number : index of the row in the table, from 0
-    id : name of the job's files: 1 to 128 letters, digits, ".", "_" and "-"; no "." at the start
-    tables : nested plain data for :meth:`facerender.Job.from_dict`, with absolute paths. With an
-        environment map, lights and ambient light default to none. Rows share parts of their
-        tables: do not modify these tables
-    outputs : names from OUTPUTS
-    exposure : exposure of the 8-bit images, in stops
-    meta : values that the job's record repeats, such as the age of a person
-    """
-
-    number: int
-    id: str
+    number: int  # Index of the row in the table, from 0.
+    id: str  # Name of the job's files: at most 128 letters, digits, ".", "_", "-"; no "." first.
+    # Nested plain data for :meth:`facerender.Job.from_dict`, with absolute paths. With an
+    # environment map, lights and ambient light default to none. Rows share parts of their tables:
+    # do not modify these tables.
     tables: Table
-    outputs: tuple[str, ...] = ("image",)
-    exposure: float = 0.0
-    meta: Table = field(default_factory=dict)
+    outputs: tuple[str, ...] = ("image",)  # Names from OUTPUTS.
+    exposure: float = 0.0  # Exposure of the 8-bit images, in stops.
+    meta: Table = field(default_factory=dict)  # Values that the job's record repeats.
 
 
 class JobTable:
@@ -125,43 +96,40 @@ class JobTable:
         ------
         InputError : the file cannot be read or has no rows
         """
-        meshes, good = set[int](), set[int]()
-        errors: dict[str, _Fault] = {}
-        ids = array("q")  # Hashes of the ids: 8 bytes per row.
+        meshes, ids = set[int](), array("q")  # Hashes of the ids: 8 bytes per row.
+        errors: dict[str, tuple[str, array[int]]] = {}  # First position, and numbers of the rows.
         for position, row in _rows(self._path, self._common):
             self.rows += 1
             try:
                 if isinstance(row, InputError):
                     raise row
-                if len(good) > _MOST_GOOD:
-                    good.clear()
-                _check(row, good)
+                _check(row)
             except InputError as error:
                 self._bad += 1
-                if (text := clipped(str(error), _LONGEST_FAULT)) in errors:
-                    errors[text].add(self.rows)
-                elif len(errors) < self._most:
-                    errors[text] = _Fault(position, self.rows, self.rows)
+                text = clipped(str(error), 400)
+                if text in errors or len(errors) < self._most:
+                    errors.setdefault(text, (position, array("L")))[1].append(self.rows)
                 continue
             ids.append(hash(row.id))
             meshes.add(hash(row.tables.get("mesh", {}).get("path")))
             yield position, row
         self.meshes = len(meshes)
-        name = PurePath(self._path).name
-        self.faults = [f"{fault.position(name)}: {text}" for text, fault in errors.items()]
-        described = sum(fault.count for fault in errors.values())
+        self.faults = [f"{self._place(*rows)}: {text}" for text, rows in errors.items()]
+        described = sum(len(numbers) for _, numbers in errors.values())
         ordered = np.sort(np.asarray(ids))
         twice = ordered[1:][ordered[1:] == ordered[:-1]]
         if len(twice) and len(self.faults) < self._most:
-            faults = self._duplicates({*twice[:_MOST_TWICE].tolist()})
+            faults = self._duplicates({*twice[:10_000].tolist()})
             self.faults, described = self.faults + faults, described + len(faults)
         self.more = self._bad + len(twice) - described
 
-    def check(self) -> JobTable:
-        """Read and check all rows, and return the table."""
-        for _ in self:
-            pass
-        return self
+    def _place(self, first: str, numbers: array[int]) -> str:
+        """Describe the position of the rows with one error, of which the first is at `first`."""
+        count, last = len(numbers), numbers[-1]
+        if count == 1:
+            return first
+        rows = "rows" if count == last - numbers[0] + 1 else f"{count} rows from"
+        return f"{PurePath(self._path).name}, {rows} {numbers[0]} to {last}"
 
     def _duplicates(self, hashes: set[int]) -> list[str]:
         """Describe the rows that repeat the id of an earlier row.
@@ -172,37 +140,14 @@ class JobTable:
         faults: list[str] = []
         for position, row in _rows(self._path, self._common):
             if isinstance(row, Row) and hash(row.id) in hashes:
-                if row.id in row_numbers:
-                    first_number = row_numbers[row.id] + 1
+                first = row_numbers.setdefault(row.id, row.number)
+                if first != row.number:
                     faults.append(
-                        f"{position}: id = {row.id!r} is used by row {first_number}: give another"
+                        f"{position}: id = {row.id!r} is used by row {first + 1}: give another"
                     )
-                    if len(self.faults) + len(faults) == self._most:
-                        break
-                row_numbers.setdefault(row.id, row.number)
+                if len(self.faults) + len(faults) == self._most:
+                    break
         return faults
-
-
-@dataclass
-class _Fault:
-    """The rows with one error: the position of the first row, its and the last row's number from 1,
-    and the count of rows."""
-
-    first_position: str
-    first: int
-    last: int
-    count: int = 1
-
-    def add(self, number: int) -> None:
-        self.last, self.count = number, self.count + 1
-
-    def position(self, name: str) -> str:
-        """Return the position of the rows as a text; ``name``: of the table's file."""
-        if self.count == 1:
-            return self.first_position
-        contiguous = self.count == self.last - self.first + 1
-        rows = "rows" if contiguous else f"{self.count} rows from"
-        return f"{name}, {rows} {self.first} to {self.last}"
 
 
 def _rows(
@@ -220,10 +165,9 @@ def _rows(
         try:
             if isinstance(row_values, InputError):
                 raise row_values
-            if (scene := row_values.pop("scene", None)) is not None:
-                row = _row(number, merged(_over_scene(defaults, scene), row_values), folder)
-            else:
-                row = _row(number, merged(base, row_values), folder)
+            scene = row_values.pop("scene", None)
+            tables = base if scene is None else _over_scene(defaults, scene)
+            row = _row(number, merged(tables, row_values), folder)
         except InputError as error:
             row = error
         yield position, row
@@ -245,40 +189,27 @@ def _row(number: int, values: Table, folder: str) -> Row:
     if type(meta) is not dict:
         raise InputError(f"meta = {shown(meta)}: give a table, or values such as meta.age")
     tables: Table = {key: listed(value, key) for key, value in values.items()}
-    template, outputs, exposure = (tables.pop(key, None) for key in ("id", "outputs", "exposure"))
+    template = tables.pop("id", "{number:08d}")
+    outputs, exposure = tables.pop("outputs", "image"), tables.pop("exposure", 0.0)
     for key in tables:
         check_known("key", key, (*OWN, *TABLES))
     if type(image := tables.get("image")) is dict and type(image.get("size")) in (str, int):
         tables["image"] = {**image, "size": [*parse_size(str(image["size"]), "image size")]}
-    if type(mesh := tables.get("mesh")) is dict:
-        paths = {
-            name: _absolute(mesh[name], f"mesh {name}", folder)
-            for name in MESH_PATHS
-            if name in mesh
-        }
-        tables["mesh"] = {**mesh, **paths}
-    for key in ("pose", "before"):
-        if type(pose := tables.get(key)) is dict and "vertices" in pose:
-            file = _absolute(pose["vertices"], f"{key} vertices", folder)
-            tables[key] = {**pose, "vertices": file}
+    for key, names in FILES.items():
+        if type(table := tables.get(key)) is dict:
+            paths = {
+                name: _absolute(table[name], f"{key} {name}", folder)
+                for name in names
+                if name in table and (key, table[name]) != ("environment", STUDIO)
+            }
+            tables[key] = table | paths
     if "landmarks" in tables:
         tables["landmarks"] = _absolute(tables["landmarks"], "landmarks", folder)
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
-    environment = tables.get("environment")
-    if type(environment) is dict and environment.get("file", STUDIO) != STUDIO:
-        file = _absolute(environment["file"], "environment file", folder)
-        tables["environment"] = {**environment, "file": file}
-    if exposure is not None:
-        EXPOSURES.check("exposure", exposure)
-    return Row(
-        number,
-        f"{number:08d}" if template is None else _id(template, number, tables),
-        tables,
-        ("image",) if outputs is None else _outputs(outputs),
-        0.0 if exposure is None else float(exposure),
-        meta,
-    )
+    EXPOSURES.check("exposure", exposure)
+    name = _id(template, number, tables)
+    return Row(number, name, tables, _outputs(outputs), float(exposure), meta)
 
 
 @lru_cache(64)
@@ -288,21 +219,13 @@ def _scene_tables(path: str) -> Table:
 
 
 def _absolute(path: Any, name: str, folder: str) -> Any:
-    """Return a path as an absolute path: workers may have another working directory.
-
-    A value that is not text is returned unchanged: `Job.from_dict` rejects it.
-    """
-    return _absolute_text(path, name, folder) if isinstance(path, str) else path
-
-
-@lru_cache(4096)
-def _absolute_text(path: str, name: str, folder: str) -> str:
-    try:
-        if not path or "\0" in os.fsencode(path).decode(errors="replace"):
-            raise ValueError
-    except ValueError:
-        raise InputError(f"{name} = {shown(path)} is not a path: give another") from None
-    return path if "://" in path else os.path.normpath(os.path.join(folder, path))
+    """Return a path as an absolute path: workers may have another working directory."""
+    if not isinstance(path, str):
+        return path  # `Job.from_dict` rejects it.
+    with suppress(ValueError):
+        if path and b"\0" not in os.fsencode(path):
+            return path if "://" in path else os.path.normpath(os.path.join(folder, path))
+    raise InputError(f"{name} = {shown(path)} is not a path: give another")
 
 
 def _outputs(value: Any) -> tuple[str, ...]:
@@ -333,11 +256,7 @@ def check_outputs(names: Sequence[str]) -> None:
 def _id(template: Any, number: int, tables: Table) -> str:
     text = template
     if isinstance(template, str) and not template.isalnum():
-        try:
-            parts = _parts(template)
-        except ValueError as error:
-            raise InputError(f"id = {shown(template)} is not a template: {error}") from None
-        text = "".join([_part(template, *part, number, tables) for part in parts])
+        text = "".join([_part(template, *part, number, tables) for part in _parts(template)])
     elif type(template) is int:
         text = str(template)
     if not isinstance(text, str) or not _ID.fullmatch(text):
@@ -349,17 +268,15 @@ def _id(template: Any, number: int, tables: Table) -> str:
 
 @lru_cache(256)
 def _parts(template: str) -> list[tuple[str, str, str]]:
-    """Split an id template into triples: literal text, then name and format of the next field.
-
-    Raises
-    ------
-    ValueError : a field is neither {NAME} nor {NAME:FORMAT}
-    """
+    """Split an id template into triples: literal text, then name and format of the next field."""
     parts = []
-    for literal, name, spec, conversion in string.Formatter().parse(template):
-        if conversion is not None or name == "" or not _SPEC.fullmatch(spec or ""):
-            raise ValueError("give {NAME} or {NAME:FORMAT}, such as {number:06d}")
-        parts.append((literal, name or "", spec or ""))
+    try:
+        for literal, name, spec, conversion in string.Formatter().parse(template):
+            if conversion is not None or name == "" or not _SPEC.fullmatch(spec or ""):
+                raise ValueError("give {NAME} or {NAME:FORMAT}, such as {number:06d}")
+            parts.append((literal, name or "", spec or ""))
+    except ValueError as error:
+        raise InputError(f"id = {shown(template)} is not a template: {error}") from None
     return parts
 
 
@@ -396,49 +313,20 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
 # --- checks --------------------------------------------------------------------------------------
 
 
-def _check(row: Row, good: set[int]) -> None:
-    """Check the tables of a row as :meth:`facerender.Job.from_dict` does.
-
-    Tables whose hashes are in `good` are skipped; the hashes of valid tables are added to `good`.
-
-    Raises
-    ------
-    InputError : a value is outside its range, or the shading names a light that the row lacks
-    """
+def _check(row: Row) -> None:
+    """Check the tables of a row as :meth:`facerender.Job.from_dict` does."""
     try:
         for key, value in row.tables.items():
-            for entry in value if key == "lights" and type(value) is list else [value]:
-                if (name := hash(f"{key} {_without_valid(key, entry)!r}")) not in good:
-                    if key == "mesh":
-                        from_table(MeshFile, key, entry)
-                    elif key == "landmarks":
-                        check_path(key, entry)
-                    else:
-                        scene_value(key, entry if entry is value else [entry])
-                    good.add(name)
+            if key == "mesh":
+                from_table(MeshFile, key, value)
+            elif key == "landmarks":
+                check_path(key, value)
+            else:
+                scene_value(key, value)
         if "shading" in row.tables:
-            count = len(row.tables.get("lights", Scene.lights))
-            if (name := hash(f"{count} {row.tables['shading']!r}")) not in good:
-                Shading.from_dict(row.tables["shading"]).check_lights(count)
-                good.add(name)
+            lights = row.tables.get("lights", Scene.lights)
+            Shading.from_dict(row.tables["shading"]).check_lights(len(lights))
     except InputError:
         raise
     except (TypeError, ValueError, ArithmeticError) as error:  # A value of an unexpected type.
         raise InputError(f"{shown(row.tables)} cannot be used: {error}") from None
-
-
-def _without_valid(key: str, table: Any) -> Any:
-    """Return a table without its valid numbers. A number is valid within its field's range.
-
-    Tables that differ only in valid numbers then have equal hashes and are checked once. For a row
-    with a camera, a material and two lights, a check takes 31 us instead of 92 us.
-    """
-    if type(table) is not dict or key not in TABLE_KINDS or "extrinsics" in table:
-        return table
-    ranges = ranges_of(TABLE_KINDS[key])
-    together = _TOGETHER if "second_slope" in table else ()
-    return {
-        name: value
-        for name, value in table.items()
-        if name not in ranges or name in together or value not in ranges[name]
-    }

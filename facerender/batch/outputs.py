@@ -50,20 +50,14 @@ _MOST = 65535  # Largest 16-bit value.
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """The drawn files of a job.
+    """The drawn files of a job."""
 
-    Attributes
-    ----------
-    files : contents of the files, keyed by the file name, such as "image.png"
-    facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION"; "mesh", the path
-        or "built-in"; and "camera" from :func:`camera_facts`. With output depth, "depth_scale":
-        mesh units per step of the 16-bit depth. With output parts or layers, "parts": the names of
-        the parts. For a planned scene, "planned": whether the plan covers this size and number of
-        samples, and was therefore used. For a job with landmarks, "landmarks": a list from
-        :func:`landmark_facts`
-    """
-
-    files: dict[str, bytes]
+    files: dict[str, bytes]  # Contents of the files, keyed by the file name, such as "image.png".
+    # Plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION"; "mesh", the path or
+    # "built-in"; and "camera" from :func:`camera_facts`. With output depth, "depth_scale": mesh
+    # units per step of the 16-bit depth. With output parts or layers, "parts": their names. For a
+    # planned scene, "planned": whether the plan covers this size and number of samples, and was
+    # therefore used. For a job with landmarks, "landmarks" from :func:`landmark_facts`.
     facts: dict[str, Any]
 
 
@@ -78,8 +72,7 @@ def draw(
 
     Parameters
     ----------
-    mesh : the result of ``job.mesh.load()``
-    renderer : renderer with the job's image settings
+    mesh, renderer : ``job.mesh.load()``, and a renderer with the job's image settings
     outputs : names from OUTPUTS
     exposure : exposure of image.png, specular.png and diffuse.png, in stops
 
@@ -119,7 +112,10 @@ def draw(
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
         facts["landmarks"] = landmark_facts(job.landmarks, view, full_scene.mesh, frames["depth"])
     if "depth" in outputs:
-        facts["depth_scale"] = _depth_scale(view, scene.mesh)
+        # 65535 stands for the far side of the bounding sphere: the scale depends only on the camera
+        # and this sphere, not on the visible surface or the driver.
+        farthest = max(1.0 - float(view.position @ view.forward), 0.0)
+        facts["depth_scale"] = farthest * scene.mesh.radius / _MOST or 1.0  # 1 if all is behind.
     files = {}
     for name in filter(outputs.__contains__, OUTPUTS):
         file = file_name(name)
@@ -270,16 +266,6 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         **dict(zip(("k1", "k2", "p1", "p2", "k3"), coefficients, strict=False)),
         "transform_matrix": camera["transform_matrix"],
     }
-
-
-def _depth_scale(view: View, mesh: Mesh) -> float:
-    """Return the mesh units per step of a 16-bit depth value.
-
-    The value 65535 stands for the far side of the bounding sphere. The scale depends only on the
-    camera and this sphere, not on the visible surface or the driver.
-    """
-    farthest = 1.0 - float(view.position @ view.forward)
-    return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # 1 if the mesh is behind the camera
 
 
 def _layers(frames: Mapping[str, Frame]) -> dict[str, NDArray[Any]]:

@@ -48,9 +48,9 @@ def write_parquet(lines: Path, target: Path) -> None:
     rows = _rows(lines)
     with ParquetWriter(target, schema) as writer:
         while block := [*islice(rows, _ROWS)]:
-            columns = [
-                [_value(row.get(name), kind) for row in block] for name, kind in kinds.items()
-            ]
+            for row in block:
+                row |= {name: json.dumps(row[name]) for name in row if kinds[name] == "json"}
+            columns = [[row.get(name) for row in block] for name in kinds]
             writer.write_table(pa.table(columns, schema))
 
 
@@ -87,7 +87,3 @@ def _kind(value: Any) -> str:
             return "vector"
         return "matrix" if inner == {"vector"} else "json"
     return {bool: "bool", int: "int", float: "float", str: "text"}.get(type(value), "json")
-
-
-def _value(value: Any, kind: str) -> Any:
-    return json.dumps(value) if kind == "json" and value is not None else value

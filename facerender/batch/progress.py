@@ -18,34 +18,28 @@ from facerender.errors import clipped
 from facerender.system.progress import shows_bars
 from facerender.system.signals import if_ended
 
-_FRAME = 0.2  # seconds between two updates of a bar
-_LONGEST = 400  # maximum characters of a reason
 NAMED = 5  # maximum number of failed jobs, and of workers that ended, that are named
 
 
 def failed_line(record: Record) -> str:
     """Return a message that names a failed job and the reason."""
-    return f"facerender: job {record['id']} failed: {clipped(record['error'], _LONGEST)}"
+    return f"facerender: job {record['id']} failed: {clipped(record['error'], 400)}"
 
 
 class Progress(ExitStack):
     """Progress bars on a terminal, names of failed jobs and ended workers, or JSON lines.
 
     The bars show jobs done, rate, time left and failures, and the current step of each worker. If
-    a signal ends the process, the number of finished jobs is printed.
+    a signal ends the process, the number of finished jobs is printed. `failed` and `deaths` are the
+    numbers of failed jobs, and of workers that ended or hung.
 
     Parameters
     ----------
-    work : the work of the batch
     workers : number of local workers, which report every step; 0 for a cluster
     lines : whether to print a JSON line for each chunk, failed job and ended worker. Otherwise,
         the first NAMED failed jobs and ended workers are messages
     message : prints a message on standard error
     quiet : whether to hide the bars
-
-    Attributes
-    ----------
-    failed, deaths : number of failed jobs, and of workers that ended or hung
     """
 
     def __init__(
@@ -62,7 +56,7 @@ class Progress(ExitStack):
             total=work.jobs,
             initial=work.jobs - work.left,
             unit=" jobs",
-            mininterval=_FRAME,
+            mininterval=0.2,
             disable=not terminal,
             smoothing=0.05,
         )

@@ -14,18 +14,12 @@ NO_MEMORY = 9  # Exit status of a worker: out of memory.
 
 @dataclass(frozen=True)
 class Order:
-    """A request to draw the remaining jobs of a chunk.
-
-    Attributes
-    ----------
-    left : indices of the remaining jobs in the chunk
-    tar, size : see :class:`facerender.batch.records.Writer`
-    """
+    """A request to draw the remaining jobs of a chunk."""
 
     settings: Settings
     chunk: Chunk
-    left: tuple[int, ...]
-    tar: Path | None
+    left: tuple[int, ...]  # Indices of the remaining jobs in the chunk.
+    tar: Path | None  # See :class:`facerender.batch.records.Writer`.
     size: int
 
 
@@ -33,23 +27,17 @@ class Order:
 class Message:
     """A worker's report of one step.
 
-    Attributes
-    ----------
-    step : "loads": the worker loads the job's mesh; "draws": the worker draws the job; "done": the
-        job is drawn; "kept": the files of an earlier run are reused; "failed": the job failed;
-        "cannot": no job can be drawn; "end": the chunk is finished. "starts" is never sent: it is
-        the supervisor's value until the first message arrives
-    position : index of the job in the chunk
-    record : record of the job in the steps "done", "kept" and "failed"; otherwise None
-    size : size of the tar in bytes after this step
-    text : in the step "cannot", the reason why no job can be drawn
+    Steps: "loads": the worker loads the job's mesh; "draws": the worker draws the job; "done": the
+    job is drawn; "kept": the files of an earlier run are reused; "failed": the job failed;
+    "cannot": no job can be drawn; "end": the chunk is finished. "starts" is never sent: it is the
+    supervisor's value until the first message arrives.
     """
 
     step: Literal["starts", "loads", "draws", "done", "kept", "failed", "cannot", "end"]
-    position: int = -1
-    record: Record | None = None
-    size: int = 0
-    text: str = ""
+    position: int = -1  # Index of the job in the chunk.
+    record: Record | None = None  # The job's record in the steps "done", "kept" and "failed".
+    size: int = 0  # Size of the tar in bytes after this step.
+    text: str = ""  # In the step "cannot", the reason.
 
 
 def failure(chunk: Chunk, position: int, kind: str, text: str) -> Record:

@@ -30,16 +30,13 @@ _BLOCK = 512  # Bytes per tar block.
 class Writer:
     """Writer of a chunk's output files, in the order of its jobs: separate files or one tar.
 
-    Parameters
-    ----------
-    tar : the unfinished tar with layout "shards"; None with layout "files"
-    size : number of valid bytes in the tar; the constructor cuts off the rest
+    ``tar``: the unfinished tar with layout "shards"; None with layout "files"; ``size``: number of
+    valid bytes in the tar; the constructor cuts off the rest.
     """
 
     def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
         self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
-        self.size = size
-        self._tar = tar
+        self.size, self._tar = size, tar
         self._get = lru_cache(1)(self.storage.get)  # Consecutive jobs mostly share a tar.
         if tar is not None:
             with self.storage.scratch(), tar.open("r+b" if size else "wb") as file:
@@ -60,9 +57,8 @@ class Writer:
             written[name] = {"path": path, "bytes": len(content), "sha256": digest}
         record = self._record(position, facts, written)
         if self._tar is not None:
-            about = json.dumps(record).encode()
             members = {f"{row.id}.{name}": content for name, content in files.items()}
-            members[f"{row.id}.json"] = about
+            members[f"{row.id}.json"] = json.dumps(record).encode()
             with self.storage.scratch():
                 self.size = _append(self._tar, itertools.starmap(_member, members.items()))
         return record
@@ -137,7 +133,7 @@ def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence
     if tar is not None and done:
         with storage.scratch():
             _append(tar, [bytes(2 * _BLOCK)])
-        storage.move(tar, _shard(chunk))
+        storage.move(tar, f"shards/{chunk.name}.tar")
     _put_records(
         storage, f"{RECORDS}/{chunk.name}.jsonl", chunk, records, done, len(records) - done
     )
@@ -154,11 +150,7 @@ def _put_records(
 
 def _path(chunk: Chunk, row: Row, name: str, shards: bool) -> str:
     """Return the path of a job's file, or of the tar that contains it."""
-    return _shard(chunk) if shards else f"data/{row.id}/{name}"
-
-
-def _shard(chunk: Chunk) -> str:
-    return f"shards/{chunk.name}.tar"
+    return f"shards/{chunk.name}.tar" if shards else f"data/{row.id}/{name}"
 
 
 def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]:
@@ -192,10 +184,8 @@ def _member(name: str, content: bytes) -> bytes:
 
 def read_head(storage: Storage, name: str) -> dict[str, int]:
     """Return the first line of a chunk's record: "chunk", "done" and "failed"."""
-    head: dict[str, int] = json.loads(
-        storage.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]
-    )
-    return head
+    head = storage.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]
+    return dict(json.loads(head))
 
 
 def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
@@ -206,5 +196,4 @@ def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[R
 
 def record_names(storage: Storage, folder: str = RECORDS) -> set[str]:
     """Return the names of the chunks that have a record."""
-    suffix = ".jsonl"
-    return {name.removesuffix(suffix) for name in storage.names(folder) if name.endswith(suffix)}
+    return {n.removesuffix(".jsonl") for n in storage.names(folder) if n.endswith(".jsonl")}

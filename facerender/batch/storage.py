@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 from facerender.errors import InputError
@@ -35,9 +34,22 @@ class Storage:
     """
 
     def __init__(self, root: str) -> None:
-        self.root, self.remote = root.rstrip("/"), "://" in root
-        if self.remote:
-            self._system, self._path = _remote(self.root)
+        root = root.rstrip("/")
+        self.root, self.remote = root, "://" in root
+        if not self.remote:
+            return
+        try:
+            import fsspec
+        except ImportError:
+            raise InputError(f"{root} needs fsspec: pip install 'facerender[batch]'") from None
+        try:
+            # A cached listing would miss files that other processes have written since.
+            self._system, path = fsspec.core.url_to_fs(root, use_listings_cache=False)
+        except (ValueError, ImportError) as error:
+            raise InputError(
+                f"{root} cannot be reached ({error}); give a folder or a URL"
+            ) from None
+        self._path = str(path)
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file atomically."""
@@ -157,16 +169,3 @@ def temporary_folder() -> str:
         return tempfile.gettempdir()
     except OSError:
         return os.environ.get("TMPDIR", "/tmp")
-
-
-def _remote(root: str) -> tuple[Any, str]:
-    try:
-        import fsspec
-    except ImportError:
-        raise InputError(f"{root} needs fsspec: pip install 'facerender[batch]'") from None
-    try:
-        # A cached listing would miss files that other processes have written since.
-        system, path = fsspec.core.url_to_fs(root, use_listings_cache=False)
-    except (ValueError, ImportError) as error:
-        raise InputError(f"{root} cannot be reached ({error}); give a folder or a URL") from None
-    return system, str(path)

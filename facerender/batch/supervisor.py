@@ -36,7 +36,6 @@ _ALONE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS":
 _THREAD = threading.local()
 _NO_JOB = -1
 _MEMORY = "ran out of memory"
-_TO_START = 60.0  # Time limit for the first message of a new worker, in seconds.
 
 
 class CannotDraw(FacerenderError, RuntimeError):
@@ -60,28 +59,16 @@ class Death:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a chunk.
+    """The result of a chunk."""
 
-    Attributes
-    ----------
-    chunk : number of the chunk
-    drawn : number of jobs that were drawn
-    kept : number of jobs whose files from an earlier run were reused
-    failed : records of the failed jobs
-    seconds : time to draw, write and commit the chunk
-    deaths : the workers that ended or hung
-    renderer : GL_RENDERER and GL_VERSION; "" if no job was drawn
-    worker : host and process ID of the last worker
-    """
-
-    chunk: int
+    chunk: int  # Number of the chunk.
     drawn: int
-    kept: int
+    kept: int  # Number of jobs whose files from an earlier run were reused.
     failed: tuple[Record, ...]
-    seconds: float
-    deaths: tuple[Death, ...]
-    renderer: str
-    worker: str
+    seconds: float  # Time to draw, write and commit the chunk.
+    deaths: tuple[Death, ...]  # The workers that ended or hung.
+    renderer: str  # GL_RENDERER and GL_VERSION; "" if no job was drawn.
+    worker: str  # Host and process ID of the last worker.
 
 
 def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -> Outcome:
@@ -146,18 +133,18 @@ class Supervisor:
             failed=tuple(record for record in records if "error" in record),
             seconds=time.perf_counter() - began,
             deaths=tuple(deaths),
-            renderer=next(filter(None, map(_renderer, records)), ""),
+            renderer=next(
+                (f"{r['GL_RENDERER']}; {r['GL_VERSION']}" for r in records if "GL_RENDERER" in r),
+                "",
+            ),
             worker=self.worker,
         )
 
     def _draw(
         self, settings: Settings, chunk: Chunk, tar: Path | None, report: Report
     ) -> tuple[list[Record], Counter[str], list[Death]]:
-        """Draw the jobs of a chunk.
-
-        Return the jobs' records in order, the number of jobs per final step ("done", "kept",
-        "failed"), and the workers that ended or hung.
-        """
+        """Draw the jobs of a chunk, and return their records in order, the number of jobs per final
+        step ("done", "kept", "failed"), and the workers that ended or hung."""
         records: dict[int, Record] = {}
         attempts, steps, size = Counter[int](), Counter[str](), 0
         deaths: list[Death] = []
@@ -189,13 +176,7 @@ class Supervisor:
                 report(self.worker, "failed", chunk.rows[position].id)
 
     def _answers(self, order: Order) -> Iterator[Message]:
-        """Send an order, and yield the worker's messages until the end of the chunk.
-
-        Raises
-        ------
-        CannotDraw : the worker cannot draw any job
-        _WorkerEnded : the worker died or hung
-        """
+        """Send an order, and yield the worker's messages until the end of the chunk."""
         try:
             connection = self._started(order.settings.timeout)
             connection.send(order)
@@ -242,7 +223,7 @@ class Supervisor:
             )
             theirs.close()
             self._connection = Connection(ours.detach())
-            self._patience = _TO_START
+            self._patience = 60.0
         return self._connection
 
     def _exit(self) -> str:
@@ -272,10 +253,6 @@ def _kills_for_memory() -> int:
 def _id(chunk: Chunk, message: Message) -> str:
     """Return the ID of a message's job, or "" if the message is about no job."""
     return chunk.rows[message.position].id if message.position >= 0 else ""
-
-
-def _renderer(record: Record) -> str:
-    return f"{record['GL_RENDERER']}; {record['GL_VERSION']}" if "GL_RENDERER" in record else ""
 
 
 def _at_fault(chunk: Chunk, message: Message) -> set[int]:

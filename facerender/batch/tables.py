@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from facerender.errors import InputError, clipped, shown
 from facerender.scenes.camera import orbit_of
-from facerender.scenes.file import EnvironmentFile, parse_environment
+from facerender.scenes.file import parse_environment
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.scene import Scene
 
@@ -46,9 +47,8 @@ def nested(row: Any) -> Table:
         if key == "mesh" and isinstance(value, str | os.PathLike):
             key = "mesh.path"
         elif key == "environment" and isinstance(value, str):
-            environment = parse_environment(value)
-            for name in [field.name for field in fields(EnvironmentFile)][: value.count(",") + 1]:
-                values[f"environment.{name}"] = getattr(environment, name)
+            parts = islice(asdict(parse_environment(value)).items(), value.count(",") + 1)
+            values |= {f"environment.{name}": part for name, part in parts}
             continue
         elif key == "camera" and isinstance(value, str):
             values |= {f"camera.{name}": number for name, number in orbit_of(value).items()}
@@ -74,10 +74,7 @@ def merged(base: Table, over: Table) -> Table:
 
     Nested tables are merged, numbered items replace items of a list, and other values are replaced.
     The arguments are not modified; the result may share parts with the arguments.
-
-    Raises
-    ------
-    InputError : a numbered item is not in the list and does not extend it by one
+    Raise InputError if a numbered item is not in the list and does not extend it by one.
     """
     table = dict(base)
     for key, value in over.items():
@@ -108,12 +105,8 @@ def with_default_lights(tables: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists, except ``parts``.
-
-    Raises
-    ------
-    InputError : a number is missing among these keys
-    """
+    """Convert tables with the keys 0, 1, 2, ... into lists, except ``parts``; raise InputError if a
+    number is missing among these keys."""
     if type(value) is dict:
         items = {
             key: listed(item, f"{name}.{key}") if type(item) in (dict, list) else item
@@ -136,17 +129,11 @@ def _places(table: Table) -> bool:
 
 def _plain(value: Any, name: str, depth: int) -> Any:
     kind = type(value)
-    if kind is str or kind is bool:
-        return value
-    if kind is float:
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value!r}: give a finite number")
-        return value
-    if kind is int:
-        if value.bit_length() > _MOST_BITS:
-            raise InputError(
-                f"{name} = {shown(value)}: a whole number has at most {_MOST_BITS} bits"
-            )
+    if kind is float and not math.isfinite(value):
+        raise InputError(f"{name} = {value!r}: give a finite number")
+    if kind is int and value.bit_length() > _MOST_BITS:
+        raise InputError(f"{name} = {shown(value)}: a whole number has at most {_MOST_BITS} bits")
+    if kind in (str, bool, float, int):
         return value
     if depth > _DEEPEST:
         raise InputError(
@@ -186,12 +173,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
 
 
 def _joined(base: Any, addition: Any, name: str) -> Any:
-    """Add the values of table `addition` to table `base`, and return `base`.
-
-    Raises
-    ------
-    InputError : both tables define the same value
-    """
+    """Add the values of table `addition` to table `base`, and return `base`."""
     if type(base) is not dict or type(addition) is not dict:
         raise InputError(f"{clipped(name)} is given twice, or as a whole and in parts: remove one")
     for key, value in addition.items():
@@ -200,15 +182,13 @@ def _joined(base: Any, addition: Any, name: str) -> Any:
 
 
 def _lights(lights: Any) -> Any:
-    if isinstance(lights, str):
-        lights = [lights]
-    if type(lights) is list:
-        return [_light(light) if isinstance(light, str) else light for light in lights]
+    def table_of(light: Any) -> Any:
+        return _light(light) if isinstance(light, str) else light
+
     if type(lights) is dict:
-        return {
-            k: _light(light) if isinstance(light, str) else light for k, light in lights.items()
-        }
-    return lights
+        return {key: table_of(light) for key, light in lights.items()}
+    lights = [lights] if isinstance(lights, str) else lights
+    return [table_of(light) for light in lights] if type(lights) is list else lights
 
 
 @lru_cache(1024)

@@ -32,13 +32,12 @@ from facerender.system.atomic import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
-_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 def main(handle: int) -> None:
     """Draw chunks from the socket with file descriptor `handle` until the socket is closed."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: die with the parent.
     heed_the_coordinator()
     warnings.simplefilter("ignore", FacerenderWarning)  # The records contain the warnings.
     connection = Connection(handle)

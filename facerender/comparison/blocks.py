@@ -41,26 +41,15 @@ _CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
 
 @dataclass(frozen=True)
 class Scale:
-    """Constants of an encoding. Linear: fractions of a pixel's level; sRGB: 8-bit levels.
+    """Constants of an encoding. Linear: fractions of a pixel's level; sRGB: 8-bit levels."""
 
-    Attributes
-    ----------
-    noise : expected noise of a pixel in flat areas
-    slope : fraction of the step to a neighbour that counts as noise, since edges move a little
-    edge : a pixel counts if all steps around the pixel are smaller than this value
-    flat : the grain uses a pixel if all steps around the pixel are smaller than this value
-    error : smallest standard error of a block's change
-    grain : standard error of a block's mean per unit of the grain
-    drift : change of a block's mean if another driver filters 8-bit textures: 0.3 levels
-    """
-
-    noise: float
-    slope: float
-    edge: float
-    flat: float
-    error: float
-    grain: float
-    drift: float
+    noise: float  # expected noise of a pixel in flat areas
+    slope: float  # fraction of the step to a neighbour that is noise, since edges move a little
+    edge: float  # a pixel counts if all steps around the pixel are smaller than this value
+    flat: float  # the grain uses a pixel if all steps around the pixel are smaller than this value
+    error: float  # smallest standard error of a block's change
+    grain: float  # standard error of a block's mean per unit of the grain
+    drift: float  # change of a block's mean if another driver filters 8-bit textures: 0.3 levels
 
 
 LINEAR = Scale(5e-4, 0.1, 0.5, 0.015, 1e-4, 2.0, 2.8e-3)
@@ -92,32 +81,22 @@ class BlockSums:
 
     Sums over cells of 4 x 4 pixels have the shape (H, W) and are means over the channels. In linear
     images a pixel's change and level are divided by the pixel's largest channel in both images.
-
-    Attributes
-    ----------
-    weight : weights of the pixels, over cells
-    change : weighted changes, over cells
-    across, down : weighted changes that a displacement by one pixel causes, over cells
-    levels : (2, H, W) over cells: levels of reference and image; only for 8-bit images
-    channels : (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
-    pixels : (2, H, W) over blocks: number of pixels that count, and number of flat pixels
-    grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas.
-        Values 0, 1, 2: part common to all channels, in difference image, reference and image. Value
-        3: remaining part, in the difference image
-    texture : (4, H, W) over blocks: the same four values in all areas
-    normal : (2, 3), normal equations of the least-squares displacement
     """
 
-    weight: NDArray[np.float32]
-    change: NDArray[np.float32]
-    across: NDArray[np.float32]
+    weight: NDArray[np.float32]  # weights of the pixels, over cells
+    change: NDArray[np.float32]  # weighted changes, over cells
+    across: NDArray[np.float32]  # weighted changes that a displacement by one pixel causes
     down: NDArray[np.float32]
-    levels: NDArray[np.float32]
+    levels: NDArray[np.float32]  # (2, H, W) over cells: levels of reference and image
+    # (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
     channels: NDArray[np.float64]
-    pixels: NDArray[np.float64]
+    pixels: NDArray[np.float64]  # (2, H, W) over blocks: numbers of counted and of flat pixels
+    # (4, H, W) over blocks: squared differences between adjacent pixels in flat areas. Values 0, 1,
+    # 2: part common to all channels, in difference image, reference and image. Value 3: remaining
+    # part, in the difference image
     grain: NDArray[np.float64]
-    texture: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    texture: NDArray[np.float64]  # (4, H, W) over blocks: the same four values in all areas
+    normal: NDArray[np.float64]  # (2, 3), normal equations of the least-squares displacement
 
     @classmethod
     def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> BlockSums:
@@ -169,9 +148,7 @@ class BlockSums:
             change,
             across,
             down,
-            np.stack([cell_sums(mean[rows]) for mean in means])
-            if scale is SRGB8
-            else np.zeros((2, *change.shape), np.float32),
+            np.stack([cell_sums(mean[rows]) for mean in means]),
             np.stack(of_blocks),
             np.stack([block_sums(cell_sums(mask)) for mask in (counted, flat)]),
             np.stack([block_sums(cell_sums(flat * square)) for square in (*squares, single)]),
@@ -189,23 +166,14 @@ class BlockSums:
 
 @dataclass(frozen=True)
 class BlockStatistics:
-    """Statistics of the sums over two whole images.
-
-    Attributes
-    ----------
-    sums, scale : the sums over the images, and the constants of the images' encoding
-    foreign : whether different drivers drew the two images
-    moved : largest displacement of the whole image whose effect is subtracted, in pixels
-    allowed : additional standard error of each block's change
-    looser : further standard error of each block's change; only the trend includes it
-    """
+    """Statistics of the sums over two whole images."""
 
     sums: BlockSums
     scale: Scale
-    foreign: bool = False
-    moved: float = MOVED
-    allowed: float = 0.0
-    looser: float = 0.0
+    foreign: bool = False  # whether different drivers drew the two images
+    moved: float = MOVED  # largest displacement of the image whose effect is subtracted, in pixels
+    allowed: float = 0.0  # additional standard error of each block's change
+    looser: float = 0.0  # further standard error of each block's change; only the trend includes it
 
     @cached_property
     def shift(self) -> tuple[float, float]:
@@ -299,13 +267,14 @@ class BlockStatistics:
         weight = self.sums.weight
         if not self._dithered:
             return np.zeros_like(self._weight)
-        slopes = [np.gradient(np.pad(levels, 1, "edge")) for levels in self.sums.levels / _CELL**2]
-        range_of_block = [
-            np.hypot(*slope)[1:-1, 1:-1] * np.float64(BLOCK // _CELL) for slope in slopes
+        ranges = [
+            np.hypot(*np.gradient(np.pad(levels, 1, "edge")))[1:-1, 1:-1]
+            * np.float64(BLOCK // _CELL)
+            for levels in self.sums.levels / _CELL**2
         ]
         error = sum(
             np.where(steps < 0.5, 0.5 * (1.0 - steps), 0.125 / np.maximum(steps, 0.5))
-            for steps in range_of_block
+            for steps in ranges
         )
         return block_sums(weight * error) / self._weight
 

@@ -60,34 +60,23 @@ STATED: dict[Encoding, dict[str, float]] = {
     "srgb8": {"point": 32.0, **_FRACTIONS},
 }
 ALTERED = 3  # largest number of pairs to which changes are applied
-_EXACT = 1.05  # a bisection ends when the ratio of its bounds is below this value
 _AROUND = 3  # flat pixels on each side of the brightened pixels
 _OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
 
 
-Noted = Mapping[str, tuple[float, str]]  # limits keyed by name, each with a comment
-
-
 @dataclass(frozen=True)
 class Calibration:
-    """Limits for images of one encoding.
-
-    Attributes
-    ----------
-    pairs : number of compared pairs
-    limits : limits that all pairs pass
-    least : the same limits without the margin
-    needed : the pair that needs each limit, keyed by the limit's name; default limits are absent
-    sees : smallest amount of each of :data:`CHANGES` that its limit detects in all altered pairs,
-        keyed by the limit's name; infinite if it detects none. The unit is radiance or 8-bit levels
-        for point, otherwise a fraction. The amounts for coverage and shift are the limits
-    """
+    """Limits for images of one encoding."""
 
     encoding: Encoding
-    pairs: int
-    limits: Limits
-    least: Limits
+    pairs: int  # number of compared pairs
+    limits: Limits  # limits that all pairs pass
+    least: Limits  # the same limits without the margin
+    # The pair that needs each limit, keyed by the limit's name; default limits are absent.
     needed: Mapping[str, str]
+    # Smallest amount of each of :data:`CHANGES` that its limit detects in all altered pairs, keyed
+    # by the limit's name; infinite if it detects none. The unit is radiance or 8-bit levels for
+    # point, otherwise a fraction. The amounts for coverage and shift are the limits.
     sees: Mapping[str, float]
 
     @property
@@ -146,12 +135,12 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
     """
     folder = Path(folder)
     try:
-        runs = sorted(path for path in folder.iterdir() if path.is_dir())
+        folders = (path for path in folder.iterdir() if not path.name.startswith("."))
+        runs = sorted(path for path in folders if path.is_dir())
     except OSError as error:
         raise InputError(
             f"cannot read {folder}: {reason(error)}; give a folder with a subfolder for each run"
         ) from None
-    runs = [run for run in runs if not run.name.startswith(".")]
     if len(runs) < 2:
         raise InputError(
             f"{folder} holds fewer than two subfolders: give one for each run or driver, with "
@@ -194,10 +183,10 @@ def calibration_of(
 
 @dataclass
 class _Pairs:
-    """Pairs of one encoding, the smallest limits that all pass, and a pair that needs each."""
+    """Pairs of one encoding."""
 
-    least: Limits
-    needed: dict[str, str] = field(default_factory=dict)
+    least: Limits  # the smallest limits that all pairs pass
+    needed: dict[str, str] = field(default_factory=dict)  # a pair that needs each limit
     paths: list[list[Path]] = field(default_factory=list)
 
 
@@ -249,7 +238,7 @@ def _least(holds: Callable[[float], bool], low: float, highest: float = HIGHEST)
         if high >= highest:
             return math.inf
         low, high = high, min(2.0 * high, highest)
-    while high > _EXACT * low:
+    while high > 1.05 * low:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if holds(middle) else (middle, high)
     return high
@@ -360,7 +349,9 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
     return limits
 
 
-def text_of(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted]) -> str:
+def text_of(
+    path: str | os.PathLike[str], limits: Mapping[Encoding, Mapping[str, tuple[float, str]]]
+) -> str:
     """Return limits as sections of a file, in the syntax that the suffix of the path requires."""
     path = Path(path)
     quote = '"' if path.suffix == ".toml" else ""

@@ -14,8 +14,9 @@ driver      a few pixels at edges, or faint detail
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,48 +45,38 @@ _WINDOW = 8  # width and height in cells of the areas whose displacement is fitt
 
 @dataclass(frozen=True)
 class Change:
-    """The change from one image to another in some strips of rows.
+    """The change from one image to another in some strips of rows."""
 
-    Attributes
-    ----------
-    power : (H, W), squared relative change of each pixel, summed over the channels
-    inside : (H, W), mask of the pixels that are not near an edge of the coverage and not
-        clipped
-    steep : (H, W), mask of the pixels at edges of either image
-    detail : sum of the squared change between adjacent pixels that all channels share
-    blocks : (H, W, 2 C + 1) over blocks: number of pixels inside, change and level of each channel
-    cells : (2, H, W) over cells: mean radiance of both images
-    values : (3, N), per value of the first image: count of the value, sum and squared sum of its
-        changes. Values are 8-bit levels, or half floats without their last three bits, whose
-        changes are relative
-    rounding : variance of a value's change that rounding to 8-bit levels causes
-    """
-
-    power: NDArray[np.float32]
-    inside: Mask
-    steep: Mask
-    detail: float
+    power: NDArray[np.float32]  # (H, W), squared relative change, summed over the channels
+    inside: Mask  # (H, W), pixels that are not near an edge of the coverage and not clipped
+    steep: Mask  # (H, W), pixels at edges of either image
+    detail: float  # sum of the squared change between adjacent pixels that all channels share
+    # (H, W, 2 C + 1) over blocks: number of pixels inside, change and level of each channel
     blocks: NDArray[np.float64]
-    cells: NDArray[np.float64]
+    cells: NDArray[np.float64]  # (2, H, W) over cells: mean radiance of both images
+    # (3, N), per value of the first image: count of the value, sum and squared sum of its changes.
+    # Values are 8-bit levels, or half floats without their last three bits, whose changes are
+    # relative
     values: NDArray[np.float64]
-    rounding: float
+    rounding: float  # variance of a value's change that rounding to 8-bit levels causes
 
     @classmethod
     def between(cls, a: ImageData, b: ImageData, rows: Sequence[slice]) -> Change:
         """Return the change in strips of rows."""
         changes = [cls._of(a, b, strip) for strip in rows]
-        parts = {
-            field.name: [getattr(change, field.name) for change in changes] for field in fields(cls)
-        }
+
+        def joined(name: str, axis: int = 0) -> NDArray[Any]:
+            return np.concatenate([getattr(change, name) for change in changes], axis)
+
         return cls(
-            np.concatenate(parts["power"]),
-            np.concatenate(parts["inside"]),
-            np.concatenate(parts["steep"]),
-            sum(parts["detail"]),
-            np.concatenate(parts["blocks"]),
-            np.concatenate(parts["cells"], axis=1),
-            np.sum(parts["values"], axis=0),
-            parts["rounding"][0],
+            joined("power"),
+            joined("inside"),
+            joined("steep"),
+            sum(change.detail for change in changes),
+            joined("blocks"),
+            joined("cells", 1),
+            np.sum([change.values for change in changes], axis=0),
+            changes[0].rounding,
         )
 
     @classmethod
@@ -160,11 +151,6 @@ class Change:
         power = (self.power * self.inside).ravel()
         count = max(int(self.inside.sum()) // 1000, 1)
         return float(np.partition(power, -count)[-count:].sum() / max(float(power.sum()), 1e-12))
-
-    @property
-    def at_edges(self) -> float:
-        """Fraction of the squared change at edges."""
-        return self.share(self.steep)
 
     def share(self, mask: Mask) -> float:
         """Return the fraction of the squared change in the pixels of a mask."""
@@ -277,7 +263,7 @@ def cause_of(change: Change) -> str:
 
 def _cause_of_detail(change: Change, moved: bool) -> str:
     """Return the likely cause of changed detail."""
-    few, at_edges = change.few, change.at_edges
+    few, at_edges = change.few, change.share(change.steep)
     if moved and few < 0.6:
         return GEOMETRY
     if few < 0.2 and at_edges > 0.6 and change.alike > 0.6:

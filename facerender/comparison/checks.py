@@ -18,18 +18,11 @@ def decimal(value: float, digits: int = 2, sign: bool = False) -> str:
 
 
 class Check(NamedTuple):
-    """A check as text.
+    """A check as text."""
 
-    Attributes
-    ----------
-    quantity : noun phrase for the measured quantity
-    unit : unit, "%" for a fraction, and a remark on the limit
-    levels : unit and remark in 8-bit images; "" if they are the same
-    """
-
-    quantity: str
-    unit: str = ""
-    levels: str = ""
+    quantity: str  # noun phrase for the measured quantity
+    unit: str = ""  # unit, "%" for a fraction, and a remark on the limit
+    levels: str = ""  # unit and remark in 8-bit images; "" if they are the same
 
     def amount(self, value: float, encoding: Encoding, remark: bool = False) -> str:
         """Return a value with its unit, such as "0.5 %"."""

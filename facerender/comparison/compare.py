@@ -117,9 +117,7 @@ def compare(
     if driver == "auto" and statistics.foreign:
         same_edges = not (strip.over.any() or strip.faded)
         statistics = replace(statistics, foreign=not (same_edges and statistics.quiet))
-    size = a.pixels.shape[1], a.pixels.shape[0]
-    counted = size[0] * size[1] if counts is None else int(counts.sum())
-    result = _result(a.encoding, size, counted, limits, strip, statistics)
+    result = _result(a, counts, limits, strip, statistics)
     result = replace(result, metadata=changes_of(a.metadata, b.metadata))
     displayed = tuple(
         source if isinstance(source, Frame) else image
@@ -131,20 +129,12 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two images and the result of comparing them: metrics, or an error.
-
-    Attributes
-    ----------
-    name : name of the pair
-    reference, image : the images; None if an image could not be read
-    comparison : metrics; None after an error
-    error : error message; "" without an error
-    """
+    """Two images and the result of comparing them: metrics, or an error."""
 
     name: str
-    reference: ImageData | None
+    reference: ImageData | None  # None if the image could not be read
     image: ImageData | None
-    comparison: Comparison | None
+    comparison: Comparison | None  # metrics; None after an error
     error: str = ""
 
     @classmethod
@@ -213,22 +203,19 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
 
 
 def _result(
-    encoding: Encoding,
-    size: tuple[int, int],
-    counted: int,
-    limits: Limits,
-    strip: _Strip,
-    statistics: BlockStatistics,
+    image: ImageData, counts: Mask | None, limits: Limits, strip: _Strip, stats: BlockStatistics
 ) -> Comparison:
-    """Return all metrics, without reasons; ``counted`` is the number of compared pixels."""
-    blocks = np.nan_to_num(statistics.channels)
+    """Return all metrics, without reasons; ``counts`` is the mask of the compared pixels."""
+    height, width = image.pixels.shape[:2]
+    counted = width * height if counts is None else int(counts.sum())
+    blocks = np.nan_to_num(stats.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
     return Comparison(
         reasons=(),
-        encoding=encoding,
-        size=size,
+        encoding=image.encoding,
+        size=(width, height),
         limits=limits,
-        foreign=statistics.foreign,
+        foreign=stats.foreign,
         point=strip.excess,
         point_at=strip.at,
         points=int(np.count_nonzero(np.abs(strip.over) > SLIVER)),
@@ -237,14 +224,14 @@ def _result(
         block=float(blocks[down, across]),
         block_at=(int(across) * BLOCK, int(down) * BLOCK),
         blocks=int((np.abs(blocks) > limits.block).sum()),
-        blocks_judged=int(statistics.judged.sum()),
-        trend=statistics.trend,
-        z_score=statistics.z_score,
-        grain=statistics.grain,
-        texture=statistics.texture,
-        gain=statistics.gain,
-        shift=statistics.shift,
-        coverage=strip.faded / (size[0] * size[1]),
+        blocks_judged=int(stats.judged.sum()),
+        trend=stats.trend,
+        z_score=stats.z_score,
+        grain=stats.grain,
+        texture=stats.texture,
+        gain=stats.gain,
+        shift=stats.shift,
+        coverage=strip.faded / (width * height),
         largest=strip.largest,
         largest_at=strip.largest_at,
         mean=strip.total / counted,
@@ -253,29 +240,17 @@ def _result(
 
 @dataclass(frozen=True)
 class _Strip:
-    """Metrics of some rows of two images.
-
-    Attributes
-    ----------
-    sums : sums over blocks
-    over : (H, W), class of each pixel, see :func:`verdict.reasons_of`
-    worst : the largest unexplained difference of a pixel, minus the effect of a sliver
-    excess, at : reported difference of the worst pixel, and its position (x, y)
-    holes : number of dark pixels with bright neighbours in the other image
-    faded : number of pixels whose coverage changed
-    largest, total : maximum and sum of the pixels' absolute differences, in the worst channel
-    largest_at : position of the maximum
-    """
+    """Metrics of some rows of two images."""
 
     sums: BlockSums
-    over: NDArray[np.int8]
-    worst: float
-    excess: float
-    at: tuple[int, int]
-    holes: int
-    faded: int
-    largest: float
-    total: float
+    over: NDArray[np.int8]  # (H, W), class of each pixel, see :func:`verdict.reasons_of`
+    worst: float  # the largest unexplained difference of a pixel, minus the effect of a sliver
+    excess: float  # reported difference of the worst pixel
+    at: tuple[int, int]  # its position (x, y)
+    holes: int  # number of dark pixels with bright neighbours in the other image
+    faded: int  # number of pixels whose coverage changed
+    largest: float  # maximum of the pixels' absolute differences, in the worst channel
+    total: float  # their sum
     largest_at: tuple[int, int]
 
     @classmethod
@@ -350,11 +325,10 @@ class _Strip:
 def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
     """Return the number of pixels whose coverage crossed 0.5, or lies more than FADED outside the
     range of the neighbourhood in the other image."""
-    low, high = (filtered(a, choose) for choose in (np.minimum, np.maximum))
-    changed = (b - high > FADED) | (low - b > FADED)
-    low, high = (filtered(b, choose) for choose in (np.minimum, np.maximum))
-    changed |= (a - high > FADED) | (low - a > FADED)
-    changed |= (a >= 0.5) != (b >= 0.5)
+    changed = (a >= 0.5) != (b >= 0.5)
+    for x, y in ((a, b), (b, a)):
+        low, high = (filtered(x, choose) for choose in (np.minimum, np.maximum))
+        changed |= (y - high > FADED) | (low - y > FADED)
     return int((changed & counted)[rows].sum())
 
 

@@ -25,9 +25,7 @@ def errors(reference: Image, image: Image) -> NDArray[np.float64]:
     ----------
     reference, image : (H, W, 3), sRGB in [0, 1]
 
-    Raises
-    ------
-    InputError : the package flip-evaluator is missing
+    Raise InputError if the package flip-evaluator is missing.
     """
     return np.asarray(_evaluate(reference, image, magma=False)[..., 0], dtype=np.float64)
 

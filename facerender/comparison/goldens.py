@@ -26,36 +26,21 @@ UNKNOWN = "an unknown renderer"
 
 @dataclass(frozen=True)
 class Updates:
-    """Selection of the goldens that may be written.
+    """Selection of the goldens that may be written."""
 
-    Attributes
-    ----------
-    missing : goldens that do not exist
-    differing : also goldens that differ from the image, if this renderer recorded them
-    force : also goldens that differ from the image and that another renderer recorded
-    """
-
-    missing: bool = False
-    differing: bool = False
-    force: bool = False
+    missing: bool = False  # goldens that do not exist
+    differing: bool = False  # also goldens that differ from the image, recorded by this renderer
+    force: bool = False  # also goldens that differ from the image, recorded by another renderer
 
 
 @dataclass(frozen=True, eq=False)
 class GoldenResult:
-    """The result of checking an image against its golden.
+    """The result of checking an image against its golden."""
 
-    Attributes
-    ----------
-    image : the checked image, with the metadata that its golden would store
-    pair : the image and its golden as it was before a new golden was written
-    written : whether the golden was written
-    failure : reason why the image fails, with the remedy; "" if it passes
-    """
-
-    image: ImageData
-    pair: Pair
+    image: ImageData  # the checked image, with the metadata that its golden would store
+    pair: Pair  # the image and its golden as it was before a new golden was written
     written: bool = False
-    failure: str = ""
+    failure: str = ""  # reason why the image fails, with the remedy; "" if it passes
 
 
 def check(
@@ -85,36 +70,38 @@ def check(
     image = _linear_rgb(source, metadata or {})
     exists = os.path.isfile(golden)  # checked before reading: another process may write the file
     pair = Pair.of(name, golden, image, **options)
-    if not exists and pair.reference is None:
-        pair = replace(pair, error="no golden yet")
-    if pair.status == 0:
-        return GoldenResult(image, pair)
     exists = exists or pair.reference is not None
-    failure = ""
+    if not exists:
+        pair = replace(pair, error="no golden yet")
+
+    def result(failure: str = "") -> GoldenResult:
+        return GoldenResult(image, pair, failure=failure)
+
+    if pair.status == 0:
+        return result()
     if exists and not updates.differing:
-        failure = pair.error or f"{golden.stem} differs from its golden: {pair.comparison}"
-    elif not (updates.missing or updates.differing):
-        failure = f"{golden.stem} has no golden: --facerender-update-missing writes it"
-    if not failure:
-        try:
-            compare(image, image, **options)  # the image itself or its limits may be invalid
-        except InputError as error:
-            failure = str(error)
-    if not failure and exists and pair.reference is None:
-        failure = "" if updates.force else pair.error
-    elif not failure and pair.reference is not None:
+        return result(pair.error or f"{golden.stem} differs from its golden: {pair.comparison}")
+    if not (updates.missing or updates.differing):
+        return result(f"{golden.stem} has no golden: --facerender-update-missing writes it")
+    try:
+        compare(image, image, **options)  # the image itself or its limits may be invalid
+    except InputError as error:
+        return result(str(error))
+    if exists and not updates.force:
+        if pair.reference is None:
+            return result(pair.error)
         recorded, this = (
-            picture.metadata.get("GL_RENDERER") or UNKNOWN for picture in (pair.reference, image)
+            data.metadata.get("GL_RENDERER") or UNKNOWN for data in (pair.reference, image)
         )
-        if recorded != this and not updates.force:
-            failure = (
+        if recorded != this:
+            return result(
                 f"{golden.name} was recorded on {recorded}, this is {this}: --facerender-force "
                 "overwrites it"
             )
-    if not failure and golden in written:
-        failure = f"{golden.name} was just written for another image: give each image a new name"
-    if failure:
-        return GoldenResult(image, pair, failure=failure)
+    if golden in written:
+        return result(
+            f"{golden.name} was just written for another image: give each image a new name"
+        )
     _write(golden, image, options)
     return GoldenResult(image, pair, written=True)
 

@@ -33,17 +33,11 @@ _STEP = 0.2  # smallest range of 5 x 5 pixels at an edge, as a fraction of their
 
 @dataclass(frozen=True)
 class Slack:
-    """Largest difference that thin slivers of light and shade may add to a pixel.
+    """Largest difference that thin slivers of light and shade may add to a pixel."""
 
-    Attributes
-    ----------
-    rough : difference if 5 x 5 pixels have a range of 1/10 to 1/5 of their maximum; proportionally
-        less for a smaller range
-    edge : difference if 5 x 5 pixels have a range of at least 1/5 of their maximum
-    """
-
+    # if 5 x 5 pixels have a range of 1/10 to 1/5 of their maximum; proportionally less below
     rough: float
-    edge: float
+    edge: float  # if 5 x 5 pixels have a range of at least 1/5 of their maximum
 
 
 SLIVERS: dict[Encoding, Slack] = {"linear": Slack(0.1, 0.28), "srgb8": Slack(52.0, 53.0)}
@@ -53,16 +47,10 @@ SLIVER, SMOOTH, ROUGH, EDGE = 1, 2, 3, 4
 
 
 class Excess(NamedTuple):
-    """Unexplained differences of the pixels.
+    """Unexplained differences of the pixels, (H, W)."""
 
-    Attributes
-    ----------
-    value : (H, W), difference of the worst channel; negative where the image is darker
-    slack : (H, W), part of ``value`` that slivers may cause
-    """
-
-    value: NDArray[np.float32]
-    slack: NDArray[np.float32]
+    value: NDArray[np.float32]  # of the worst channel; negative where the image is darker
+    slack: NDArray[np.float32]  # part of ``value`` that slivers may cause
 
 
 def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) -> Excess:
@@ -76,7 +64,11 @@ def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) 
     relative : whether the images are linear; otherwise the images contain 8-bit levels
     """
     value, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
-    if (window := _window(a, b, least)) is not None:
+    # An unexplained difference is at most the plain difference, which is fast to compute.
+    different = difference(a, b) > least
+    if different.any():
+        sides = (np.flatnonzero(different.any(axis=axis)) for axis in (1, 0))
+        window = tuple(slice(max(side[0] - _HALO, 0), side[-1] + 1 + _HALO) for side in sides)
         covered = None if full is None or full[window].all() else full[window]
         value[window], slack[window] = _excess(a[window], b[window], covered, relative)
     return Excess(value, slack)
@@ -143,21 +135,6 @@ def shrunk(mask: Mask, pixels: int) -> Mask:
     for _ in range(pixels):
         mask = filtered(mask, np.minimum)
     return mask
-
-
-def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:
-    """Return the rows and columns that contain all unexplained differences over ``least``.
-
-    An unexplained difference is at most the plain difference, which is fast to compute.
-    """
-    different = difference(a, b) > least
-    rows, columns = (np.flatnonzero(different.any(axis=axis)) for axis in (1, 0))
-    if not rows.size:
-        return None
-    return (
-        slice(max(rows[0] - _HALO, 0), rows[-1] + 1 + _HALO),
-        slice(max(columns[0] - _HALO, 0), columns[-1] + 1 + _HALO),
-    )
 
 
 def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:

@@ -168,10 +168,9 @@ def side_by_side(reference: Comparable, image: Comparable) -> Frame:
 
 def _displayed(source: Comparable | Image, name: str) -> NDArray[np.uint8]:
     """Return an image as 8-bit sRGB (H, W, 3). A frame of a term has the colours of its PNG."""
-    if not isinstance(source, Frame):
-        return visualization.displayed(as_image(source, name))
-    pixels = source.srgb8()
-    return visualization.displayed(ImageData(pixels, "srgb8", name))
+    if isinstance(source, Frame):
+        return visualization.displayed(ImageData(source.srgb8(), "srgb8", name))
+    return visualization.displayed(as_image(source, name))
 
 
 def _frame(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:

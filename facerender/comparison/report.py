@@ -24,7 +24,6 @@ from facerender.system.atomic import write_bytes
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the order of the page
 # Placeholder in the HTML of an entry; names do not contain this character.
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
-THUMBNAIL = 160  # largest width and height in pixels
 OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
 MAP = 1 << 18  # largest number of pixels of a difference
 # Width of the enlarged area around a place, keyed by the width of the place, in pixels.
@@ -35,17 +34,13 @@ AROUND = {1: 17, BLOCK: 2 * BLOCK}
 class Entry:
     """A pair as text, which takes less memory than its images and can be sent between processes.
 
-    Attributes
-    ----------
-    name, status : name and status of the pair
-    row : HTML of the pair's table row; the placeholder INDEX stands for the entry's index
-    section : HTML of the pair's section, also with INDEX
+    In the HTML, the placeholder INDEX stands for the entry's index.
     """
 
     name: str
     status: int
-    row: str
-    section: str
+    row: str  # HTML of the pair's table row
+    section: str  # HTML of the pair's section
 
 
 def entry(pair: Pair) -> Entry:
@@ -55,21 +50,15 @@ def entry(pair: Pair) -> Entry:
     pixel_count = max((image.pixels[..., 0].size for image in images.values()), default=0)
     large = pixel_count > visualization.MAX_PIXELS
     displayed = {} if large else {key: visualization.displayed(x) for key, x in images.items()}
-    return Entry(
-        name=pair.name,
-        status=pair.status,
-        row=_row(pair),
-        section=_section(pair, displayed, large),
-    )
+    name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
+    cells = _verdict(pair), escape(_reasons(pair)[0])
+    summary = row(name, cells, VERDICTS[pair.status])
+    return Entry(pair.name, pair.status, summary, _section(pair, displayed, large))
 
 
 def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
-    """Write a self-contained page of all pairs; pairs that differ come first.
-
-    Raises
-    ------
-    InputError : the file cannot be written
-    """
+    """Write a self-contained page of all pairs; pairs that differ come first. Raise InputError if
+    the file cannot be written."""
     # The names of files may contain invalid UTF-8.
     write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
@@ -115,12 +104,6 @@ def _page(entries: Sequence[Entry]) -> str:
     return document(f"Comparison: {title}", body, "viewer.js")
 
 
-def _row(pair: Pair) -> str:
-    name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
-    cells = (_verdict(pair), escape(_reasons(pair)[0]))
-    return row(name, cells, VERDICTS[pair.status])
-
-
 def _reasons(pair: Pair) -> Sequence[str]:
     result = pair.comparison
     return (pair.error,) if result is None else result.reasons or (str(result),)
@@ -129,7 +112,7 @@ def _reasons(pair: Pair) -> Sequence[str]:
 def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
     checks = "" if pair.comparison is None else _check_table(pair.comparison)
     if pair.status == 0 and pair.reference:
-        source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
+        source = _source(visualization.thumbnail(pair.reference, 160))
         images = f"<p>{_image(source, 'the image')}</p>{_largest(pair)}"
     else:
         images = _viewer(pair, displayed, large)
@@ -327,9 +310,8 @@ def _figure(
 def _mark(place: tuple[int, int, int], shape: Sequence[int], kind: str) -> str:
     """Return HTML that marks a place in an image of a shape."""
     x, y, side = place
-    sides = {"left": x / shape[1], "top": y / shape[0]}
-    sides |= {"width": side / shape[1], "height": side / shape[0]}
-    style = ";".join(f"{name}:{100.0 * fraction:.4f}%" for name, fraction in sides.items())
+    sides = x / shape[1], y / shape[0], side / shape[1], side / shape[0]
+    style = "left:{:.4%};top:{:.4%};width:{:.4%};height:{:.4%}".format(*sides)
     return f'<i class="mark {kind}" style="{style}"></i>'
 
 

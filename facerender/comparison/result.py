@@ -181,11 +181,11 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all metrics, for JSON."""
-        names = [metric.name for metric in fields(self) if metric.name not in ("limits", "images")]
-        metrics = {name: getattr(self, name) for name in names}
-        factor = {"limit_factor": self.limit_factor}
+        omitted = ("limits", "images")
+        metrics = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in omitted}
         verdict = {"same": self.same, "failed": self.failed}
-        return {**verdict, **metrics, "limits": asdict(self.limits), **factor}
+        limits = {"limits": asdict(self.limits), "limit_factor": self.limit_factor}
+        return {**verdict, **metrics, **limits}
 
     def _repr_html_(self) -> str:
         """Return the verdict, and A, B and their difference, which notebooks display."""

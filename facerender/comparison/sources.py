@@ -40,12 +40,7 @@ def as_image(source: Comparable, name: str) -> ImageData:
 
 def alike(a: ImageData, b: ImageData) -> tuple[ImageData, ImageData]:
     """Return two images with equal channels: without an alpha that only one has and that is 1
-    everywhere.
-
-    Raises
-    ------
-    InputError : sizes, channels, encodings or colour spaces differ
-    """
+    everywhere. Raise InputError if sizes, channels, encodings or colour spaces differ."""
     if a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(
             f"{a.name} is {size_of(a.pixels)}, {b.name} is {size_of(b.pixels)} pixels: render both "

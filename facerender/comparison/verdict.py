@@ -6,7 +6,7 @@ The first reason has the cause that explains most of the change. Changed metadat
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 from facerender.comparison.blocks import BLOCK, FLOOR, BlockStatistics, block_sums, cell_sums
 from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
 from facerender.comparison.checks import decimal
-from facerender.comparison.neighbourhoods import (
-    EDGE,
-    FULL,
-    ROUGH,
-    SLIVER,
-    SMOOTH,
-    Mask,
-    filtered,
-)
+from facerender.comparison.neighbourhoods import EDGE, FULL, ROUGH, SLIVER, SMOOTH, Mask, filtered
 from facerender.comparison.result import BLUR, HOLES, Comparison
 from facerender.errors import number_of
 from facerender.images.image import ImageData
@@ -32,10 +24,6 @@ _LONE = {
     "linear": {SMOOTH: 0.0, ROUGH: 0.1, EDGE: 0.5},
     "srgb8": {SMOOTH: 0.0, ROUGH: 53.0, EDGE: 90.0},
 }
-_WIDELY = 0.1  # a larger fraction of wrong pixels counts as a change of the whole image
-_BRIGHTER = 5e-5  # smallest gain that is reported
-_SHIFTED = 0.01  # smallest shift that is reported, in pixels
-_LONELY = 0.02  # largest squared change of the pixels around a pixel fault, relative to the fault's
 _LONG = 60  # longer values of the metadata are cut to this number of characters
 _SEPARATOR = re.compile(r"[;,] (?![^(]*\))")  # of the entries of a metadata value, such as a mesh's
 _FIELD = re.compile(r"(\w+)=((?:\([^()]*\)|'[^']*'|[^,()])+)")  # of a value such as Light(m=1)
@@ -55,27 +43,27 @@ def reasons_of(
     images : reference and image, whose pixels and metadata reveal the cause
     """
     wrong = _wrong(result, over)
-    blocks = [*_of_blocks(result, images)]
+    block = _block_change(result, images)
     holes = not wrong.any() and result.holes > HOLES
-    subtle = [] if wrong.any() or blocks or holes else [*_subtle(result)][:1]
+    subtle = "" if wrong.any() or block or holes else _subtle_change(result)
     uncovered = result.coverage > result.limits.coverage
-    if not (wrong.any() or blocks or holes or subtle or uncovered):
+    if not (wrong.any() or block or holes or subtle or uncovered):
         return (), ""
     height, width = over.shape
     rows = strips(height, width, result.point_at[1], result.block_at[1])
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
-    if _samples_differ(result, images) and (
-        uncovered or "texture" in str(subtle) or (wrong.any() and _at_edge(over[wrong]))
-    ):
+    several = all(image.metadata.get("samples", "1") != "1" for image in images)
+    moved = uncovered or "texture" in subtle or (wrong.any() and _at_edge(over[wrong]))
+    if several and "GL_RENDERER" in result.metadata and moved:
         cause = SAMPLES
 
     def because(likely: str) -> str:
         explained = result.scene_changed and likely == cause
         return "" if explained else f": perhaps {likely}"
 
-    reasons = [f"{block}{because(cause)}{_estimate(result, cause)}" for block in blocks]
-    reasons += [f"{failure}{because(cause)}" for failure in subtle]
+    reasons = [f"{block}{because(cause)}{_estimate(result, cause)}"] if block else []
+    reasons += [f"{subtle}{because(cause)}"] if subtle else []
     fault = ""
     if wrong.any():
         examined = np.concatenate([wrong[strip] for strip in rows])
@@ -83,8 +71,10 @@ def reasons_of(
         fault = _fault(result, over, wrong) if dominant or _lonely(change, examined) else ""
         if cause == SAMPLES or (fault == "false highlights" and cause in (LIGHT, EXPOSURE)):
             fault = ""
-        if fault and blocks and _explained(result, wrong, statistics):
-            reasons = [f"{block}{because(fault)}{_estimate(result, fault)}" for block in blocks]
+        failing = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
+        wrong_sums = block_sums(cell_sums(wrong.astype(np.float32)))
+        if fault and block and wrong_sums[failing].all():
+            reasons = [f"{block}{because(fault)}{_estimate(result, fault)}"]
         text = f"{_pixels(result, over[wrong])}{because(fault or cause)}"
         reasons.insert(0 if dominant else len(reasons), text)
     elif holes:
@@ -134,21 +124,14 @@ def _apart(value: str, counterpart: str) -> str:
     return text[:_LONG] or "none"
 
 
-def _samples_differ(result: Comparison, images: tuple[ImageData, ImageData]) -> bool:
-    """Return whether two drivers drew several samples, whose places then differ."""
-    several = all(image.metadata.get("samples", "1") != "1" for image in images)
-    return several and "GL_RENDERER" in result.metadata
-
-
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
     """Return a mask of the pixels that fail: clearly different pixels, or too many slivers.
 
     A single clearly different pixel fails only if its difference exceeds _LONE.
     """
     place = np.abs(over)
-    if result.points > 1:
-        return place > SLIVER
-    if result.points and abs(result.point) > _LONE[result.encoding][int(place.max())]:
+    lone = result.points and abs(result.point) > _LONE[result.encoding][int(place.max())]
+    if result.points > 1 or lone:
         return place > SLIVER
     return (place > 0) & (result.slight > result.sliver_limit)
 
@@ -167,27 +150,25 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     )
 
 
-def _of_blocks(result: Comparison, images: tuple[ImageData, ImageData]) -> Iterator[str]:
-    """Describe the blocks over the block limit, or else the trend over its limit."""
+def _block_change(result: Comparison, images: tuple[ImageData, ImageData]) -> str:
+    """Describe the blocks over the block limit, or else the trend over its limit; "" if neither."""
+    limits = result.limits
+    if not result.blocks:
+        limit = decimal(result.limit_factor * limits.trend, 6)
+        text = f"trend {decimal(result.trend)}, limit {limit}: neighbouring blocks changed alike"
+        return text if result.changed_alike else ""
     relative = result.encoding == "linear"
     factor, unit = (100.0, " %") if relative else (1.0, " of 255")
-    if result.blocks:
-        plain = _mean_change(result, images)
-        mean = f"{decimal(factor * plain, sign=True)}{unit}"
-        if abs(plain) <= result.limits.block:
-            remaining = decimal(factor * result.block, sign=True)
-            mean += f", or {remaining}{unit} without edges and displacement"
-        yield (
-            f"block at {result.block_at}: mean {mean}, limit "
-            f"{decimal(factor * result.limits.block, 6)}{unit * relative}, "
-            f"exceeded by {result.blocks} of {number_of(result.blocks_judged, 'block')}"
-        )
-    elif result.changed_alike:
-        yield (
-            f"trend {decimal(result.trend)}, limit "
-            f"{decimal(result.limit_factor * result.limits.trend, 6)}: neighbouring blocks changed "
-            "alike"
-        )
+    plain = _mean_change(result, images)
+    mean = f"{decimal(factor * plain, sign=True)}{unit}"
+    if abs(plain) <= limits.block:
+        remaining = decimal(factor * result.block, sign=True)
+        mean += f", or {remaining}{unit} without edges and displacement"
+    return (
+        f"block at {result.block_at}: mean {mean}, limit "
+        f"{decimal(factor * limits.block, 6)}{unit * relative}, "
+        f"exceeded by {result.blocks} of {number_of(result.blocks_judged, 'block')}"
+    )
 
 
 def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> float:
@@ -205,33 +186,27 @@ def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> flo
     return float(max(change, key=abs))
 
 
-def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> bool:
-    """Return whether every block over the limit contains a wrong pixel."""
-    failing = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
-    return bool(block_sums(cell_sums(wrong.astype(np.float32)))[failing].all())
-
-
-def _subtle(result: Comparison) -> Iterator[str]:
-    """Describe failures of the checks of grain, texture and shift. Other changes cause these
-    failures too, so they are reported only if no other check fails."""
+def _subtle_change(result: Comparison) -> str:
+    """Describe a failure of the checks of grain, texture and shift; "" if there is none. Other
+    changes cause these failures too, so they are reported only if no other check fails."""
     limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
         scale, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
         change = f"{decimal(scale * result.grain, sign=True)}{unit or ' of 255'}"
-        yield f"grain {change}, limit {decimal(scale * grain, 6)}{unit}"
+        return f"grain {change}, limit {decimal(scale * grain, 6)}{unit}"
     if not BLUR * -texture <= result.texture <= texture:
         change = decimal(100.0 * result.texture, sign=True)
-        yield f"texture {change} %, limit {decimal(100.0 * texture, 6)} %"
+        return f"texture {change} %, limit {decimal(100.0 * texture, 6)} %"
     x, y = result.shift
-    if max(abs(x), abs(y)) > limits.shift:
-        yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}"
+    moved = max(abs(x), abs(y)) > limits.shift
+    return f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}" if moved else ""
 
 
 def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
     """Return the name of the fault of a few wrong pixels; "" if they have none in common."""
     count, judged = wrong.sum(), result.blocks_judged * BLOCK**2
-    if count > _WIDELY * judged > 0:
+    if count > 0.1 * judged > 0:
         return ""
     bright = (over[wrong] > 0).mean()
     touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
@@ -246,7 +221,7 @@ def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
 def _lonely(change: Change, wrong: Mask) -> bool:
     """Return whether the pixels around most wrong pixels hardly changed."""
     surroundings = filtered(np.where(wrong, np.float32(0.0), change.power), np.maximum)
-    return bool(np.median((surroundings <= _LONELY * change.power)[wrong]) > 0.5)
+    return bool(np.median((surroundings <= 0.02 * change.power)[wrong]) > 0.5)
 
 
 def _at_edge(over: NDArray[np.int8]) -> bool:
@@ -257,10 +232,10 @@ def _at_edge(over: NDArray[np.int8]) -> bool:
 def _estimate(result: Comparison, cause: str) -> str:
     """Return the image's gain as text if one factor explains the change, and its shift if the mesh
     or the camera may have changed."""
-    brighter = result.encoding == "linear" and cause == EXPOSURE and abs(result.gain) > _BRIGHTER
-    gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
-    displaced = cause == GEOMETRY and max(abs(x), abs(y)) > _SHIFTED
-    moved = f"shift ({decimal(x)}, {decimal(y)})" if displaced else ""
-    estimate = ", ".join(filter(None, (gain, moved)))
-    return f" ({estimate})" if estimate else ""
+    linear = result.encoding == "linear"
+    if cause == EXPOSURE and linear and abs(result.gain) > 5e-5:
+        return f" (gain {round(1.0 + result.gain, 4):g})"
+    if cause == GEOMETRY and max(abs(x), abs(y)) > 0.01:
+        return f" (shift ({decimal(x)}, {decimal(y)}))"
+    return ""

@@ -29,12 +29,10 @@ MAX_PIXELS = 1 << 24  # largest number of pixels of an image that is displayed
 HEAT = 1 << 17  # largest number of pixels of a page's heat map; FLIP takes 1.3 s for 2**20
 LEVELS = 32  # number of colours of a difference, for each sign
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
-NOT_FINITE = (255, 0, 255)
 # Differences up to which the colour scale is linear.
 FLOORS: dict[Encoding, float] = {"linear": 1e-3, "srgb8": 1.0}
 
 _STRIP = 256  # rows that are converted at once
-_LONGEST_WEBP = 16383  # largest width and height of a WebP file, in pixels
 
 Bytes = NDArray[np.uint8]
 
@@ -47,7 +45,7 @@ def displayed(image: ImageData) -> Bytes:
         linear = image.encoding == "linear"
         pixels[rows] = encode_srgb8(color) if linear else np.round(color)
         if linear:
-            pixels[rows][~np.isfinite(image.pixels[rows]).all(axis=-1)] = NOT_FINITE
+            pixels[rows][~np.isfinite(image.pixels[rows]).all(axis=-1)] = (255, 0, 255)
     return pixels
 
 
@@ -110,10 +108,7 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
     """Return a FLIP heat map of two displayed images, reduced to at most HEAT pixels.
 
     Each cell of pixels is reduced to the pixel that differs most, so that no firefly is lost.
-
-    Raises
-    ------
-    InputError : flip-evaluator is missing
+    Raise InputError if flip-evaluator is missing.
     """
     step = _step(a, HEAT)
     differences = np.maximum(a, b) - np.minimum(a, b)
@@ -171,7 +166,7 @@ def lossless(pixels: Bytes) -> tuple[bytes, str]:
     """Return pixels as a lossless file, and its format: WebP, or PNG if a side is too long."""
     from PIL import Image
 
-    kind = "webp" if max(pixels.shape) <= _LONGEST_WEBP else "png"
+    kind = "webp" if max(pixels.shape) <= 16383 else "png"
     options = {"lossless": True, "method": 1, "quality": 0} if kind == "webp" else {}
     buffer = BytesIO()
     Image.fromarray(pixels).save(buffer, kind, **options)

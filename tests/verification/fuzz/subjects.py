@@ -321,6 +321,8 @@ def _examine_render(folder: Path) -> None:
 
 
 def _examine_jobs(name: str, folder: Path) -> None:
-    for fault in JobTable(folder / name).check().faults:
+    for _ in (table := JobTable(folder / name)):
+        pass
+    for fault in table.faults:
         if why := _bad_message(fault):
             raise Unsound(f"fault {why}: {fault[:200]!r}")
