@@ -107,11 +107,6 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
     whole = draw(job, small, drawing, ("image",), 0.0)
     assert "planned" not in whole.facts
     assert drawn.files["image.png"] != whole.files["image.png"]
-    elsewhere = replace(job, planned=replace(planned, sizes=((512, 512),)))
-    with pytest.warns(fr.FacerenderWarning, match="was planned for 512 x 512 pixels with 4 samp"):
-        drawn = draw(elsewhere, small, drawing, ("image",), 0.0)
-    assert drawn.facts["planned"] is False
-    assert drawn.files == whole.files
 
 
 def test_another_renderer_writes_the_same_bytes(small, drawing, egl):
