@@ -30,7 +30,7 @@ import psutil
 import pytest
 
 import facerender as fr
-from facerender.batch import engine, records
+from facerender.batch import engine
 from facerender.batch.chunk import Settings, chunks, code_version, forget_files, key_of
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
