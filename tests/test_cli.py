@@ -366,56 +366,29 @@ def test_options_override_the_scene_file(cli: Cli, write: Callable[..., Path]) -
     np.testing.assert_array_equal(overridden, cli.render("--scene", rest, *options))
 
 
-def test_bad_scene_file(cli: Cli, write: Callable[..., Path], tmp_path: Path) -> None:
-    """tests/test_scene.py has the messages for all faults."""
-    cli.fail_to_render(r"scene\.toml: m = 3\.0 is outside \[0\.0001, 2\]", "--scene",
-                       write("scene.toml", "material = { m = 3.0 }"))  # fmt: skip
-    cli.fail_to_render(r"cannot read .*gone\.toml: no such", "--scene", tmp_path / "gone.toml")
-
-
 # --- errors --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("--size", "0", r"size 0 x 0: give 1 to \d+ pixels"),
-        ("--size", "100000", r"size 100000 x 100000: give 1 to \d+ pixels"),
         ("--size", "axb", r"size 'axb': give N or WxH"),
         ("--size", "1x2x3", r"size '1x2x3': give N or WxH"),
-        ("--samples", "0", r"samples = 0: give 1 to 64"),
-        ("--triangles", "0", r"triangles = 0: give a whole number of at least 1"),
-        (
-            "--triangles",
-            "half",
-            r"argument --triangles: 'half' is not a whole number: give at least 1;",
-        ),
-        ("--m", "0", r"m = 0\.0 is outside \[0\.0001, 2\]"),
-        ("--m", "rough", r"argument --m: 'rough' is not a number: give 0\.0001 to 2;"),
-        ("--anisotropy", "0", r"anisotropy = 0.0 is outside \[1, 16\]"),
         ("--exposure", "nan", r"exposure"),
-        ("--exposure", "1e9", r"exposure"),
-        ("--light", "sun", r"unknown light 'sun'; give key, rim"),
         ("--light", "1", r"unknown light '1'; give key"),
         ("--light", "0,100", r"light elevation = 100\.0 is outside"),
-        ("--light", "0,0,-1", r"light irradiance = -1.0: give a number in"),
         ("--light", "0,0,nan", r"light irradiance = nan"),
         ("--light", "point:0,0", r"unknown light 'point:0,0'.*point:X,Y,Z"),
-        ("--camera", "top", r"unknown camera 'top'; give front, three-quarter"),
         ("--camera", "1,2,3,4", r"unknown camera '1,2,3,4'; give"),
         ("--camera", "0,0,0", r"camera zoom = 0\.0 is outside"),
         ("--camera", "nan", r"camera azimuth = nan is outside"),
-        ("--fov", "180", r"camera fov = 180\.0 is outside"),
         ("--ambient", "1,2", r"--ambient '1,2': give 1 or 3 numbers"),
         ("--ambient", "-1", r"ambient"),
-        ("--background", "blue", r"background = 'blue': give 3 numbers in linear RGB, or none"),
         ("--background", "nan,0,0", r"background = \(nan, 0\.0, 0\.0\): give a number in"),
         ("--model", "phong", r"argument --model: invalid choice: 'phong'"),
-        ("--lobe", "d5", r"argument --lobe: invalid choice: 'd5'"),
         ("--only", "shadow", r"argument --only: invalid choice: 'shadow'"),
         ("--backend", "vulkan", r"argument --backend: invalid choice: 'vulkan'"),
         ("--backend", "current", r"no EGL, GLX or OSMesa context is current"),
-        ("--colour", "red", r"unrecognized arguments: --colour red; see facerender render --help"),
     ],
 )
 def test_bad_option(option: str, value: str, message: str, cli: Cli) -> None:
@@ -427,36 +400,11 @@ def test_bad_option(option: str, value: str, message: str, cli: Cli) -> None:
     [
         ((), r"arguments are required: COMMAND; see facerender --help"),
         (("paint",), r"invalid choice: 'paint'"),
-        (("plan",), r"arguments are required: --budget"),
         (("render", "a.obj", "b.obj", "-o", "c.png"), r"unrecognized arguments: b\.obj"),
     ],
 )
 def test_bad_command(arguments: tuple[str, ...], message: str, cli: Cli) -> None:
     cli.fail(message, *arguments)
-
-
-@pytest.mark.parametrize(
-    ("option", "name", "content", "message"),
-    [
-        ("mesh", "head.obj", b"", r"head\.obj is an empty file"),
-        ("mesh", ".", None, " is a directory; give a mesh file$"),
-        ("mesh", "gone.glb", None, r"cannot read .*gone\.glb: no such file"),
-        ("mesh", "a\ngone.glb", None, r"gone"),
-        ("--albedo", "page.png", b"<html></html>", r"page\.png is an HTML page"),
-        ("--normal-map", "page.png", b"<html></html>", r"page\.png is an HTML page"),
-        ("--specular-map", "gone.png", None, r"cannot read .*gone\.png: no such"),
-    ],
-)
-def test_bad_file(
-    option: str, name: str, content: bytes | None, message: str, cli: Cli, tmp_path: Path
-) -> None:
-    """tests/test_mesh.py and test_texture.py have the messages for all kinds of damage."""
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    if option == "mesh":
-        cli.fail_to_render(message, mesh=tmp_path / name)
-    else:
-        cli.fail_to_render(message, option, tmp_path / name)
 
 
 @pytest.mark.slow
@@ -487,17 +435,6 @@ def test_non_finite_vertices(cli: Cli, tmp_path: Path) -> None:
 # --- output files --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("head.bmp", r"head\.bmp: unknown image format '\.bmp'; give \.png, \.exr"),
-        ("head", "head has no suffix, which sets the image format; give .png"),
-    ],
-)
-def test_bad_output(name: str, message: str, cli: Cli) -> None:
-    cli.fail_to_render(message, "-o", cli.folder / name)
-
-
 def test_folder_that_must_not_be_written(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     cli.fail_to_render(r"cannot write .*: permission denied; give a file in a writable folder")
@@ -507,6 +444,7 @@ def test_bad_input_leaves_the_existing_image(cli: Cli) -> None:
     cli.png.write_bytes(b"precious")
     cli.fail_to_render(r"cannot read", mesh=cli.folder / "gone.obj")
     cli.fail_to_render(r"m = 3", "--m", "3")
+    cli.fail_to_render(r"gone", mesh=cli.folder / "a\ngone.glb")  # in one line
     assert cli.png.read_bytes() == b"precious"
 
 
@@ -633,14 +571,7 @@ def test_shaders_flatten_reads_standard_input(cli, write, monkeypatch):
 
 def test_shaders_errors(cli, write):
     own = write("own.frag", '#include "other.glsl"')
-    for message, *arguments in (
-        ("unknown shader 'ggx'; known: albedo, constants, cook_torrance", "ggx"),
-        ("argument --target: invalid choice: '120'", "ward", "--target", "120"),
-        ("argument --lobe: invalid choice: 'd32'", "ward", "--lobe", "d32"),
-        ("m = 0.9 is outside", "cook_torrance", "--lobe", "d16", "--m", "0.9"),
-        (r"own.frag:1: no file other.glsl in ", own),
-        ("cannot read none.frag: no such file", "none.frag"),
-    ):
+    for message, *arguments in ((r"own.frag:1: no file other.glsl in ", own),):
         cli.fail(message, "shaders", "flatten", *arguments)
     write("other.glsl", '#include "own.frag"')
     cli.fail(r"other.glsl:1: include cycle .*own.frag -> ", "shaders", "flatten", own)

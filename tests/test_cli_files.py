@@ -159,12 +159,6 @@ def test_files_that_a_scene_file_names(text, folder, capsys):
     assert "cannot read gone: no such file or directory; give " in capsys.readouterr().err
 
 
-def test_a_name_without_its_suffix_leads_to_the_file(folder, capsys):
-    shutil.copy(MINI_HEAD, "head.glb")
-    assert main(["render", "head", *BASES["render"]]) == 2
-    assert capsys.readouterr().err.endswith("no such file or directory; give head.glb\n")
-
-
 # --- without -o -----------------------------------------------------------------------------------
 
 

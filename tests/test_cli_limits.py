@@ -179,23 +179,3 @@ def test_scene_files_and_tables_have_the_limits_and_types_of_python(table, name,
         (folder / "jobs.jsonl").write_text(json.dumps({table: {name: value}}) + "\n")
         assert main(["batch", "jobs.jsonl", "--check"]) == 2
         assert error in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("kind", "values", "message"),
-    [
-        (fr.Camera, {"azimuth": "x"}, "camera azimuth = 'x' is not a number: give a number in"),
-        (fr.ImageSettings, {"samples": "x"}, "'x': give a whole number from 1 to 64"),
-        (fr.ImageSettings, {"samples": True}, "True: give a whole number from 1 to 64"),
-        (fr.ImageSettings, {"size": ("a", 3)}, "'a' x 3: give whole numbers from 1 to 16384"),
-        (fr.ImageSettings, {"size": "big"}, "'big': give width and height in pixels"),
-        (fr.Light, {"irradiance": "x"}, "'x': give a number in [0, 1e+09], or three"),
-        (fr.Job, {"background": "red"}, ", or none for a transparent background"),
-        (fr.MeshFile, {"flip_v": "no"}, "flip_v = 'no': give true or false"),
-        (fr.MeshFile, {"path": 3}, "mesh path = 3: give a path as text"),
-    ],
-)
-def test_messages_name_the_expected_type(kind, values, message):
-    with pytest.raises(fr.InputError) as caught:
-        kind(**values)
-    assert message in str(caught.value)

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from PIL import Image, PngImagePlugin
 import facerender as fr
 from facerender.comparison.causes import CODEC, EXPOSURE, LOBE, TEXTURE
 from facerender.comparison.checks import CHECKS
-from facerender.comparison.compare import Pair, compare, pairs_of
+from facerender.comparison.compare import compare
 from facerender.comparison.result import LIMITS
 from facerender.images.exr import save_exr
 from facerender.images.image import ImageData
@@ -38,16 +39,9 @@ from tests.verification.pairs.room import Room, draw_elsewhere
 ROOMS = [
     ("head", "three-quarter", 1),
     *(
-        pytest.param(setting, marks=pytest.mark.slow)
-        for setting in (
-            ("head", "front", 1),
-            ("head", "front", 4),
-            ("head", "three-quarter", 4),
-            ("scan", "front", 1),
-            ("scan", "front", 4),
-            ("scan", "three-quarter", 1),
-            ("scan", "three-quarter", 4),
-        )
+        pytest.param((mesh, camera, samples), marks=pytest.mark.slow)
+        for mesh, camera, samples in product(("head", "scan"), CAMERAS, (1, 4))
+        if (mesh, camera, samples) != ("head", "three-quarter", 1)
     ),
 ]
 
@@ -633,23 +627,6 @@ def test_numbers_have_no_exponent(case, cli, tmp_path):
     assert not re.search(r"\de[+-]\d+ (%|pixels|levels|radiance|blocks)", page)
 
 
-@pytest.mark.parametrize(
-    ("image", "text"),
-    [
-        (np.full((8, 8), 100, np.uint8), "B has 1 channel: save both as RGB"),
-        (np.full((8, 8, 2), 100, np.uint8), "B has 2 channels: save both as RGB"),
-        (
-            np.where(np.arange(192).reshape(8, 8, 3) == 5, np.inf, 1.0),
-            "0 NaN and 1 infinite value,",
-        ),
-    ],
-)
-def test_counts_agree_with_their_nouns(image, text):
-    reference = np.full((8, 8, 3), 100, image.dtype)
-    with pytest.raises(fr.InputError, match=text):
-        compare(reference, image)
-
-
 def test_same_driver(cli, tmp_path):
     for name, by in (("a", 0.0), ("b", 0.002)):
         save_exr(tmp_path / f"{name}.exr", rough(by), {})
@@ -757,10 +734,7 @@ PNG_16_RGB = (
 )
 UNREADABLE = {  # name of the file, content, error
     "empty.exr": (b"", r"empty\.exr is empty: save it again"),
-    "empty.png": (b"", r"empty\.png is empty"),
     "page.exr": (b"<html></html>" * 9, r"page\.exr is an HTML page; download"),
-    "page.png": (b"<html></html>" * 9, r"page\.png is an HTML page; download the file"),
-    "page.npz": (b"<html></html>" * 9, r"page\.npz is an HTML page"),
     "stub.png": (b"\x89PNG\r\n\x1a\n", r"stub\.png is not an image; give a PNG or JPEG"),
     "half.png": (encoded("PNG", noise(64, 64, 3))[:6000], r"half\.png is damaged"),
     "half.jpg": (encoded("JPEG", noise(64, 64, 3))[:2000], r"half\.jpg is damaged"),
@@ -787,20 +761,12 @@ UNREADABLE = {  # name of the file, content, error
         numpy_file(np.save, np.array([{}], dtype=object)),
         r"pickle\.npy contains Python objects, which are not read: give floats",
     ),
-    "pickle.npz": (
-        numpy_file(np.savez, np.array([{}], dtype=object)),
-        r"pickle\.npz contains Python objects, which are not read: give floats",
-    ),
     "integer.npy": (
         numpy_file(np.save, np.zeros((64, 64, 3), dtype=np.int32)),
         r"integer\.npy has type int32: give linear floats, or uint8",
     ),
-    "complex.npy": (numpy_file(np.save, np.zeros((64, 64, 3), complex)), r"has type complex128"),
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
-    "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
     "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a Git LFS pointer"),
-    "image.svg": (b"<svg/>", r"image\.svg: unknown image format '\.svg'; give \.exr"),
-    "image": (b"x", r"image has no suffix, which sets the image format; give"),
 }
 
 
@@ -874,7 +840,6 @@ BAD_PIXELS = (((30, 50), (40, 2), (1, 0)), "=")
 FIRST = r"infinite values, the first at pixel \(40, 30\), channel 1: "
 UNLIKE = {  # two images that cannot be compared, and the error
     "size": (plain(), plain()[1:], r"a\.exr is 64 x 64, .*b\.exr is 64 x 63 pixels: render both"),
-    "half the size": (plain(), plain(side=32), r"b\.exr is 32 x 32 pixels: render both"),
     "kind": (plain(), GREY_8, r"exr is linear float, .*png is 8-bit sRGB: give two images"),
     "channels": (
         *(plain(), plain()[RGB]),
@@ -891,7 +856,6 @@ UNLIKE = {  # two images that cannot be compared, and the error
     "NaN": (plain(), edited(plain(), (*BAD_PIXELS, np.nan)), f"b.exr holds 2 NaN and 0 {FIRST}"),
     "inf": (edited(plain(), (*BAD_PIXELS, -np.inf)), plain(), f"a.exr holds 0 NaN and 2 {FIRST}"),
     "missing": (plain(), None, r"cannot read .*b\.png: no such file"),
-    "missing reference": (None, plain(), r"cannot read .*a\.png: no such file"),
 }
 
 
@@ -926,22 +890,10 @@ def test_exr_with_odd_channels_or_parts(cli, exr, tmp_path):
         cli.fail(rf"odd{number}\.exr has channels .*: give R, G, B", "compare", exr, path)
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "message"),
-    [
-        ("--point", "-1", r"limit point = -1.0 is outside \[0,"),
-        ("--block", "nan", r"limit block = nan is outside \[0,"),
-        ("--coverage", "-0.5", r"limit coverage = -0\.5 is outside"),
-        ("--point", "x", r"argument --point: 'x' is not a number: give 0 to 1e\+30"),
-        ("--mask", "gone.png", r"cannot read gone\.png: no such file"),
-        ("--mask", "small.png", r"the mask is 32 x 16, the images are 64 x 64 pixels"),
-        ("--colour", "1", r"unrecognized arguments: --colour 1"),
-    ],
-)
-def test_bad_option(option, value, message, cli, exr, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Image.new("L", (32, 16), 255).save("small.png")
-    cli.fail(message, "compare", exr, exr, option, value)
+def test_mask_of_another_size(cli, exr, tmp_path):
+    Image.new("L", (32, 16), 255).save(tmp_path / "small.png")
+    message = r"the mask is 32 x 16, the images are 64 x 64 pixels"
+    cli.fail(message, "compare", exr, exr, "--mask", tmp_path / "small.png")
 
 
 def test_damaged_exr_in_a_process(exr, tmp_path):
@@ -958,11 +910,3 @@ def test_damaged_exr_in_a_process(exr, tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
     printed = re.findall(r"(0\.\d)\.exr cannot be read as OpenEXR", done.stderr)
     assert (printed, len(done.stderr.splitlines())) == (["0.3", "0.6", "0.9"], 3)
-
-
-def test_pair_keeps_the_readable_image(exr, tmp_path):
-    ((name, a, b),) = pairs_of(exr, tmp_path / "gone.exr")
-    pair = Pair.of(name, a, b)
-    assert (pair.status, pair.comparison, pair.image) == (2, None, None)
-    assert pair.reference is not None
-    assert pair.as_dict() == {"name": "gone.exr", "error": pair.error}

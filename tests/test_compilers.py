@@ -120,19 +120,6 @@ def test_instructions_are_net_and_special_ones_are_counted(gpu):
     assert 1 <= found["exponential"].all <= 4  # it may include scaling for denormal numbers
 
 
-@COMPILER
-def test_features_of_glsl_in_terms_compile(gpu):
-    vectors = """#define FR_MASKING FR_MASKING_KELEMEN
-#include "facerender/cook_torrance.glsl"
-vec3 turned(vec3 a, float s) { return -s * a / 2.0 + vec3(s) - vec3(a.x, s, 1e-3); }
-float several(vec2 a) { return mix(a.x, abs(a.y), 0.25) + pow(a.x, 5.0) + float(3); }
-float more(vec3 a) { return several(vec2(a.y, clamp(a.z, 0.0, 1.0))) + inversesqrt(a.x); }
-"""
-    value = "fr_cook_torrance(normalize(n), l, v, m, f0) * more(turned(n, m))"
-    found = offline.statistics({"vectors": (vectors, value)}, gpu)["vectors"]
-    assert 30 < found.all < 120
-
-
 WHICH = (shutil, "which", lambda name: None)
 FILES = lambda name: importlib.metadata.distribution("no such package")  # noqa: E731
 
@@ -151,12 +138,7 @@ def of_amd(replaced, remedy):
             (amd.sys, "executable", "/bin/false"), "apt-get install mesa-vulkan-drivers libvulkan1"
         ),
         (WHICH, offline, "skl", "apt-get install intel-opencl-icd"),
-        (
-            (importlib.metadata, "files", FILES),
-            offline,
-            "sm_75",
-            "pip install --group compilers",
-        ),
+        ((importlib.metadata, "files", FILES), offline, "sm_75", "pip install --group compilers"),
     ],
 )
 def test_missing_tools_are_named(monkeypatch, replaced, module, gpu, remedy):

@@ -12,7 +12,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import facerender as fr
 from facerender.drawing.context import Context
@@ -309,14 +308,6 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     for detail in (replace(wide.detail, samples=4), replace(wide.detail, triangles=None)):
         other = drawing.render(detail.of(scene), wide.shading, samples=detail.samples).srgb8()
         assert (other != drawn).any()
-    for samples in (1, 2, 8):
-        options = ("--scene", pinned, "--size", "48", "--samples", samples)
-        status, _, err = cli.run("render", *FACE[:2], "-o", cli.png, *options)
-        assert status == 0
-        assert re.search(rf"planned for 48 x 48 pixels with 4 samples: .* {samples} sample", err)
-        drawn = drawing.render(scene, wide.shading, samples=samples).srgb8()
-        with Image.open(cli.png) as image:
-            np.testing.assert_array_equal(np.asarray(image), drawn)
 
 
 def test_plan_as_json(wide):

@@ -104,7 +104,7 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
 def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
     code = (
         "import sys, facerender\n"
-        "assert not {'numpy', 'argparse', 'moderngl'} & {*sys.modules}\n"
+        "assert not {'numpy', 'argparse', 'moderngl', 'trimesh', 'scipy', 'PIL'} & {*sys.modules}\n"
         "from facerender.commands import main\n"
         "main(sys.argv[1:])\n"
         "late = {'tqdm', 'trimesh'}\n"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.srgb import linear_to_srgb, srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.test_cli import Capture, Cli
@@ -802,25 +802,7 @@ def flat(path: Path, level: tuple[int, ...], content: bytes | None) -> Path:
     return path
 
 
-# Primaries and gamma of Adobe RGB (1998), adapted to D50.
-ADOBE_RGB = ((0.6097, 0.3111, 0.0195), (0.2053, 0.6257, 0.0609), (0.1492, 0.0632, 0.7446))
-ADOBE = profile("Adobe RGB", "RGB ", np.array([563]), *ADOBE_RGB)
 LEVEL = (150, 120, 90)
-
-
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
-@pytest.mark.parametrize("name", ["P3", "Adobe RGB"])
-def test_profiles_of_albedo_maps_are_applied(name, suffix, tmp_path):
-    content = {"P3": P3, "Adobe RGB": ADOBE}[name]
-    texture = fr.Texture.open(flat(tmp_path / f"a.{suffix}", LEVEL, content))
-    found = np.asarray(fr.Material(albedo_map=texture).albedo_map.rgb())[4, 4].astype(int)
-    if name == "P3":
-        expected = np.round(255 * as_p3(np.array([LEVEL]) / 255.0))[0]
-    else:
-        light = (np.array(LEVEL) / 255.0) ** (563 / 256) @ ADOBE_RGB @ np.linalg.inv(SRGB)
-        expected = np.round(255 * linear_to_srgb(light))
-    assert np.abs(found - expected).max() <= 1
-    assert np.abs(found - LEVEL).max() >= 5
 
 
 def test_profiles_reach_every_source_of_a_map(tmp_path):

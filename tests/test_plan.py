@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import re
 from dataclasses import asdict, replace
 from itertools import product
@@ -28,7 +27,6 @@ from facerender.planning.candidates import (
     Constants,
     candidates,
     changed,
-    values,
     with_decisions,
 )
 from facerender.planning.decisions import _words
@@ -41,7 +39,7 @@ from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run
 from tests.verification import metal
 from tests.verification.lights import PLAIN, PLAIN_THREE
-from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
+from tests.verification.subjects import Subject, brute_force
 from tests.verification.targets import compiled
 
 KEY = (PLAIN["key"],)
@@ -211,13 +209,6 @@ def test_plans_fit_all_sizes(small, egl, subject):
     assert plan.cost.total > min(each.cost.total for each in alone)  # both sizes matter
 
 
-@SLOW
-@pytest.mark.parametrize("index", range(8))
-def test_no_fitting_candidate_is_cheaper_in_more_scenes(index, medium, head):
-    each = list(subjects(head, None))[index]
-    planned([medium], each, (*BUDGETS, "0.5%", "3%"), KINDS, turntable(fr.Camera(15.0, 10.0), 2))
-
-
 def test_every_term_is_a_candidate(bare):
     scene = fr.Scene(bare.with_material(m=0.15), lights=KEY)
     both = {"cook-torrance", "ward"}
@@ -256,15 +247,6 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
     )
     lean = candidates(fr.Scene(bare, ambient=0.0), Shading(), constants)  # has neither of them
     assert all(each.normal_map and each.ambient for each in lean)
-
-
-@pytest.mark.slow
-def test_lights_are_ordered_by_their_contribution(small, subject):
-    scene = subject("three").scene
-    scene = replace(scene, lights=(*PLAIN_THREE, replace(PLAIN["front"], irradiance=9.0)))
-    constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
-    peaks = reference.layers(small.gbuffer(scene), scene, Shading()).specular.max(axis=(1, 2, 3))
-    assert list(constants.faintest) == sorted(range(4), key=peaks.__getitem__)
 
 
 def test_unlit_pixels_do_not_matter(small, subject):
@@ -325,38 +307,6 @@ def test_errors_in_multisampled_images_count(egl, subject, monkeypatch):
     assert sound.shading.term.fresnel == "constant" != flawed.shading.term.fresnel
     assert sound.cost.total < flawed.cost.total
     assert flawed.tried < 10  # a term that failed once is not tried again
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("more", [0, 1])
-def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypatch):
-    """The number of pixels that may exceed the budget follows from the covered pixels."""
-    draw = views.draw
-    at, options = subject("constant m"), {"cost": "navi21", "within": 0.95}
-    with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
-        sound = fr.plan(at.scene, "1/255", renderer=renderer, **options)
-        own, full = (
-            renderer.render(at.scene, each).linear.astype(float)
-            for each in (sound.shading, sound.full)
-        )
-        errors = sound.budget.errors(own[..., :3], full[..., :3])
-        covered = np.count_nonzero(full[..., 3])
-        spared = covered - math.ceil(0.95 * covered)
-        over = np.count_nonzero(errors > sound.budget.limit)
-        assert sound.error.drawn == pytest.approx(errors.max())
-        assert sound.error.drawn_within == pytest.approx(np.sort(errors, axis=None)[-spared - 1])
-        assert sound.error.drawn_within <= sound.budget.limit < sound.error.drawn
-        flawed = np.argsort(errors, axis=None)[: spared - over + more]
-
-        def with_flaws(place, shading, detail):
-            image = draw(place, shading, detail)
-            if shading == sound.shading:
-                image.reshape(-1, 4)[flawed] += 0.5
-            return image
-
-        monkeypatch.setattr(views, "draw", with_flaws)
-        found = fr.plan(at.scene, "1/255", renderer=renderer, **options)
-    assert (found.shading == sound.shading) == (more == 0)
 
 
 # --- errors --------------------------------------------------------------------------------------
@@ -502,31 +452,6 @@ def test_every_decision_has_a_line(plans):
             assert plan.budget.text(each.error) in each.text
 
 
-def test_constants_have_the_digits_of_their_text(plans):
-    """A scene file pins the constants, so their text has to state them in full."""
-    values = [each for plan in plans for each in (plan.constants.m, plan.constants.ks)]
-    assert [float(f"{each:.4g}") for each in values] == values
-    assert len(set(values)) > 3
-
-
-def test_decisions_have_the_values_that_differ(plans):
-    plan = plans[1]
-    taken = {
-        path: value
-        for each in plan.decisions
-        if each.changed
-        for path, value in each.values.items()
-    }
-    differs = changed(plan.shading, plan.full)
-    assert len(differs) > 3
-    assert values(plan.shading, differs).items() <= taken.items()
-    for each in plan.decisions:
-        assert each.values
-        names = [name for name, path in DECISIONS.items() if path in each.values]
-        assert values(plan.full if each.changed else plan.shading, names) != each.values
-    assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
-
-
 @pytest.mark.slow
 def test_decisions_state_their_error_and_saving(plans, small):
     for plan in plans:
@@ -559,24 +484,6 @@ def test_decisions_state_their_error_and_saving(plans, small):
                 assert limit < each.error == pytest.approx(min(errors(others)), rel=1e-9)
 
 
-@pytest.mark.slow
-def test_rejected_choices_are_explained_in_flip(small, subject):
-    require_module("flip_evaluator")
-    at = subject("two")
-    plan = fr.plan(at.scene, "0.1 flip", cost="navi21", renderer=small)
-    unchanged = [each for each in plan.decisions if not each.changed]
-    assert unchanged
-    for each in unchanged:
-        others = [
-            other
-            for other in candidates(at.scene, plan.full, plan.constants)
-            if changed(other, plan.shading) == [each.name]
-        ]
-        errors = brute_force(small, at, others, "0.1 flip")
-        assert min(abs(error - each.error) for error in errors) < 1e-6, each.text
-        assert each.error > 0.1 - ROUNDING["flip"]
-
-
 def test_as_dict_can_be_json(plans):
     for plan in plans:
         found = json.loads(json.dumps(plan.as_dict(), allow_nan=False))
@@ -588,19 +495,6 @@ def test_as_dict_can_be_json(plans):
         assert [each["text"] for each in found["decisions"]] == [d.text for d in plan.decisions]
         assert [fr.Camera(**each) for each in found["cameras"]] == list(plan.cameras)
         assert 0 <= found["tried"] <= found["candidates"]
-
-
-def test_cameras_with_numpy_numbers_can_be_written(small, bare, tmp_path):
-    camera = fr.Camera(np.arange(0, 90, 30)[1], zoom=np.float32(1.25))
-    light = fr.Light(np.float64(20.0), np.int64(10))
-    scene = fr.Scene(bare.with_material(m=np.float64(0.3)), camera, (light,))
-    plan = fr.plan(scene, "1/255", cost="auto", renderer=small)
-    json.dumps(plan.as_dict())
-    (tmp_path / "scene.toml").write_text(plan.scene_toml())
-    found = load_scene(tmp_path / "scene.toml")
-    assert found["camera"] == camera
-    assert found["lights"] == (light,)
-    assert found["material"]["m"] == 0.3
 
 
 @pytest.mark.first_case

@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import facerender as fr
 from benchmarks.prices import amd
@@ -18,7 +17,6 @@ from benchmarks.prices import table as written
 from benchmarks.prices.__main__ import main
 from benchmarks.prices.table import all_seconds, all_terms, compiled, cycles
 from benchmarks.prices.table import parts as compiled_parts
-from facerender.drawing.resolve import resolve
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
@@ -226,28 +224,6 @@ def test_measured_prices_include_the_shared_part(egl, bare, monkeypatch):
     assert len(found.terms) > 1
     for i, prices_of_term in enumerate(found.terms.values(), 1):
         assert prices_of_term == (shared[0] + i, shared[1] + i)
-
-
-@pytest.mark.slow
-def test_measured_prices_serve_a_whole_plan(egl, bare, tmp_path, monkeypatch):
-    """A constant m may allow lobes whose domain does not contain all slopes of the map."""
-    wanted_terms = []
-
-    def priced(wanted, **_):
-        wanted_terms.extend(wanted)
-        table = load_prices("navi21", None, [])
-        return replace(table, terms={name: table.terms[name] for name in wanted})
-
-    monkeypatch.setattr(prices, "measured", priced)
-    Image.fromarray(np.repeat(np.uint8([[20, 250]]), 4, axis=0)).save(tmp_path / "rough.png")
-    rough = fr.Texture.open(tmp_path / "rough.png")
-    scene = fr.Scene(bare.with_material(roughness_map=rough, ks=0.05), lights=KEY)
-    assert resolve(scene, Shading()).slopes[0][1] > 0.9
-    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
-        for budget in ("2/255", "20/255"):
-            plan = fr.plan(scene, budget, renderer=renderer, cost="here")
-            assert plan.cost.total <= plan.cost.full_total
-    assert wanted_terms
 
 
 def test_requested_terms_are_priced_as_they_are_compiled(monkeypatch, bare):

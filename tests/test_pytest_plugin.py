@@ -808,9 +808,3 @@ def test_sessions_without_images_import_nothing(suites):
     result = suites.run_apart("--facerender-unused=list", "--facerender-report=page")
     result.assert_outcomes(passed=1)
     assert list((suites.path / "page").iterdir()) == []
-
-
-def test_options_are_in_the_help(suites):
-    output = suites.run("--help").stdout.str()
-    for name in ("update", "update-missing", "force", "report", "unused"):
-        assert f"--facerender-{name}" in output
