@@ -68,15 +68,6 @@ def test_matrices_project_points_to_their_pixels(mini, azimuth, tilt):
     np.testing.assert_allclose(buffer.view.extrinsics(mini), pose, atol=1e-12 + 1e-9 * mini.radius)
 
 
-def test_matrices_of_a_camera_give_the_same_camera(mini):
-    for camera in (fr.Camera(), fr.Camera(130.0, 40.0, zoom=2.0), fr.Camera(elevation=90.0)):
-        view = view_of(fr.Scene(mini, camera), SIZE[0] / SIZE[1])
-        pose, k = view.extrinsics(mini), view.intrinsics(SIZE)
-        again = fr.Camera(extrinsics=pose, intrinsics=k, size=SIZE)
-        other = view_of(fr.Scene(mini, again), SIZE[0] / SIZE[1])
-        np.testing.assert_allclose(other.matrix, view.matrix, atol=1e-7)
-
-
 def test_intrinsics_scale_with_the_image_size(mini):
     camera = fr.Camera(extrinsics=pose_of(mini, 0, 0, 5), intrinsics=K, size=SIZE)
     twice = view_of(fr.Scene(mini, camera), 4 / 3).intrinsics((240, 180))

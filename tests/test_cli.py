@@ -26,12 +26,11 @@ from facerender.commands import doctor, main
 from facerender.drawing import context
 from facerender.scenes.camera import AZIMUTHS_BY_NAME
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.scene import ONLY
-from facerender.terms import MASKING
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 
 Capture = pytest.CaptureFixture[str]
+pytestmark = pytest.mark.usefixtures("egl")
 
 
 @dataclass(frozen=True)
@@ -94,13 +93,6 @@ def assert_error(status: int, out: str, err: str, message: str) -> None:
     assert error.startswith("facerender: error: ")
     assert err.endswith("\n")
     assert re.search(message, error), error
-
-
-@pytest.fixture
-def cli(tmp_path: Path, capsys: Capture, egl: str) -> Cli:
-    folder = tmp_path / "out"
-    folder.mkdir()
-    return Cli(folder, capsys)
 
 
 @pytest.fixture
@@ -212,16 +204,6 @@ def test_existing_image_is_replaced(cli: Cli) -> None:
     assert cli.render().shape == (48, 48, 3)
 
 
-@pytest.mark.slow
-def test_only(cli: Cli) -> None:
-    whole = cli.render("--background", "0,0,0")
-    for only in (each for each in ONLY if each != "motion"):  # motion needs the frame before
-        rgb = cli.render("--only", only)[..., :3].astype(int)
-        assert rgb[20:28, 20:28].max() > 0, only
-        assert not rgb[0].any(), only
-        assert np.abs(rgb - whole).mean() > 1.0, only
-
-
 def test_specular_and_diffuse_add_up_to_the_whole(cli: Cli) -> None:
 
     def linear(*options: str) -> NDArray[np.float32]:
@@ -272,6 +254,7 @@ OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     },
     ("--lobe", "cosine", "--fresnel", "dielectric"): {"lobe": "cosine", "fresnel": "dielectric"},
     ("--m", "0.9", "--lobe", "fitted", "--outside", "exact"): {"m": 0.9},
+    ("--masking", "kelemen", "--only", "specular"): {"masking": "kelemen", "only": "specular"},
 }
 
 
@@ -301,24 +284,6 @@ def test_material(cli: Cli) -> None:
     np.testing.assert_array_equal(image, fr.render(mesh, size=(48, 48)).srgb8())
 
 
-@pytest.mark.slow
-def test_masking(cli: Cli) -> None:
-    view = ("--camera", "profile", "--only", "specular", "--ambient", "0")
-    images = {}
-    for term in MASKING:
-        images[term] = cli.render("--masking", term, *view)
-        frame = fr.render(
-            MINI_HEAD, masking=term, only="specular", camera=fr.Camera(90.0), size=(48, 48)
-        )
-        np.testing.assert_array_equal(images[term], frame.srgb8())
-    np.testing.assert_array_equal(images["v-cavity"], cli.render(*view))
-    assert (images["kelemen"] <= images["v-cavity"]).all()
-    assert (images["v-cavity"] <= images["none"]).all()
-    assert len({image.tobytes() for image in images.values()}) == len(MASKING)
-    assert cli.describe("--masking", "none")["masking"] == "none"
-    cli.fail_to_render("ward has no masking term", "--model", "ward", "--masking", "none")
-
-
 def test_maps(cli: Cli, tmp_path: Path) -> None:
     Image.new("RGB", (4, 4), (0, 255, 0)).save(tmp_path / "green.png")
     Image.new("L", (4, 4), 0).save(tmp_path / "black.png")
@@ -343,19 +308,6 @@ zoom = 1.2
 m = 0.2
 ks = 0.5
 """
-
-
-def test_scene_file(cli: Cli, write: Callable[..., Path]) -> None:
-    scene = fr.Scene(
-        fr.load_mesh(MINI_HEAD).with_material(m=0.2, ks=0.5),
-        fr.Camera(25.0, zoom=1.2),
-        (LIGHTS["key"], fr.Light(30.0, 10.0, (1.0, 2.0, 3.0))),
-        ambient=0.1,
-        background=None,
-    )
-    with fr.Renderer((48, 48)) as renderer:
-        expected = renderer.render(scene).srgb8()
-    np.testing.assert_array_equal(cli.render("--scene", write("scene.toml", SCENE)), expected)
 
 
 def test_options_override_the_scene_file(cli: Cli, write: Callable[..., Path]) -> None:

@@ -30,7 +30,7 @@ from facerender.images.image import ImageData
 from facerender.images.read import read_image
 from facerender.images.srgb import encode_srgb8
 from tests.conftest import missing, require_backend
-from tests.test_cli import Capture, Cli, process
+from tests.test_cli import process
 from tests.test_encodings import write_exr
 from tests.verification.mutations import BROKEN, CAMERAS, DRIVERS, HARMLESS, setting_of
 from tests.verification.pairs.changes import bright, set_pixels
@@ -560,13 +560,6 @@ def test_images_may_be_frames_arrays_and_files(tmp_path, room):
 
 
 # --- on the command line -------------------------------------------------------------------------
-
-
-@pytest.fixture
-def cli(tmp_path: Path, capsys: Capture) -> Cli:
-    folder = tmp_path / "out"
-    folder.mkdir()
-    return Cli(folder, capsys)
 
 
 @pytest.fixture

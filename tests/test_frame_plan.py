@@ -30,7 +30,6 @@ from facerender.pricing.interval import Interval
 from facerender.scenes.file import load_scene
 from facerender.scenes.lod import LevelOfDetail, Planned
 from tests.awkward_files import MINI_HEAD
-from tests.test_cli import Capture, Cli
 from tests.verification.lights import PLAIN
 
 SIZES = [(48, 48), (64, 40)]
@@ -75,13 +74,6 @@ def planned(drawing, scene):
 @pytest.fixture(scope="module")
 def wide(planned):
     return planned(WIDE)
-
-
-@pytest.fixture
-def cli(tmp_path, capsys: Capture, egl):
-    folder = tmp_path / "out"
-    folder.mkdir()
-    return Cli(folder, capsys)
 
 
 def frame(renderer, scene, detail, shading=fr.Shading()):
@@ -492,19 +484,3 @@ def test_ratio_compares_frames_of_the_same_round(monkeypatch):
     monkeypatch.setattr("facerender.pricing.frame.seconds", lambda draws, repeats: times)
     found = ratio(None, None, 4)
     assert (found.low, found.value, found.high) == (0.5, 0.5, 0.5)
-
-
-@pytest.mark.slow
-def test_more_samples_reduce_errors_at_the_silhouette(drawing, scene):
-    images = [drawing.render(scene, samples=count).linear for count in (1, 4, 16, 64)]
-    per_pixel = drawing.render(scene, samples=4, shading_rate="pixel").linear
-    *images, reference = [linear_to_srgb(each[..., :3]) for each in (per_pixel, *images)]
-    coverage = drawing.render(scene, samples=64).linear[..., 3]
-    edge, inside = (coverage > 0.0) & (coverage < 1.0), coverage == 1.0
-    errors = [np.abs(each - reference).max(axis=-1) for each in images]
-    once, one, four, sixteen = (each[edge].mean() for each in errors)
-    assert once == pytest.approx(four, rel=0.1)
-    assert one > 2.0 * four > 2.6 * sixteen > 0.0
-    once_inside, one_inside, four_inside, _ = (each[inside].mean() for each in errors)
-    assert once_inside > four_inside
-    assert one > 4.0 * one_inside > 0.0

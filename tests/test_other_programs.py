@@ -22,18 +22,12 @@ import facerender as fr
 from facerender.images.srgb import srgb_to_linear
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
-from tests.test_cli import Capture, Cli
 from tests.test_icc import CURVE, GREY, P3, SRGB, as_p3, profile
 
 HEAD = mini_head()
 RNG = np.random.default_rng(55)
 COLORS = RNG.integers(0, 256, (len(HEAD.positions), 4), dtype=np.uint8)
 OF_FACES = RNG.integers(0, 256, (len(HEAD.faces), 3), dtype=np.uint8)
-
-
-@pytest.fixture
-def cli(tmp_path: Path, capsys: Capture) -> Cli:
-    return Cli(tmp_path, capsys)
 
 
 def load(path: Path, **options: Any) -> tuple[fr.Mesh, list[str]]:

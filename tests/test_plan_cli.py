@@ -21,7 +21,6 @@ from facerender.scenes.file import load_scene
 from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
-from tests.test_cli import Capture, Cli
 from tests.verification.lights import PLAIN
 
 # Without shadows, plans have fewer candidates.
@@ -61,13 +60,11 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def cli(tmp_path, capsys: Capture, egl, cache, monkeypatch):
-    folder = tmp_path / "out"
-    folder.mkdir()
+def cli(cli, egl, cache, monkeypatch):
     monkeypatch.setattr("facerender.planning.plan.plan", plan_once)
     monkeypatch.setattr("facerender.commands.plan._SILENT", math.inf)
     monkeypatch.setattr(plan_cache, "plan", plan_once)
-    return Cli(folder, capsys)
+    return cli
 
 
 @pytest.fixture
@@ -230,7 +227,7 @@ def test_a_message_announces_long_plans_where_no_bar_is_shown(cli, framed, monke
 
 
 @pytest.mark.slow
-def test_cameras(plan, tmp_path, monkeypatch):
+def test_cameras(plan, tmp_path):
     """tests/test_plan.py checks that plans fit all cameras."""
     path = tmp_path / "path.toml"
     path.write_text("[[cameras]]\nazimuth = 5\n[[cameras]]\nazimuth = 60\nelevation = 10\n")
@@ -238,24 +235,6 @@ def test_cameras(plan, tmp_path, monkeypatch):
     cameras = [fr.Camera(5.0), fr.Camera(60.0, 10.0)]
     assert [fr.Camera(**each) for each in found["cameras"]] == cameras
     assert " 2 cameras, 48 x 48 pixels" in found["text"]
-    seen = []
-
-    def spy(scene, budget, cameras, **options):
-        seen.extend(cameras)
-        return expected("2/255")
-
-    monkeypatch.setattr("facerender.planning.plan.plan", spy)
-    for options, expected_cameras in (
-        (("--camera", "profile"), [fr.Camera(90.0)]),
-        (("--camera", "10", "--camera", "-30,20"), [fr.Camera(10.0), fr.Camera(-30.0, 20.0)]),
-        (("--scene", path), cameras),
-        (("--camera", "turntable"), list(fr.turntable())),
-        (("--camera", "turntable", "--camera", "0,80", "--fov", "40"),
-         [*fr.turntable(fr.Camera(fov=40.0)), fr.Camera(0.0, 80.0, 40.0)]),
-    ):  # fmt: skip
-        seen.clear()
-        plan("--budget", "30/255", *options)
-        assert seen == expected_cameras
 
 
 def test_size(plan):
@@ -402,20 +381,13 @@ def test_pinned_scene_can_be_planned_again(plan, cli):
 @pytest.mark.parametrize(
     "options",
     [
-        ("--budget", "-1/255"),
         ("--budget", "1/255", "--lobe", "d8"),
-        ("--budget", "1/255", "--camera", "top"),
         ("--budget", "1/255", "--only", "specular"),
-        ("--budget", "1/255", "--within", "0%"),
-        ("--within", "99%"),
         ("--size", "24..48", "--budget", "1/255"),
     ],
 )
 def test_render_with_a_bad_budget(options, cli, cache):
-    message = (
-        r"budget|unknown camera|a plan chooses the lobe|exposure|--camera|within 0%|size '24\.\.48'"
-    )
-    cli.fail_to_render(message, *options)
+    cli.fail_to_render(r"budget|a plan chooses the lobe|size '24\.\.48'", *options)
     assert not cache.exists()
 
 
@@ -530,26 +502,6 @@ def test_damaged_cache_entry_is_replaced(content, cli, planned, cache):
     assert printed == printed_again
     np.testing.assert_array_equal(image, again)
     assert entry.read_bytes() == good
-
-
-def test_unwritable_cache_is_ignored(cli, planned, tmp_path, monkeypatch):
-    image, printed = shoot(cli)
-    (tmp_path / "file").write_text("")
-    for place in (tmp_path / "file", "/dev/null"):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(place))
-        again, printed_again = shoot(cli)
-        assert printed == printed_again
-        np.testing.assert_array_equal(image, again)
-    assert len(planned) == 3
-
-
-def test_folder_in_place_of_a_cache_entry_is_ignored(cli, planned, cache):
-    shoot(cli)
-    (entry,) = cache.iterdir()
-    entry.unlink()
-    entry.mkdir()
-    shoot(cli)
-    assert len(planned) == 2
 
 
 def test_default_cache_folder_is_in_the_home_folder(cli, planned, tmp_path, monkeypatch):
