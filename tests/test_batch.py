@@ -505,6 +505,16 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
     assert "row 2" in capsys.readouterr().err
 
 
+def check_faults(path: str, capsys: pytest.CaptureFixture[str], faults: dict[int, str]) -> None:
+    """Check that ``batch --check`` prints a line for each row with its message."""
+    assert main(["batch", path, "--check"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    for line, (row, message) in zip(err.splitlines(), faults.items(), strict=True):
+        assert line.startswith(f"facerender: error: jobs.jsonl, row {row} (line {row})")
+        assert message in line
+
+
 def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe.obj")
     os.mkfifo(tmp_path / "pipe.json")
@@ -534,15 +544,8 @@ def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, caps
         jobs += [{**({} if "mesh" in job else good), **named}] * 2
     # This albedo map replaces the damaged map of the mesh file.
     jobs.append({"mesh": str(tmp_path / "map.obj"), "mesh.albedo": str(tmp_path / "skin.png")})
-    assert main(["batch", table(jobs), "--check"]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    lines = err.splitlines()
-    for line, (row, (_, message)) in zip(lines, enumerate(faults), strict=True):
-        assert line.startswith(
-            f"facerender: error: jobs.jsonl, row {2 * row + 2} (line {2 * row + 2})"
-        )
-        assert f": {message.format(tmp_path)}" in line
+    lines = {2 * i + 2: f": {text.format(tmp_path)}" for i, (_, text) in enumerate(faults)}
+    check_faults(table(jobs), capsys, lines)
     path = table([{"camera.azimuth": "left"}, *jobs[3:]])
     assert main(["batch", path, "--check"]) == 2
     lines = capsys.readouterr().err.splitlines()
@@ -580,11 +583,7 @@ def test_check_names_poses_and_landmarks_that_do_not_fit(table, small, tmp_path,
     for job in (*(job for job, _ in faults), *good):
         paths = {n: str(tmp_path / job[n]) for n in ("pose.vertices", "landmarks") if n in job}
         jobs.append({**job, **paths})
-    assert main(["batch", table(jobs), "--check"]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    for number, (line, (_, message)) in enumerate(zip(lines, faults, strict=True), 1):
-        assert line.startswith(f"facerender: error: jobs.jsonl, row {number} (line {number}): ")
-        assert message in line
+    check_faults(table(jobs), capsys, {i: text for i, (_, text) in enumerate(faults, 1)})
     assert main(["batch", table(jobs[len(faults) :]), "--check"]) == 0
 
 
@@ -964,21 +963,6 @@ def test_without_a_scheduler(table, draw, monkeypatch):
 
 
 # --- chunks -------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_chunks_hold_every_job_once_and_few_meshes():
-    random = Random(3)
-    given = [
-        Row(i, f"{i}", {"mesh": {"path": f"/none/{random.randrange(6)}.glb"}}) for i in range(1000)
-    ]
-    made = list(chunks(given, 16))
-    assert sorted(row.number for chunk in made for row in chunk.rows) == list(range(1000))
-    assert [chunk.number for chunk in made] == list(range(len(made)))
-    meshes = [len({str(row.tables) for row in chunk.rows}) for chunk in made]
-    assert sum(count == 1 for count in meshes) >= len(made) - 6
-    assert max(len(chunk.rows) for chunk in made) == 16
-    assert [chunk.name for chunk in chunks(given, 16)] == [chunk.name for chunk in made]
 
 
 @pytest.mark.parametrize(("jobs", "files", "shards"), [(40, 1, 32), (1000, 8, 32), (4200, 64, 64)])

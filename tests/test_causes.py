@@ -12,15 +12,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.causes import CAUSES, NAMES
-from facerender.comparison.causes import (
-    CODEC,
-    DRIVER,
-    EXPOSURE,
-    GEOMETRY,
-    LIGHT,
-    LOBE,
-    TEXTURE,
-)
+from facerender.comparison.causes import CODEC, DRIVER, EXPOSURE, GEOMETRY, LIGHT, LOBE, TEXTURE
 from facerender.comparison.compare import compare
 from facerender.images.image import image_from_array
 from facerender.images.srgb import encode_srgb8

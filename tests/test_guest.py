@@ -23,14 +23,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, create_context
-from tests.awkward_files import (
-    MINI_HEAD,
-    Head,
-    write_glb,
-    write_ply,
-    write_stl,
-    write_textured_obj,
-)
+from tests.awkward_files import MINI_HEAD, Head, write_glb, write_ply, write_stl, write_textured_obj
 from tests.verification.fuzz.seeds import octahedron
 
 ROOT = Path(__file__).parents[1]

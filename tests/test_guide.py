@@ -91,15 +91,6 @@ def test_the_readme_and_the_guide_are_short():
     assert sum(words(page) for page in GUIDE[1:]) <= 17_320
 
 
-def test_the_tutorial_names_the_options_of_maps_beside_the_maps():
-    before, _, behind = (DOCS / "start.md").read_text(encoding="utf-8").partition("## 4. Add maps")
-    section = behind.partition("\n## ")[0]
-    for option in ("--flip-v", "--albedo", "--normal-map", "--specular-map", "--roughness-map"):
-        assert option in section
-        assert f"add `{option}`" not in before
-    assert "Displacement maps are not supported" in (DOCS / "formats.md").read_text("utf-8")
-
-
 @pytest.fixture
 def small_images(monkeypatch):
     """Draw images of a tenth of the width and height; the test checks only that examples run."""

@@ -4,7 +4,6 @@ compiler and this machine."""
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from functools import partial
 
@@ -20,7 +19,6 @@ from benchmarks.prices.table import parts as compiled_parts
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
-from facerender.planning.candidates import Constants, candidates
 from facerender.pricing import cost, fragment, scatter
 from facerender.pricing import table as prices
 from facerender.pricing.fragment import PARTS, parts_of, program_of, samples, scene_with
@@ -50,23 +48,6 @@ WHOLE = (  # scenes, and whether their lights have specular terms
 def bare(head):
     """The head without its normal map."""
     return head.with_material(normal_map=None)
-
-
-@pytest.mark.slow
-def test_every_candidate_has_a_price(head, bare):
-    """One table is enough, since all tables list the same terms; see below."""
-    for mesh, full in (
-        (bare, Shading("ward-printed")),
-        (bare, Shading(fresnel="dielectric")),
-        (head.with_material(m=0.05), Shading()),
-        (bare.with_material(m=0.9), Shading()),
-    ):
-        scene = fr.Scene(mesh, lights=(*KEY, POINT))
-        listed = list(candidates(scene, full, Constants(0.3, 1.0, (0, 1))))
-        table = load_prices("navi21", scene, listed)
-        for shading in listed:
-            total, specular = table.cost(scene, shading)
-            assert 0.0 <= specular < total < math.inf
 
 
 def test_price_is_the_sum_of_its_parts(head, bare):
@@ -276,18 +257,6 @@ def test_parts_add_up_to_a_program(family, parts, shading, error):
 def test_programs_determine_all_parts():
     matrix = np.array([list(parts_of(program).values()) for _, program in samples()])
     assert abs(np.linalg.det(matrix)) == pytest.approx(fragment.FEW)
-
-
-@pytest.mark.slow
-def test_parts_are_timed(egl, monkeypatch):
-    monkeypatch.setattr(fragment, "SIZE", (128, 64))
-    done: list[float] = []
-    measured = fragment.by_slope(egl, repeats=2, progress=done.append)
-    assert tuple(measured) == PARTS
-    assert done == [0.5, 1.0]
-    for each in measured.values():
-        assert all(map(math.isfinite, (each.low, each.value, each.high)))
-        assert each.low <= each.value <= each.high
 
 
 def test_bad_input_is_named(family):

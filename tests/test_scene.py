@@ -90,12 +90,6 @@ def test_intrinsics_of_a_view(head):
     np.testing.assert_allclose(shifted.extrinsics(head), view.extrinsics(head), atol=1e-12)
 
 
-def test_numpy_numbers_are_accepted():
-    assert fr.Camera(azimuth=np.arange(0, 90, 30)[1], zoom=np.float32(2.0)).zoom == 2.0
-    with pytest.raises(fr.InputError, match="camera azimuth = True"):
-        fr.Camera(azimuth=True)
-
-
 def test_camera_at_its_target_is_refused(head):
     scene = fr.Scene(head, fr.Camera(position=tuple(head.center)))
     with pytest.raises(fr.InputError, match="is at its target"):
@@ -114,12 +108,6 @@ def test_camera_at_its_target_is_refused(head):
 )
 def test_lights_from_text(text, light):
     assert parse_light(text) == light
-
-
-@pytest.mark.parametrize("text", ["blue", "", "30", "1,2,3,4", "point:1,2", "1,two", "point:"])
-def test_unknown_lights_name_the_known_ones(text):
-    with pytest.raises(fr.InputError, match=r"unknown light .* key, rim, .* AZIMUTH,ELEVATION"):
-        parse_light(text)
 
 
 @pytest.mark.parametrize(

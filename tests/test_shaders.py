@@ -157,19 +157,6 @@ def test_constants_of_the_fitted_lobes_are_the_same_in_glsl():
     assert [tuple(map(float, row.split(","))) for row in rows] == [r for t in tables for r in t]
 
 
-def test_source_is_flat_and_includes_may_stand_in_conditions(evaluate):
-    assert "#include" not in shader_source("cook_torrance")
-    prelude = resolve_includes(
-        '#ifdef ABSENT\n#include "facerender/ward.glsl"\n#endif\n'
-        '#include "facerender/cook_torrance.glsl"\n'
-    )
-    up = np.float32([[0, 0, 1]])
-    inputs = {"n": up, "l": up, "v": up}
-    assert evaluate(prelude, "fr_cook_torrance(n, l, v, 0.3, 0.028)", inputs) > 0.0
-    with pytest.raises(InputError, match="unknown shader .ggx.; known: "):
-        shader_source("ggx")
-
-
 @pytest.mark.parametrize("name", ["FR_LOBE_D32", "77", "0"])
 def test_unknown_lobe_does_not_compile(evaluate, name):
     prelude = include("ward", FR_LOBE=name)
@@ -213,9 +200,7 @@ def test_lobe_that_is_not_available_does_not_compile(evaluate):
 PAIRS = [
     ("cook_torrance", "ward", "FR_LOBE", "FR_LOBE_EXACT", "FR_LOBE_D16"),
     ("ward", "cook_torrance", "FR_LOBE", "FR_LOBE_FITTED", "2"),
-    ("ward", "ward_printed", "FR_LOBE", "FR_LOBE_EVERY", "FR_LOBE_EXACT"),
     ("lobe", "lobe", "FR_LOBE", "FR_LOBE_D8", "FR_LOBE_D16"),
-    ("cook_torrance", "cook_torrance", "FR_LOBE", "1", "8"),
     ("cook_torrance", "cook_torrance_two", "FR_FRESNEL", "FR_FRESNEL_SCHLICK", "1"),
     ("environment", "cook_torrance", "FR_MASKING", "1", "FR_MASKING_NONE"),
     ("cook_torrance", "cook_torrance", "FR_MASKING", "FR_MASKING_KELEMEN", "0"),

@@ -54,14 +54,8 @@ UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for internal
 METHODS = [
     *("Shading.from_dict", "Job.from_dict", "Renderer.of", "Renderer.render", "Renderer.gbuffer"),
     *("Renderer.can_shade_per_pixel", "Frame.srgb8", "Frame.save", "Mesh.from_arrays"),
-    *(
-        "Mesh.select",
-        "Mesh.with_positions",
-        "Texture.open",
-        "Texture.from_array",
-        "Texture.from_image",
-    ),
-    *("View.intrinsics", "View.extrinsics"),
+    *("Mesh.select", "Mesh.with_positions", "Texture.open", "Texture.from_array"),
+    *("Texture.from_image", "View.intrinsics", "View.extrinsics"),
 ]
 GIVEN = ("renderer", "backend", "size", "samples", "mesh", "source")  # replace expensive defaults
 RESULTS = ("GBuffer", "Plan", "View")  # created only by functions

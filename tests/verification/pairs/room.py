@@ -77,10 +77,7 @@ class Room:
         self.size = (setting.size, setting.size)
         self.view = view_of(self.scene, 1.0)
         self.renderer = Retouched(
-            self.size,
-            samples=setting.samples,
-            backend=backend,
-            float_albedo=setting.float_albedo,
+            self.size, samples=setting.samples, backend=backend, float_albedo=setting.float_albedo
         )
 
     def draw(
@@ -163,9 +160,7 @@ class Room:
 
 
 def draw_elsewhere(
-    setting: Setting,
-    backend: Backend = "egl",
-    variables: Mapping[str, str] = MappingProxyType({}),
+    setting: Setting, backend: Backend = "egl", variables: Mapping[str, str] = MappingProxyType({})
 ) -> fr.Frame:
     """Draw a setting in a new process with additional environment variables.
 
