@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.commands import COMMANDS, main, parser_of
-from facerender.commands.help import Help, commands_of, groups_of
+from facerender.commands import main
+from facerender.commands.help import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.write import FRAME_RATES
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 from tests.awkward_files import MINI_HEAD
+from tests.test_help import PARSERS
 
 BASES = {
     "render": ("head.obj", "-o", "x.png"),
@@ -75,11 +76,9 @@ ONLY_CLI = ("budget", "within", "workers", "timeout", "tries", "chunk", "scatter
 
 def numeric_options() -> list[tuple[str, argparse.Action]]:
     """Return each option with a range, and its command."""
-    parsers = commands_of(parser_of([*COMMANDS]))
-    parsers |= {f"shaders {name}": each for name, each in commands_of(parsers["shaders"]).items()}
     return [
         (command, action)
-        for command, parser in parsers.items()
+        for command, parser in PARSERS.items()
         for _, actions in groups_of(parser)
         for action in actions
         if isinstance(action.help, Help) and action.help.values and action.dest not in ONLY_CLI

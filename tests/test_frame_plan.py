@@ -169,21 +169,6 @@ def test_coarser_frames_are_over_the_budget(budget, options, drawing, scene, pla
 
 
 @pytest.mark.slow
-def test_samples_fit_all_cameras(drawing, scene):
-    """One sample is within the budget at one camera, but not at the other."""
-    errors = {
-        camera: error(drawing, replace(scene, camera=camera), LevelOfDetail(1, None))[0]
-        for camera in CAMERAS
-    }
-    easy, hard = sorted(CAMERAS, key=errors.__getitem__)
-    budget = 0.5 * (errors[easy] + errors[hard])
-    assert errors[easy] < budget < errors[hard]
-    for cameras, samples in (((easy,), 1), ((easy, hard), 4), ((hard, easy), 4)):
-        plan = fr.plan(scene, budget, cameras=cameras, renderer=drawing)
-        assert plan.detail.samples == samples
-
-
-@pytest.mark.slow
 def test_fewest_samples_within_the_budget_are_chosen(egl, scene):
     """8 samples, the mean of shifted images, are reduced to 4 or 1."""
     with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:

@@ -16,7 +16,6 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import parser_of
 from facerender.drawing.context import create_context
-from facerender.scenes.light import parse_light
 from tests import stand_ins
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import code, prose
@@ -164,17 +163,6 @@ def test_commands_of_the_page_have_valid_options(page):
         arguments = shlex.split(line, comments=True)
         if "COMMAND" not in arguments:
             parser_of(arguments).parse_args(arguments)
-
-
-def test_lights_of_the_guide_are_valid():
-    lights = [
-        light
-        for page in GUIDE
-        for light in re.findall(r"--light ([a-z0-9][\w:,.=-]*)", by_hand(page.read_text("utf-8")))
-    ]
-    assert len(lights) > 5
-    for light in lights:
-        parse_light(light)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -806,7 +806,10 @@ def test_profiles_reach_every_source_of_a_map(tmp_path):
     (tmp_path / "a.glb").write_bytes(files.join_glb(document, binary))
     (tmp_path / "a.mtl").write_text(files.SKIN_MTL.format(texture="a.png"))
     files.write_obj(tmp_path / "a.obj", HEAD, mtl="a.mtl")
+    trimesh = pytest.importorskip("trimesh")
+    visual = trimesh.visual.TextureVisuals(uv=HEAD.uv, image=Image.open(png))
     sources = [
+        fr.load_mesh(trimesh.Trimesh(HEAD.positions, HEAD.faces, visual=visual, process=False)),
         load(tmp_path / "a.glb")[0],
         load(tmp_path / "a.obj")[0],
         load(MINI_HEAD, albedo=png)[0],
@@ -843,13 +846,3 @@ def test_a_profile_of_other_channels_is_ignored_with_a_warning(level, content, t
     found = np.asarray(material.albedo_map.rgb())[0, 0]
     assert (found == (level * 3 if len(level) == 1 else level[:3])).all()
     fr.Material(roughness_map=fr.Texture.open(tmp_path / "a.png"))  # no warning for data
-
-
-def test_a_profile_reaches_trimesh_objects(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
-    image = Image.open(flat(tmp_path / "a.png", LEVEL, P3))
-    visual = trimesh.visual.TextureVisuals(uv=HEAD.uv, image=image)
-    source = trimesh.Trimesh(HEAD.positions, HEAD.faces, visual=visual, process=False)
-    found = np.asarray(fr.load_mesh(source).materials[0].albedo_map.rgb())[4, 4]
-    expected = np.round(255 * as_p3(np.array([LEVEL]) / 255.0))[0]
-    assert np.abs(found - expected).max() <= 1

@@ -76,20 +76,6 @@ def test_frustum_of_a_camera_fills_the_clip_space(head):
                 assert clip == pytest.approx(depth * np.array([x, -y, z, 1.0]), abs=1e-9)
 
 
-def test_intrinsics_of_a_view(head):
-    size = (640, 200)
-    scene = fr.Scene(head, fr.Camera(azimuth=20.0, fov=40.0))
-    view = view_of(scene, size[0] / size[1])
-    focal = 100.0 / math.tan(math.radians(20.0))
-    pixels = np.array([[focal, 0.0, 320.0], [0.0, focal, 100.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(view.intrinsics(size), pixels, rtol=0, atol=1e-9)
-    # A shifted image has another principal point, and its camera does not move.
-    shifted = view.shifted((0.25, -0.375), size)
-    pixels[:2, 2] += 0.25, -0.375
-    np.testing.assert_allclose(shifted.intrinsics(size), pixels, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(shifted.extrinsics(head), view.extrinsics(head), atol=1e-12)
-
-
 def test_camera_at_its_target_is_refused(head):
     scene = fr.Scene(head, fr.Camera(position=tuple(head.center)))
     with pytest.raises(fr.InputError, match="is at its target"):
