@@ -44,12 +44,8 @@ from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.faults import failing
 
+pytestmark = pytest.mark.usefixtures("egl")
 COMMAND = [sys.executable, "-m", "facerender", "batch"]
-
-
-@pytest.fixture(autouse=True)
-def _needs_egl(egl):
-    pass
 
 
 def rows(count: int, **more: Any) -> list[dict[str, Any]]:

@@ -3,11 +3,11 @@ and messages."""
 
 from __future__ import annotations
 
-import builtins
 import csv
 import itertools
 import json
 import re
+import sys
 import tracemalloc
 from dataclasses import fields, replace
 from pathlib import Path
@@ -680,14 +680,8 @@ def test_missing_files_are_named(tmp_path):
 
 
 def test_parquet_without_its_package(monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *rest):
-        if name.startswith("pyarrow"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr("facerender.batch.formats.importlib.import_module", without)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with pytest.raises(InputError, match=r"needs the package pyarrow; pip install 'facerender\[b"):
         read_jobs(write("rows.parquet", ""))
 

@@ -190,14 +190,6 @@ def test_files_suit_every_hosts_preprocessor(file):
             assert not re.search(r".#(if|el|endif)", line), "Babylon.js reads comments as well"
 
 
-@pytest.mark.parametrize(("name", "lobe", "m"), [each for each in CHOICES if each[1]])
-def test_flattened_conditionals_are_not_nested(name, lobe, m):
-    depth = 0
-    for line in fr.shader_source(name, "es300", lobe=lobe, m=m).split("\n"):
-        depth += line.startswith("#if") - line.startswith("#endif")
-        assert depth in (0, 1), line
-
-
 def test_file_that_is_included_twice_keeps_its_guard(tmp_path):
     own = tmp_path / "own.frag"
     ward = '#include "facerender/ward.glsl"\n'

@@ -92,12 +92,6 @@ def test_one_number_is_width_and_height():
         fr.Renderer(0)
 
 
-def test_none_is_refused_unless_allowed():
-    assert of(fr.Shading, "ks", None) is None
-    with pytest.raises(fr.InputError, match="^m = None is not a number: give a number in"):
-        of(fr.Material, "m", None)
-
-
 def test_numpy_numbers_are_converted():
     assert type(of(fr.ImageSettings, "samples", np.int64(4))) is int
     assert of(fr.ImageSettings, "size", np.array([3, 4])) == (3, 4)

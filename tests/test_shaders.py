@@ -14,7 +14,6 @@ import pytest
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
 from facerender.glsl.code import defines, lobe_macros
-from facerender.glsl.includes import scan
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
 from tests.verification.cases import brdf_case, directions, flat, include
@@ -124,19 +123,6 @@ def test_published_forms_agree_where_they_are_valid(evaluate, model, file, call,
     sound = (expected > 0.0) & away
     # Ward as published loses three digits in acos and tan.
     np.testing.assert_allclose(result[sound], expected[sound], rtol=2e-3, atol=1e-5)
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_conventions_of_a_shader_file(path):
-    text = path.read_text()
-    code = re.sub(r"//[^\n]*", "", text)
-    assert text.startswith("// "), "a header comment comes first"
-    assert scan(text).guard, "an include guard"
-    assert not functions(code) or re.search(r"^//\s+(unit|returns)\b", text, re.MULTILINE)
-
-
-def functions(code: str) -> list[str]:
-    return re.findall(r"^\w+ (\w+)\([^;]*\)\s*\{", code, re.MULTILINE)
 
 
 def test_every_reference_function_exists_in_glsl():
