@@ -26,6 +26,8 @@ from tests.verification.scan import TEST_DATA, load_scan, scan_folder
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+    from tests.test_cli import Cli
+
 pytest_plugins = ["pytester"]
 
 os.environ["FACERENDER_CACHE_MIB"] = "0"  # disables the cache: tests read their files
@@ -172,6 +174,16 @@ def four_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """Limit the driver's multisampling to four samples, the limit of Mesa's software driver.
     NVIDIA's driver supersamples images of 16 and more samples."""
     monkeypatch.setattr(Context, "most_samples", 4)
+
+
+@pytest.fixture
+def cli(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Runs commands in this process; images go to a folder of their own."""
+    from tests.test_cli import Cli
+
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return Cli(folder, capsys)
 
 
 @pytest.fixture(scope="session")

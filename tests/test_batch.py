@@ -30,7 +30,7 @@ import psutil
 import pytest
 
 import facerender as fr
-from facerender.batch import engine, records
+from facerender.batch import engine
 from facerender.batch.chunk import Settings, chunks, code_version, forget_files, key_of
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
@@ -44,12 +44,8 @@ from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.faults import failing
 
+pytestmark = pytest.mark.usefixtures("egl")
 COMMAND = [sys.executable, "-m", "facerender", "batch"]
-
-
-@pytest.fixture(autouse=True)
-def _needs_egl(egl):
-    pass
 
 
 def rows(count: int, **more: Any) -> list[dict[str, Any]]:
@@ -152,35 +148,15 @@ def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layou
 
 
 @pytest.mark.slow
-def test_batch_images_equal_those_of_a_renderer(table, draw, tmp_path):
-    draw(table([{"id": "one", "image.size": 64, "camera.azimuth": -30, "material.m": 0.2}]), "out")
-    mesh = fr.load_mesh().with_skin(m=0.2)
-    with fr.Renderer((64, 64)) as renderer:
-        renderer.render(fr.Scene(mesh, fr.Camera(-30.0))).save(tmp_path / "alone.png")
-    alone = (tmp_path / "alone.png").read_bytes()
-    assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
-
-
-@pytest.mark.slow
 @pytest.mark.usefixtures("measured_gain")
 def test_planned_scene_equals_that_of_render(table, draw, tmp_path):
     """The scene file of `facerender plan` is given by an option or by a job."""
     planned, size = str(tmp_path / "planned.toml"), ("--size", "48")
     # Without shadows, the plan has fewer candidates.
     light = "key,radius=0,no-shadow"
-    where = (
-        *size,
-        "--camera",
-        "0",
-        "--camera",
-        "-60,20",
-        "--light",
-        light,
-        "--save-scene",
-        planned,
-    )
-    plan = ["plan", str(MINI_HEAD), "--budget", "24/255", "--within", "90%", "--m", "0.3", *where]
-    assert main([*plan, "--backend", "egl", "--quiet"]) == 0
+    plan = f"plan {MINI_HEAD} --budget 24/255 --within 90% --m 0.3 --size 48 --camera 0 --camera"
+    plan += f" -60,20 --light {light} --save-scene {planned} --backend egl --quiet"
+    assert main(plan.split()) == 0
     detail = tomllib.loads(Path(planned).read_text())["planned"]
     assert detail.get("drawn_samples", 4) < 4 or "triangles" in detail or detail["cull_back_faces"]
     jobs = rows(2, outputs="image,specular")
@@ -190,16 +166,8 @@ def test_planned_scene_equals_that_of_render(table, draw, tmp_path):
     draw(table([{**job, "lights": [light]} for job in jobs]), "exact")
     for job in jobs:
         for only in ("image", "specular"):
-            words = [
-                "render",
-                str(MINI_HEAD),
-                "--scene",
-                planned,
-                *size,
-                "-o",
-                str(tmp_path / "a.png"),
-            ]
-            words += ["--camera", f"{job['camera.azimuth']}"]
+            words = ["render", str(MINI_HEAD), "--scene", planned, *size]
+            words += ["--camera", f"{job['camera.azimuth']}", "-o", str(tmp_path / "a.png")]
             assert main(words + ["--only", only] * (only != "image")) == 0
             file = f"data/{job['id']}/{only}.png"
             assert (tmp_path / "command" / file).read_bytes() == (tmp_path / "a.png").read_bytes()
@@ -244,24 +212,6 @@ def test_a_changed_mesh_is_drawn_again(table, draw, small, name):
     assert draw(path, "out")["drawn"] == 2
 
 
-def test_a_changed_map_is_drawn_again(table, draw, small, tmp_path):
-    image = require_module("PIL.Image")
-    maps = ("albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
-    paths = {name: tmp_path / f"{name}.png" for name in maps}
-
-    def paint(path: Path, level: int) -> None:
-        image.fromarray(np.full((2, 2, 3), level, np.uint8)).save(path)
-
-    for path in paths.values():
-        paint(path, 128)
-    given = {f"mesh.{name}": str(path) for name, path in paths.items()}
-    jobs = table(rows(1, **{"mesh": str(small), "material.second_slope": 0.5, **given}))
-    assert draw(jobs, "out")["drawn"] == 1
-    for path in paths.values():
-        paint(path, 130)
-        assert draw(jobs, "out")["drawn"] == 1, path.name
-
-
 @pytest.mark.parametrize("layout", ["files", "shards"])
 def test_removed_jobs_are_removed_from_tables_and_data(table, draw, small, tmp_path, layout):
     """Here a whole chunk is removed, and nothing is left to draw."""
@@ -302,36 +252,9 @@ def test_jobs_of_another_table_are_kept(table, draw, small, tmp_path, layout):
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
 
-def test_tar_members_may_have_any_length(tmp_path):
-    path = tmp_path / "a.tar"
-    path.touch()
-    lengths = (0, 1, 511, 512, 513, 1024, 3)
-    records._append(path, [records._member(str(n), bytes([n % 251]) * n) for n in lengths])
-    with tarfile.open(path) as tar:
-        found = {each.name: tar.extractfile(each).read() for each in tar.getmembers()}
-    assert found == {str(n): bytes([n % 251]) * n for n in lengths}
-
-
-def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
-    storage, write = Storage(str(tmp_path)), Path.write_bytes
-    storage.put("folder/file", b"old")
-
-    def fill(path: Path, content: bytes) -> None:
-        write(path, content[:1])
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", fill)
-    with pytest.raises(fr.InputError, match="no space left on device; free space there"):
-        storage.put("folder/file", b"new")
-    assert storage.get("folder/file") == b"old"
-
-
-def test_files_that_a_mesh_names_are_found(tmp_path, small):
-    assert {path.name for path in named_files(small)} >= {"small.mtl", "skin.png"}
-    buffers, images = (
-        '"buffers": [{"uri": "a%20b.bin"}]',
-        '[{"uri": "data:,"}, {"uri": "c.png"}, 7]',
-    )
+def test_files_that_a_mesh_names_are_found(tmp_path):
+    buffers = '"buffers": [{"uri": "a%20b.bin"}]'
+    images = '[{"uri": "data:,"}, {"uri": "c.png"}, 7]'
     for name, text, named in (
         ("a.gltf", f'{{{buffers}, "images": 5}}', []),
         ("a.gltf", f'{{{buffers}, "images": {images}}}', ["a b.bin", "c.png"]),
@@ -578,6 +501,16 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
     assert "row 2" in capsys.readouterr().err
 
 
+def check_faults(path: str, capsys: pytest.CaptureFixture[str], faults: dict[int, str]) -> None:
+    """Check that ``batch --check`` prints a line for each row with its message."""
+    assert main(["batch", path, "--check"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    for line, (row, message) in zip(err.splitlines(), faults.items(), strict=True):
+        assert line.startswith(f"facerender: error: jobs.jsonl, row {row} (line {row})")
+        assert message in line
+
+
 def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe.obj")
     os.mkfifo(tmp_path / "pipe.json")
@@ -607,15 +540,8 @@ def test_check_names_every_file_that_cannot_be_used(table, small, tmp_path, caps
         jobs += [{**({} if "mesh" in job else good), **named}] * 2
     # This albedo map replaces the damaged map of the mesh file.
     jobs.append({"mesh": str(tmp_path / "map.obj"), "mesh.albedo": str(tmp_path / "skin.png")})
-    assert main(["batch", table(jobs), "--check"]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    lines = err.splitlines()
-    for line, (row, (_, message)) in zip(lines, enumerate(faults), strict=True):
-        assert line.startswith(
-            f"facerender: error: jobs.jsonl, row {2 * row + 2} (line {2 * row + 2})"
-        )
-        assert f": {message.format(tmp_path)}" in line
+    lines = {2 * i + 2: f": {text.format(tmp_path)}" for i, (_, text) in enumerate(faults)}
+    check_faults(table(jobs), capsys, lines)
     path = table([{"camera.azimuth": "left"}, *jobs[3:]])
     assert main(["batch", path, "--check"]) == 2
     lines = capsys.readouterr().err.splitlines()
@@ -653,11 +579,7 @@ def test_check_names_poses_and_landmarks_that_do_not_fit(table, small, tmp_path,
     for job in (*(job for job, _ in faults), *good):
         paths = {n: str(tmp_path / job[n]) for n in ("pose.vertices", "landmarks") if n in job}
         jobs.append({**job, **paths})
-    assert main(["batch", table(jobs), "--check"]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    for number, (line, (_, message)) in enumerate(zip(lines, faults, strict=True), 1):
-        assert line.startswith(f"facerender: error: jobs.jsonl, row {number} (line {number}): ")
-        assert message in line
+    check_faults(table(jobs), capsys, {i: text for i, (_, text) in enumerate(faults, 1)})
     assert main(["batch", table(jobs[len(faults) :]), "--check"]) == 0
 
 
@@ -1037,21 +959,6 @@ def test_without_a_scheduler(table, draw, monkeypatch):
 
 
 # --- chunks -------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_chunks_hold_every_job_once_and_few_meshes():
-    random = Random(3)
-    given = [
-        Row(i, f"{i}", {"mesh": {"path": f"/none/{random.randrange(6)}.glb"}}) for i in range(1000)
-    ]
-    made = list(chunks(given, 16))
-    assert sorted(row.number for chunk in made for row in chunk.rows) == list(range(1000))
-    assert [chunk.number for chunk in made] == list(range(len(made)))
-    meshes = [len({str(row.tables) for row in chunk.rows}) for chunk in made]
-    assert sum(count == 1 for count in meshes) >= len(made) - 6
-    assert max(len(chunk.rows) for chunk in made) == 16
-    assert [chunk.name for chunk in chunks(given, 16)] == [chunk.name for chunk in made]
 
 
 @pytest.mark.parametrize(("jobs", "files", "shards"), [(40, 1, 32), (1000, 8, 32), (4200, 64, 64)])

@@ -3,12 +3,11 @@ and messages."""
 
 from __future__ import annotations
 
-import builtins
 import csv
 import itertools
 import json
-import math
 import re
+import sys
 import tracemalloc
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,14 +16,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from facerender.batch.jobs import (
-    OUTPUTS,
-    OWN,
-    TABLES,
-    JobTable,
-    Row,
-    _rows,
-)
+from facerender.batch.jobs import OUTPUTS, OWN, TABLES, JobTable, Row, _rows
 from facerender.errors import InputError
 from facerender.job import Job, MeshFile
 from facerender.scenes.camera import Camera
@@ -33,7 +25,6 @@ from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.scene import Scene
-from facerender.terms.ranges import IntegerRange, SizeRange, ranges_of
 from tests.conftest import require_module
 
 ROOT = Path(__file__).parents[1]
@@ -129,9 +120,10 @@ WRITERS = {
 
 @pytest.mark.parametrize("form", WRITERS)
 def test_every_form_gives_the_same_rows(form):
+    (row,) = rows_of({"lights.0.azimuth": -40.5})
     found = read_jobs(WRITERS[form](ROWS), {"image": {"size": "64x32"}, "exposure": 1})
     a, b = ({"path": str(Path.cwd() / name)} for name in ("a.glb", "b.glb"))
-    lit = {"mesh": a, "camera": {"azimuth": 30}, "lights": changed_key(azimuth=-40.5)}
+    lit = {"mesh": a, "camera": {"azimuth": 30}, **row.tables}
     image = {"image": {"size": [64, 32]}}
     assert found == [
         Row(0, "a", lit | image, exposure=1.0),
@@ -149,10 +141,7 @@ def test_rows_of_parquet_may_be_nested():
     rows = {"camera": [{"azimuth": 1, "zoom": None}, None], "lights": [lights, None]}
     pq.write_table(pa.table(rows | {"environment": [{"file": None}] * 2}), "rows.parquet")
     assert [row.tables for row in read_jobs("rows.parquet")] == [
-        {
-            "camera": {"azimuth": 1},
-            "lights": [{"azimuth": 1.0}, {"position": [0.0, 1.0, 2.0]}],
-        },
+        {"camera": {"azimuth": 1}, "lights": [{"azimuth": 1.0}, {"position": [0.0, 1.0, 2.0]}]},
         {},
     ]
 
@@ -329,7 +318,7 @@ def test_grid_has_every_combination_grouped_by_mesh():
         mesh = ["a.glb", "b.glb"]
         camera.elevation = [5]
         lights.0.azimuth = { from = 10, to = 20, step = 10 }
-        """,
+        """
     )
     keys = [
         (
@@ -353,7 +342,7 @@ def test_values_of_axes_may_be_tables_and_lists():
         lights = [["key"], [], ["rim", { azimuth = 3 }]]
         [random]
         environment = { choice = ["studio,20", { file = "studio", scale = 2 }] }
-        """,
+        """
     )
     names = [Path(row.tables["mesh"]["path"]).name for row in rows]
     assert names == ["a.glb"] * 3 + ["b.glb"] * 3
@@ -504,14 +493,10 @@ def test_templates_of_ids(template, name):
         ("a b", "id = 'a b': give 1 to 128 letters"),
         (".a", "id = '.a': give 1 to 128"),
         ("", "id = '': give 1 to 128"),
-        ("é", "id = 'é': give"),
         ("a\n", r"id = 'a\\n': give"),
         ("a" * 129, "give 1 to 128"),
-        (True, "id = True: give"),
-        (1.5, "id = 1.5: give"),
         (["a"], r"id = \['a'\]: give"),
         ("{", "is not a template: "),
-        ("a}", "is not a template: "),
         ("{number!r}", "is not a template: give {NAME} or {NAME:FORMAT}"),
         ("{}", "is not a template: give {NAME}"),
         ("{number:99999999d}", "is not a template: give {NAME}"),
@@ -545,18 +530,11 @@ def test_check_counts_and_names_faults():
     name = write("rows.jsonl", "\n".join(map(json.dumps, lines)))
     checked = check_jobs(name)
     assert (checked.rows, checked.meshes, checked.more) == (9, 2, 0)
-    assert checked.faults == [
-        "rows.jsonl, row 2 (line 2): camera elevation = 99 is outside [-90, 90]: "
-        "give a value in this range",
-        "rows.jsonl, row 4 (line 4): image samples = 4.0: give a whole number from 1 to 64",
-        "rows.jsonl, row 7 (line 7): specular_lights names light 1: the scene has 1, "
-        "counted from 0",
-        "rows.jsonl, row 8 (line 8): image size 20000 x 20000: give 1 to 16384 pixels a side",
-        "rows.jsonl, row 9 (line 9): m times second_slope = 2.25 is outside [0.0001, 2]: "
-        "give a value in this range",
-        "rows.jsonl, row 5 (line 5): id = 'same' is used by row 1: give another",
-        "rows.jsonl, row 6 (line 6): id = '00000002' is used by row 3: give another",
-    ]
+    named = ["elevation = 99", "samples = 4.0", "light 1", "20000 x 20000", "second_slope = 2.25"]
+    named += ["'same' is used by row 1", "'00000002' is used by row 3"]
+    for row, text, fault in zip((2, 4, 7, 8, 9, 5, 6), named, checked.faults, strict=True):
+        assert fault.startswith(f"rows.jsonl, row {row} (line {row}): ")
+        assert text in fault
     few = check_jobs(name, most=2)
     assert few.faults == checked.faults[:2]
     assert few.more == 5
@@ -617,101 +595,64 @@ for _ in range(30):
 BAD_FILES = [
     ("rows.txt", "", "unknown table format '.txt'; give .jsonl, .csv, .parquet, .toml or .py"),
     ("rows.jsonl", "", "rows.jsonl has no rows"),
-    ("rows.jsonl", "\n \n", "rows.jsonl has no rows"),
     ("rows.jsonl", "[1]", r"rows.jsonl, row 1 \(line 1\): row = \[1\]: give a table"),
     ("rows.jsonl", "{}\n\n{", r"row 2 \(line 3\): not JSON: Expecting property name .* column 2"),
     ("rows.jsonl", '{"a": 1, "a": 2}', "not JSON: key 'a' is given twice"),
     ("rows.jsonl", '{"ambient": NaN}', "not JSON: NaN is not a finite number"),
-    ("rows.jsonl", '{"ambient": 1e999}', "ambient = inf: give a finite number"),
     ("rows.jsonl", f'{{"ambient": {"9" * 400}}}', "= 9+ [.]{3} 9+: a whole number has at most 64"),
     ("rows.jsonl", f'{{"ambient": {"9" * 5000}}}', "not JSON: Exceeds the limit"),
     ("rows.jsonl", "[" * 100_000, "not JSON: nested too deep"),
     ("rows.jsonl", json.dumps(DEEP), "a has tables or lists 11 deep: use at most 10 levels"),
     ("rows.jsonl", json.dumps({"a" + ".a" * 1000: 1}), "has too many dots"),
     ("rows.jsonl", b"{}\n\xff\n", "rows.jsonl, line 2 is not UTF-8 .*save the file as UTF-8"),
-    ("rows.jsonl", b"\xff\xfe{\0}\0", "rows.jsonl, line 1 is not UTF-8"),
     ("rows.jsonl", " " * 2**21, "line 1 has more than 1048576 bytes"),
     ("rows.jsonl", '{"colour": 1}', "unknown key 'colour'; known: id, outputs, exposure, scene"),
     ("rows.jsonl", '{"mesh": ""}', "mesh path = '' is not a path"),
-    ("rows.jsonl", '{"mesh": "a\\u0000"}', "mesh path = 'a.x00' is not a path"),
     ("rows.jsonl", '{"mesh": "\\ud800"}', "mesh path = '.ud800' is not a path"),
     ("rows.jsonl", '{"mesh": "a", "mesh.path": "b"}', "mesh.path is given twice"),
     ("rows.jsonl", '{"camera": 1, "camera.fov": 2}', "camera.fov is given twice, or as a whole"),
-    ("rows.jsonl", '{"camera.fov": 1, "camera": {"fov": 2}}', "camera is given twice, or as a"),
     ("rows.jsonl", '{"lights.4.azimuth": 1}', "lights lacks item 3: count from 0"),
     (
         "rows.toml",
         'lights = ["key"]\ngrid.lights.2.azimuth = [1]',
         "rows.toml: lights lacks item 1: count from 0",
     ),
-    ("rows.jsonl", '{"lights": ["sun"]}', "unknown light 'sun'"),
     ("rows.jsonl", '{"environment": "a,b"}', "environment 'a,b': give FILE"),
     ("rows.jsonl", '{"image.size": "64x"}', "image size '64x': give N or WxH"),
     ("rows.jsonl", '{"outputs": []}', r"outputs = \[\]: give a list of image, specular"),
     ("rows.jsonl", '{"outputs": "image,shine"}', "unknown output 'shine'; known: image"),
-    ("rows.jsonl", '{"outputs": [["image"]]}', r"unknown output \['image'\]"),
     ("rows.jsonl", '{"outputs": "mask,mask"}', "output mask is given twice"),
     ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is not a number"),
-    (  # values of unexpected types
-        "rows.jsonl",
-        '{"shading": {"fresnel": [[]]}}',
-        r"rows.jsonl, row 1 \(line 1\): ",
-    ),
+    ("rows.jsonl", '{"shading": {"fresnel": [[]]}}', r"rows.jsonl, row 1 \(line 1\): "),
     ("rows.jsonl", '{"scene": 3}', "scene = 3: give a path as text"),
     ("rows.jsonl", '{"scene": "no.toml"}', "row 1 .*cannot read no.toml: no such file"),
     ("rows.csv", "", "rows.csv has no rows"),
-    ("rows.csv", "mesh,camera.azimuth\n", "rows.csv has no rows"),
     ("rows.csv", "mesh,mesh\na,b\n", "rows.csv has two columns 'mesh': leave one out"),
     ("rows.csv", "mesh,\na,b\n", "rows.csv: a column has no name"),
     ("rows.csv", "mesh\na\na,b\n", r"row 2 \(line 3\): 2 cells in a table of 1 columns"),
-    ("rows.csv", "mesh,ambient\na\n", r"row 1 \(line 2\): 1 cells in a table of 2 columns"),
     ("rows.csv", 'mesh\n"a\n', "rows.csv, line 2 is not CSV: unexpected end of data"),
     ("rows.csv", b"mesh\n\xe9\n", "rows.csv, line 2 is not UTF-8"),
     ("rows.csv", 'lights\n"[1,"\n', r"row 1 \(line 2\): a cell cannot be read: Expecting value"),
     ("rows.csv", "ambient\n" + "9" * 5000 + "\n", "a cell cannot be read: Exceeds the limit"),
     ("rows.csv", "ambient\n" + "9" * 200_000 + "\n", "line 2 is not CSV: field larger than"),
-    ("rows.csv", "mesh;m\na;1\n", "unknown key 'mesh;m'"),
     ("rows.parquet", "PAR1", "rows.parquet is not a readable Parquet file"),
-    ("rows.parquet", "", "rows.parquet is not a readable Parquet file"),
-    ("rows.toml", "", "rows.toml has no rows"),
     ("rows.toml", "a = ", "rows.toml is not valid TOML: Invalid value"),
-    ("rows.toml", b"\xff", "rows.toml is not valid TOML: 'utf-8' codec"),
-    ("rows.toml", "a = " + "[" * 100_000, "rows.toml is not valid TOML: nested too deep"),
     ("rows.toml", "grid" + ".a" * 5000 + " = [1]", "rows.toml is not valid TOML: nested too deep"),
-    ("rows.toml", "a" + ".a" * 20 + " = [1]", "rows.toml: a has tables or lists 11 deep"),
     ("rows.toml", "ambient = nan", "rows.toml: ambient = nan: give a finite number"),
-    ("rows.toml", "ambient = 1979-05-27", "ambient = datetime.* give a number"),
     ("rows.toml", "grid = 3", r"rows.toml: grid = 3: give a table, \[grid\]"),
-    ("rows.toml", "random = []", r"random = \[\]: give a table"),
     ("rows.toml", "jobs = []", r"jobs = \[\]: give tables, \[\[jobs\]\]"),
-    ("rows.toml", "jobs = [3]", "row = 3: give a table"),
     ("rows.toml", "[grid]\nambient = []", r"grid.ambient = \[\]: give a list of values"),
-    ("rows.toml", "[grid]\nambient = 3", "grid.ambient = 3: give a list of values"),
     ("rows.toml", "[grid]\ncolour = [3]", "row 1: unknown key 'colour'"),
-    ("rows.toml", "[grid]\nambient = {}", "grid.ambient = {}: give from, to"),
     ("rows.toml", "[grid]\nambient = {from=0,to=1}", "give from, to, and step or count"),
-    ("rows.toml", "[grid]\nambient = {from=0,to=1,stepp=1}", "give from, to, and step or count"),
     ("rows.toml", "[grid]\nambient = {from=0,to=1,step=0}", "step = 0 does not lead from 0 to 1"),
-    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=-1}", "step = -1 does not lead from 0 to"),
-    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=nan}", "step = nan: give a finite number"),
     ("rows.toml", "[grid]\nambient = {from='a',to=1,step=1}", "from = 'a': give a finite number"),
     ("rows.toml", "[grid]\nambient = {from=0,to=1,count=0}", "count = 0: give a whole number"),
-    ("rows.toml", "[grid]\nambient = {from=0,to=1,count=2.0}", "count = 2.0: give a whole number"),
     ("rows.toml", "[grid]\nambient = {from=0,to=1,step=1e-300}", "give numbers nearer to each"),
     ("rows.toml", "[grid]\nambient = {from=0,to=1,step=1e-10}", "10000000001 rows together: give"),
-    (
-        "rows.toml",
-        "[grid]\nambient = {from=0,to=1,count=99999}\n" * 1
-        + "camera.fov = {from=1,to=9,count=99999}",
-        "9999800001 rows together: give 1000000000 at",
-    ),
     ("rows.toml", "random.count = 0", "random.count = 0: give a whole number from 1"),
     ("rows.toml", "random.seed = -1", "random.seed = -1: give a whole number from 0"),
-    ("rows.toml", "random.seed = 1.5", "random.seed = 1.5: give a whole number"),
-    ("rows.toml", "random.ambient = 3", "random.ambient = 3: give one of { uniform"),
     ("rows.toml", "random.ambient.unifrom = [0, 1]", "random.ambient.unifrom = .*: give one of"),
     ("rows.toml", "random.ambient.uniform = [0]", r"uniform = \[0\]: give two numbers"),
-    ("rows.toml", "random.ambient.uniform = 3", "uniform = 3: give one of"),
     ("rows.toml", "random.ambient.uniform = [0, 'a']", "uniform = 'a': give a finite number"),
     ("rows.toml", "random.ambient.uniform = [1, 0]", r"\[1, 0\]: give the lower end first"),
     ("rows.toml", "random.ambient.log_uniform = [0, 1]", r"\[0, 1\]: give ends above 0"),
@@ -722,12 +663,9 @@ BAD_FILES = [
     ("rows.py", "def jobs(:", "rows.py, line 1: SyntaxError"),
     ("rows.py", "x = 1\n\n1/0", "rows.py, line 3: ZeroDivisionError: division by zero"),
     ("rows.py", "import sys\nsys.exit('no')", "rows.py, line 2: SystemExit: no"),
-    ("rows.py", "raise StopIteration", "rows.py, line 1: StopIteration"),
     ("rows.py", "jobs = 3", r"rows.py has no function jobs\(\)"),
     ("rows.py", "def jobs(): return 3", "rows.py: TypeError: 'int' object is not iterable"),
-    ("rows.py", "def jobs(a): return []", "rows.py: TypeError: jobs.. missing 1 required"),
     ("rows.py", "def jobs():\n  yield {}\n  raise ValueError('x\\ny')", "line 3: ValueError: x y"),
-    ("rows.py", "def jobs(): yield 3", "rows.py, row 1: row = 3: give a table"),
     ("rows.py", "def jobs(): yield {1: 2}", "rows.py, row 1: key 1: give text"),
     ("rows.py", "def jobs(): yield {'ambient': object()}", "ambient = <object .*: give a number"),
     ("rows.py", "def jobs():\n  a = {}\n  a['a'] = a\n  yield a", "a has tables or lists 11 deep"),
@@ -759,14 +697,8 @@ def test_missing_files_are_named(tmp_path):
 
 
 def test_parquet_without_its_package(monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *rest):
-        if name.startswith("pyarrow"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr("facerender.batch.formats.importlib.import_module", without)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with pytest.raises(InputError, match=r"needs the package pyarrow; pip install 'facerender\[b"):
         read_jobs(write("rows.parquet", ""))
 
@@ -805,50 +737,9 @@ def test_rows_have_materials_of_parts():
 
 # --- rows ----------------------------------------------------------------------------------------
 
-VALID = [
-    {},
-    {"mesh": "a.glb", "id": "a-{number}", "outputs": "image,mask", "exposure": -1.5},
-    {"mesh": {"path": "a.glb", "flip_v": True, "triangles": 100}, "outputs": ["image"]},
-    {"camera.azimuth": 30, "camera.target": [0, 1, 2], "camera": {"zoom": 2.0}},
-    {"lights": ["key", {"azimuth": 1, "irradiance": [1, 2, 3], "shadow": True}]},
-    {"lights.0.azimuth": 10, "lights.0.irradiance.0": 1, "lights.0.irradiance.1": 1,
-     "lights.0.irradiance.2": 1},
-    {"lights.0": "rim"},
-    {"environment": "studio,20"},
-    {"environment": {"file": "a.hdr", "scale": 0}},
-    {"ambient": 0.5, "background": "none"},
-    {"background": [0, 0, 1]},
-    {"material": {"m": 0.3, "albedo": [1, 1, 1], "scattering": "skin"}},
-    {"material.scattering": [[1, 0.2, 0.2, 0.2]]},
-    {"parts": {"a.b*": {"preset": "cornea", "m": 0.1}, "0": {"albedo": [1, 0, 0]}}},
-    {"parts.eye*.preset": "cornea", "parts.eye*.m": 0.1, "parts.0.ks": 0, "mesh.as_is": True},
-    {"shading": {"lobe": {"g": 6, "factor": 0.3}, "fresnel": "dielectric"}},
-    {"shading.lobe": "d16", "shading.specular_lights": [0, 1], "shading.scatter_samples": 8},
-    {"image": {"size": [10, 20], "samples": 64}},
-    {"image.size": "640x480"},
-    {"image.size": 7},
-    {"planned": {"sizes": [[48, 48]], "samples": 4, "drawn_samples": 1, "triangles": 9}},
-]  # fmt: skip
-INVALID = [
-    [],
-    {"colour": 1},
-    {"planned": {"sizes": [], "samples": 1}},
-    {"planned": {"sizes": [[1, 1]]}},
+INVALID = [  # test_types.py has values of wrong types
     {"planned": {"sizes": [[1, 1]], "samples": 1, "cull_back_faces": 1}},
-    {"scene": 3},
-    {"mesh": {"file": "a.glb"}},
-    {"mesh.flip_v": 1},
-    {"camera": 3},
-    {"camera.azimuth": "west"},
-    {"camera.target": [1, 2]},
-    {"lights": [3]},
-    {"lights": [{"intensity": 1}]},
-    {"lights.0.shadow": "yes"},
     {"environment": {}},
-    {"environment": {"file": 3}},
-    {"ambient": -1},
-    {"background": "transparent"},
-    {"material": {"albedo_map": "a.png"}},
     {"material.scattering": "wax"},
     {"parts": {"a.b": {"preset": "glass"}}},
     {"parts": {"a": {"m": 0}}},
@@ -857,73 +748,13 @@ INVALID = [
     {"parts.a.gloss": 1},
     {"parts.a.m": "x"},
     {"material.scattering": [[1, 2]]},
-    {"shading.lobe": "d32"},
-    {"shading.lobe": {"g": 32, "factor": 1}},
-    {"shading.lobe": {"g": 4}},
-    {"shading.model": "phong"},
-    {"shading.fresnel": "x"},
-    {"shading.masking": "x"},
-    {"shading.diffuse": "x"},
-    {"shading.outside": "x"},
-    {"shading.slope_filter": 1},
-    {"shading.scatter_samples": 7},
-    {"shading.environment_samples": 3},
-    {"shading.specular_lights": [0.5]},
-    {"shading.term": {}},
-    {"image.size": 0},
-    {"image.size": [1]},
-    {"image.float_albedo": 0},
-    {"outputs": []},
-    {"outputs": ["image", "image"]},
-    {"outputs": ["shine"]},
     {"exposure": 101},
-    {"id": "a b"},
-    {"id": []},
 ]
-
-
-@pytest.mark.parametrize("row", VALID, ids=str)
-def test_valid_rows_are_accepted(row):
-    assert check_jobs(write("rows.jsonl", json.dumps(row))).faults == []
 
 
 @pytest.mark.parametrize("row", INVALID, ids=str)
 def test_invalid_rows_are_refused(row):
     assert len(check_jobs(write("rows.jsonl", json.dumps(row))).faults) == 1
-
-
-@pytest.mark.parametrize(
-    ("key", "limits"),
-    [
-        (f"{key}.{name}", limits)
-        for key, kind in TABLE_KINDS.items()
-        for name, limits in ranges_of(kind).items()
-    ],
-)
-def test_a_number_in_its_range_is_valid(key, limits):
-    """Both ends of a range are valid, and the next numbers beyond them are not."""
-    whole = isinstance(limits, IntegerRange)
-    name = key.replace("lights", "lights.0")
-    common = {
-        "environment": {"environment.file": "studio"},
-        "planned": {"planned.sizes": [[48, 48]], "planned.samples": 4},
-        "pose": {"pose.vertices": "a.npy"} if key == "pose.frame" else {},
-        "before": {"before.vertices": "a.npy"} if key == "before.frame" else {},
-    }.get(key.partition(".")[0], {})
-    for end in (limits.low, limits.high):
-        if math.isfinite(end) and key != "camera.size":  # valid only with extrinsics
-            ((_, row),) = _rows(write_rows({name: pair(limits, end)}), common)
-            Job.from_dict(row.tables)
-            assert check_jobs("rows.jsonl", common).faults == []
-    beyond = [np.nextafter(limits.low, -np.inf), np.nextafter(limits.high, np.inf)]
-    for end in [limits.low - 1, limits.high + 1] if whole else beyond:
-        if math.isfinite(end):
-            write_rows({name: pair(limits, end)})
-            assert len(check_jobs("rows.jsonl", common).faults) == 1
-
-
-def pair(limits, end):
-    return [end, end] if isinstance(limits, SizeRange) else end
 
 
 # --- documents -----------------------------------------------------------------------------------
@@ -934,178 +765,36 @@ FILES |= {
     name: (ROOT / "examples" / name).read_text(encoding="utf-8")
     for name in ("turntable.toml", "sweep.toml")
 }
-KEY_AND_RIM = [
-    {
-        **{"azimuth": -50.0, "elevation": 42.0, "irradiance": [3.6, 3.4, 3.1]},
-        **{"radius": 4.0, "shadow": True},
-    },
-    {
-        **{"azimuth": 100.0, "elevation": 33.0, "irradiance": [2.4, 2.5, 2.7]},
-        **{"radius": 4.0, "shadow": True},
-    },
-]
-FILL = {
-    **{"azimuth": 50.0, "elevation": 5.0, "irradiance": [0.34, 0.36, 0.4]},
-    **{"radius": 4.0, "shadow": True},
-}
-
-
-def changed_key(**changes):
-    """Return the default lights with other values of the first light."""
-    return [KEY_AND_RIM[0] | changes, KEY_AND_RIM[1], FILL]
-
-
-HEAD = {"path": "head.glb"}
-EXPECTED = {  # of each file the number of its rows, and the first ones: id, outputs, tables
-    "heads.toml": (
-        1000,
-        (
-            "00000000",
-            "image,depth,mask",
-            {
-                "image": {"size": [128, 128]},
-                "mesh": HEAD,
-                "camera": {"azimuth": -60.0},
-                "material": {"m": 0.2},
-                "lights": changed_key(azimuth=-60, elevation=40),
-            },
-        ),
-    ),
-    "views.jsonl": (
-        2,
-        (
-            "front",
-            "image",
-            {
-                "camera": {"position": [0, 0, 1], "target": [0, 0, 0]},
-                "image": {"size": [512, 384]},
-            },
-        ),
-        (
-            "left",
-            "image",
-            {"camera": {"azimuth": 30}, "lights": KEY_AND_RIM, "material": {"m": 0.25}},
-        ),
-    ),
-    "poses.csv": (
-        2,
-        (
-            "a1",
-            "image,mask",
-            {
-                "mesh": HEAD,
-                "camera": {"azimuth": 30},
-                "lights": changed_key(azimuth=-40, elevation=50),
-                "image": {"size": [256, 256]},
-            },
-        ),
-        (
-            "a2",
-            "image",
-            {
-                "mesh": HEAD,
-                "lights": [
-                    KEY_AND_RIM[0] | {"azimuth": 45},
-                    {**KEY_AND_RIM[1], "irradiance": [2.5, 2.5, 2.5], "radius": 0.0},
-                    FILL,
-                ],
-                "image": {"size": [640, 480]},
-            },
-        ),
-    ),
-    "pairs.toml": (
-        6,
-        (
-            "skin-0",
-            "image",
-            {
-                "image": {"size": [128, 128]},
-                "lights": changed_key(azimuth=13.3163868101),
-                "camera": {"elevation": 2.91451486522},
-            },
-        ),
-    ),
-    "spiral.py": (
-        8,
-        ("00000000", "image", {"mesh": HEAD, "camera": {"azimuth": 0.0}}),
-        ("00000001", "image", {"mesh": HEAD, "camera": {"azimuth": 137.5}}),
-    ),
-    "turntable.toml": (
-        24,
-        (
-            "0-000",
-            "image,mask",
-            {
-                "lights": KEY_AND_RIM,
-                "image": {"size": [256, 256]},
-                "camera": {"elevation": 0, "azimuth": 0},
-            },
-        ),
-    ),
-    "sweep.toml": (
-        300,
-        *(
-            (
-                f"0000000{number}",
-                "image,specular,normal,depth",
-                {
-                    "image": {"size": [320, 240]},
-                    "lights": [{"radius": 2, **light}],
-                    "shading": {"lobe": "exact"},
-                    "material": {"m": 0.2, "f0": f0},
-                },
-            )
-            for number, (light, f0) in enumerate(
-                [
-                    (
-                        {
-                            "azimuth": -54.1429113228,
-                            "elevation": 32.7802616452,
-                            "irradiance": 2.1693731555,
-                        },
-                        0.04,
-                    ),
-                    (
-                        {
-                            "azimuth": -57.7344186782,
-                            "elevation": 22.0399392771,
-                            "irradiance": 1.585699377,
-                        },
-                        0.028,
-                    ),
-                ]
-            )
-        ),
-    ),
-}
+COUNTS = {"heads.toml": 1000, "views.jsonl": 2, "poses.csv": 2, "pairs.toml": 6, "spiral.py": 8}
+COUNTS |= {"turntable.toml": 24, "sweep.toml": 300}
 
 
 def test_every_file_of_the_page_has_rows():
-    assert FILES.keys() == EXPECTED.keys()
+    assert FILES.keys() == COUNTS.keys()
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_examples_of_the_page(name):
-    rows = read_jobs(write(name, FILES[name]))
-    count, *first = EXPECTED[name]
-    assert len(rows) == count
-    for row, (job, outputs, tables) in zip(rows, first, strict=False):
-        mesh = {"mesh": {"path": str(Path.cwd() / "head.glb")}} if "mesh" in tables else {}
-        assert (row.id, ",".join(row.outputs)) == (job, outputs)
-        assert row.tables == {**tables, **mesh}
+    assert len(read_jobs(write(name, FILES[name]))) == COUNTS[name]
     assert check_jobs(name).faults == []
 
 
-def test_bad_rows_are_named():
-    content = "mesh,camera.elevation,shading.lobe\nanna.glb,99,exact\nanna.glb,5,d32\nanna.glb,5\n"
-    assert check_jobs(write("bad.csv", content)).faults == [
-        "bad.csv, row 1 (line 2): camera elevation = 99 is outside [-90, 90]: "
-        "give a value in this range",
-        "bad.csv, row 2 (line 3): unknown lobe 'd32'; known: exact, cosine, d4, d8, d16, fitted, "
-        "fitted-fine",
-        "bad.csv, row 3 (line 4): 2 cells in a table of 3 columns: give one cell per column, and "
-        "quote cells with commas",
-    ]
+def test_random_values_are_the_same_in_every_release():
+    sweep = {"outputs": "image,specular,normal,depth", "image.size": "320x240", "material.m": 0.2}
+    lights = (
+        (-54.1429113228, 32.7802616452, 2.1693731555),
+        (-57.7344186782, 22.0399392771, 1.585699377),
+    )
+    names = ("azimuth", "elevation", "irradiance")
+    expected = rows_of(
+        *(
+            sweep
+            | {"shading.lobe": "exact", "material.f0": f0}
+            | {"lights": [{"radius": 2} | dict(zip(names, light, strict=True))]}
+            for light, f0 in zip(lights, (0.04, 0.028), strict=True)
+        )
+    )
+    assert read_jobs(write("sweep.toml", FILES["sweep.toml"]))[:2] == expected
 
 
 def test_the_page_names_every_key():

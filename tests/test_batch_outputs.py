@@ -107,19 +107,6 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
     whole = draw(job, small, drawing, ("image",), 0.0)
     assert "planned" not in whole.facts
     assert drawn.files["image.png"] != whole.files["image.png"]
-    elsewhere = replace(job, planned=replace(planned, sizes=((512, 512),)))
-    with pytest.warns(fr.FacerenderWarning, match="was planned for 512 x 512 pixels with 4 samp"):
-        drawn = draw(elsewhere, small, drawing, ("image",), 0.0)
-    assert drawn.facts["planned"] is False
-    assert drawn.files == whole.files
-
-
-def test_another_renderer_writes_the_same_bytes(small, drawing, egl):
-    first = draw(job_of(), small, drawing, OUTPUTS, 0.0)
-    with fr.Renderer(SIZE, samples=4, backend=egl) as other:
-        again = draw(job_of(), small, other, OUTPUTS[::-1] * 2, 0.0)
-    assert first.files == again.files
-    assert first.facts == again.facts == json.loads(json.dumps(first.facts))
 
 
 def test_outputs_share_draws(head, drawing, monkeypatch):

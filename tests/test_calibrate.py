@@ -4,7 +4,6 @@ messages, and the ini file that stores them."""
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from facerender.commands import main
-from facerender.commands.compare import default_of
 from facerender.comparison.calibration import (
     MARGIN,
     NAMES,
@@ -22,7 +20,6 @@ from facerender.comparison.calibration import (
     runs_of,
     text_of,
 )
-from facerender.comparison.checks import CHECKS
 from facerender.comparison.compare import compare
 from facerender.comparison.result import LIMITS
 from facerender.comparison.sources import HIGHEST
@@ -362,10 +359,3 @@ def test_options_that_exclude_each_other(wide, capsys, monkeypatch, arguments, m
     status, out, err = run(capsys, *arguments)
     assert (status, out) == (2, "")
     assert message in err
-
-
-def test_document_has_the_defaults():
-    text = (Path(__file__).parents[1] / "docs/command-line.md").read_text(encoding="utf-8")
-    for name in NAMES:
-        (row,) = re.findall(rf"\| `--{name}` \| `LIMIT` \| ({CHECKS[name].quantity}.*)", text)
-        assert row.endswith(f" | 0 to 1e+30 | {default_of(name)} |")

@@ -68,15 +68,6 @@ def test_matrices_project_points_to_their_pixels(mini, azimuth, tilt):
     np.testing.assert_allclose(buffer.view.extrinsics(mini), pose, atol=1e-12 + 1e-9 * mini.radius)
 
 
-def test_matrices_of_a_camera_give_the_same_camera(mini):
-    for camera in (fr.Camera(), fr.Camera(130.0, 40.0, zoom=2.0), fr.Camera(elevation=90.0)):
-        view = view_of(fr.Scene(mini, camera), SIZE[0] / SIZE[1])
-        pose, k = view.extrinsics(mini), view.intrinsics(SIZE)
-        again = fr.Camera(extrinsics=pose, intrinsics=k, size=SIZE)
-        other = view_of(fr.Scene(mini, again), SIZE[0] / SIZE[1])
-        np.testing.assert_allclose(other.matrix, view.matrix, atol=1e-7)
-
-
 def test_intrinsics_scale_with_the_image_size(mini):
     camera = fr.Camera(extrinsics=pose_of(mini, 0, 0, 5), intrinsics=K, size=SIZE)
     twice = view_of(fr.Scene(mini, camera), 4 / 3).intrinsics((240, 180))
@@ -93,16 +84,13 @@ GOOD = {"extrinsics": np.eye(3, 4), "intrinsics": K, "size": SIZE}
     [
         ({"extrinsics": np.eye(4)}, "camera extrinsics = .*: give 3 rows of 4 numbers"),
         ({"extrinsics": np.diag([1, 1, -1.0, 0])[:3]}, "give .R|t. with a rotation R"),
-        ({"extrinsics": 2.0 * np.eye(3, 4)}, "give .R|t. with a rotation R"),
         ({"extrinsics": np.full((3, 4), np.nan)}, "give 3 rows of 4 numbers"),
         ({"extrinsics": None}, "camera intrinsics need extrinsics"),
         ({"azimuth": 5.0}, "camera azimuth = 5.0 and extrinsics exclude each other: leave one"),
-        ({"frame": "face"}, "camera frame = 'face' and extrinsics exclude each other"),
         ({"target": (0, 0, 0)}, "camera target = .* and extrinsics exclude each other"),
         ({"fov": 30.0}, "camera fov = 30.0 and intrinsics exclude each other"),
         ({"size": None}, "camera intrinsics and camera size belong together"),
         ({"size": (0, 10)}, "camera size 0 x 10: give 1 to 1073741824 pixels"),
-        ({"intrinsics": None}, "camera intrinsics and camera size belong together"),
         ({"intrinsics": [[300, 2, 60], [0, 300, 45], [0, 0, 1]]}, "without skew"),
         ({"intrinsics": [[300, 0, 60], [0, -300, 45], [0, 0, 1]]}, "give fx and fy from 0.001"),
         ({"intrinsics": [[300, 0, 60], [0, 300, 1e9], [0, 0, 1]]}, "cx and cy up to 1000 times"),
@@ -179,7 +167,6 @@ BAD = {
     "a.json": [
         ("{", "a.json: its JSON cannot be read"),
         ("[]", r"a.json has no cameras"),
-        ("[[1]]", r"a.json: camera = \[1\]: give a table"),
         ('{"K": 3, "Rt": 4}', "a.json: camera extrinsics = 4: give 3 rows"),
         ('{"R": [[1]], "t": 4}', "a.json: camera R and t: give 3 x 3"),
         ('{"zoom": "x"}', "a.json: camera zoom = 'x'"),

@@ -11,17 +11,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from benchmarks.causes import CAUSES, NAMES
-from facerender.comparison.causes import (
-    CODEC,
-    DRIVER,
-    EXPOSURE,
-    GEOMETRY,
-    LIGHT,
-    LOBE,
-    TEXTURE,
-    strips,
-)
+from facerender.comparison.causes import CODEC, EXPOSURE, GEOMETRY, LIGHT, LOBE, TEXTURE
 from facerender.comparison.compare import compare
 from facerender.images.image import image_from_array
 from facerender.images.srgb import encode_srgb8
@@ -134,16 +124,3 @@ def test_changed_metadata_of_equal_images():
     one = {"samples": "4", "GL_RENDERER": "a"}
     assert metadata_text(one, {**one, "samples": "1"}, 1.0) == "same (metadata: samples 4 -> 1)"
     assert metadata_text(one, {**one, "GL_RENDERER": "b"}, 1.0) == "same"
-
-
-def test_strips_of_large_images_include_the_given_rows():
-    assert strips(300, 300) == [slice(0, 128), slice(128, 256), slice(256, 300)]
-    rows = strips(4096, 4096, 200, 4000)
-    assert slice(128, 256) in rows
-    assert slice(3968, 4096) in rows
-    assert len(rows) < 6
-
-
-def test_each_cause_has_changes_and_words():
-    assert {*NAMES.values()} == {*CAUSES}
-    assert DRIVER in NAMES

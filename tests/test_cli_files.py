@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import COMMANDS, main, parser_of
-from facerender.commands.help import commands_of, groups_of
+from facerender.commands import main
+from facerender.commands.help import groups_of
 from facerender.images.read import read_image
 from tests.awkward_files import MINI_HEAD
+from tests.test_help import PARSERS
 
 # Arguments with which a command is valid, without its file options.
 BASES: dict[str, tuple[str, ...]] = {
@@ -41,17 +42,6 @@ SUFFIX = {
 NAMES = ("gone", "gone.txt", "gone{}", "folder", "folder{}")
 
 
-def parsers() -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Yield the parsers of all commands with their names."""
-    for name, parser in commands_of(parser_of([*COMMANDS])).items():
-        yield name, parser
-        for action, each in commands_of(parser).items():
-            yield f"{name} {action}", each
-
-
-PARSERS = dict(parsers())
-
-
 def reads_file(action: argparse.Action) -> bool:
     metavar = str(action.metavar or "")
     is_file = metavar.startswith("FILE") or metavar in ("MESH", "JOBS", "A", "B")
@@ -59,8 +49,6 @@ def reads_file(action: argparse.Action) -> bool:
 
 
 # The mesh of a batch may be a name with fields, and a missing mesh is a failed job.
-
-
 OPTIONS = [
     (name, action.dest)
     for name, parser in PARSERS.items()
@@ -157,12 +145,6 @@ def test_files_that_a_scene_file_names(text, folder, capsys):
     (folder / "scene.toml").write_text(text)
     assert main(["render", "--scene", "scene.toml", *BASES["render"]]) == 2
     assert "cannot read gone: no such file or directory; give " in capsys.readouterr().err
-
-
-def test_a_name_without_its_suffix_leads_to_the_file(folder, capsys):
-    shutil.copy(MINI_HEAD, "head.glb")
-    assert main(["render", "head", *BASES["render"]]) == 2
-    assert capsys.readouterr().err.endswith("no such file or directory; give head.glb\n")
 
 
 # --- without -o -----------------------------------------------------------------------------------

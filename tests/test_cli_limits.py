@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.commands import COMMANDS, main, parser_of
-from facerender.commands.help import Help, commands_of, groups_of
+from facerender.commands import main
+from facerender.commands.help import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.write import FRAME_RATES
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 from tests.awkward_files import MINI_HEAD
+from tests.test_help import PARSERS
 
 BASES = {
     "render": ("head.obj", "-o", "x.png"),
@@ -75,11 +76,9 @@ ONLY_CLI = ("budget", "within", "workers", "timeout", "tries", "chunk", "scatter
 
 def numeric_options() -> list[tuple[str, argparse.Action]]:
     """Return each option with a range, and its command."""
-    parsers = commands_of(parser_of([*COMMANDS]))
-    parsers |= {f"shaders {name}": each for name, each in commands_of(parsers["shaders"]).items()}
     return [
         (command, action)
-        for command, parser in parsers.items()
+        for command, parser in PARSERS.items()
         for _, actions in groups_of(parser)
         for action in actions
         if isinstance(action.help, Help) and action.help.values and action.dest not in ONLY_CLI
@@ -179,23 +178,3 @@ def test_scene_files_and_tables_have_the_limits_and_types_of_python(table, name,
         (folder / "jobs.jsonl").write_text(json.dumps({table: {name: value}}) + "\n")
         assert main(["batch", "jobs.jsonl", "--check"]) == 2
         assert error in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("kind", "values", "message"),
-    [
-        (fr.Camera, {"azimuth": "x"}, "camera azimuth = 'x' is not a number: give a number in"),
-        (fr.ImageSettings, {"samples": "x"}, "'x': give a whole number from 1 to 64"),
-        (fr.ImageSettings, {"samples": True}, "True: give a whole number from 1 to 64"),
-        (fr.ImageSettings, {"size": ("a", 3)}, "'a' x 3: give whole numbers from 1 to 16384"),
-        (fr.ImageSettings, {"size": "big"}, "'big': give width and height in pixels"),
-        (fr.Light, {"irradiance": "x"}, "'x': give a number in [0, 1e+09], or three"),
-        (fr.Job, {"background": "red"}, ", or none for a transparent background"),
-        (fr.MeshFile, {"flip_v": "no"}, "flip_v = 'no': give true or false"),
-        (fr.MeshFile, {"path": 3}, "mesh path = 3: give a path as text"),
-    ],
-)
-def test_messages_name_the_expected_type(kind, values, message):
-    with pytest.raises(fr.InputError) as caught:
-        kind(**values)
-    assert message in str(caught.value)

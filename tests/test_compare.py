@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +23,14 @@ from PIL import Image, PngImagePlugin
 import facerender as fr
 from facerender.comparison.causes import CODEC, EXPOSURE, LOBE, TEXTURE
 from facerender.comparison.checks import CHECKS
-from facerender.comparison.compare import Pair, compare, pairs_of
+from facerender.comparison.compare import compare
 from facerender.comparison.result import LIMITS
 from facerender.images.exr import save_exr
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
 from facerender.images.srgb import encode_srgb8
 from tests.conftest import missing, require_backend
-from tests.test_cli import Capture, Cli, process
+from tests.test_cli import process
 from tests.test_encodings import write_exr
 from tests.verification.mutations import BROKEN, CAMERAS, DRIVERS, HARMLESS, setting_of
 from tests.verification.pairs.changes import bright, set_pixels
@@ -38,16 +39,9 @@ from tests.verification.pairs.room import Room, draw_elsewhere
 ROOMS = [
     ("head", "three-quarter", 1),
     *(
-        pytest.param(setting, marks=pytest.mark.slow)
-        for setting in (
-            ("head", "front", 1),
-            ("head", "front", 4),
-            ("head", "three-quarter", 4),
-            ("scan", "front", 1),
-            ("scan", "front", 4),
-            ("scan", "three-quarter", 1),
-            ("scan", "three-quarter", 4),
-        )
+        pytest.param((mesh, camera, samples), marks=pytest.mark.slow)
+        for mesh, camera, samples in product(("head", "scan"), CAMERAS, (1, 4))
+        if (mesh, camera, samples) != ("head", "three-quarter", 1)
     ),
 ]
 
@@ -73,7 +67,7 @@ NEEDS_STRICT = {("scan", "front", "m 0.300 to 0.306"), ("scan", "front", "no mas
 ALSO = {
     **{
         ("head", "three-quarter", samples, "green of the normals inverted"): {
-            *("false highlights", "a lobe or weight change"),
+            *("false highlights", "a lobe or weight change")
         }
         for samples in (1, 4)
     },
@@ -271,9 +265,12 @@ def test_failed_checks_are_named():
         (plain(0.004), dark, ("holes",)),
         (plain(), sliver, ("slivers",)),
         (rough(0.0), rough(0.002), ("grain",)),
+        (rough(0.002), rough(0.0), ("grain",)),
+        (rough(0.1), softened(rough(0.1)), ("texture",)),
         (a, a, ()),
     ):
-        result = compare(one, other, driver="same")
+        point = 0.1 if "texture" in failed else None
+        result = compare(one, other, driver="same", point=point)
         assert result.failed == failed, str(result)
         assert {*failed} <= CHECKS.keys()
         assert result.as_dict()["failed"] == failed
@@ -320,28 +317,6 @@ def test_an_alpha_of_1_everywhere_is_no_difference(kind):
     rgba[3, 3, 3] = 0
     with pytest.raises(fr.InputError, match="A has 3 channels, B has 4 channels: save both with"):
         compare(rgb, rgba)
-
-
-SUBTLE = [  # changes that no pixel or block shows: image, reference, beginning of the reason
-    (rough(0.002), rough(0.0), r"grain \+0\.\d+ %, limit 0\.09 %: perhaps another texture, "),
-    (rough(0.0), rough(0.002), r"grain -0\.\d+ %, limit 0\.09 %: perhaps another texture, "),
-    (
-        softened(rough(0.1)),
-        rough(0.1),
-        r"texture -\d\.\d %, limit 1 %: perhaps another texture, ",
-    ),
-    (
-        rough(0.1),
-        softened(rough(0.1)),
-        r"texture \+\d\.\d %, limit 1 %: perhaps another texture, ",
-    ),
-]
-
-
-@pytest.mark.parametrize(("image", "reference", "reason"), SUBTLE)
-def test_detail_that_was_added_or_lost(image, reference, reason):
-    result = compare(reference, image, point=0.1, trend=1e6, driver="same")
-    assert re.match(reason, str(result))
 
 
 def test_another_driver_is_named_and_has_wider_limits():
@@ -569,13 +544,6 @@ def test_images_may_be_frames_arrays_and_files(tmp_path, room):
 
 
 @pytest.fixture
-def cli(tmp_path: Path, capsys: Capture) -> Cli:
-    folder = tmp_path / "out"
-    folder.mkdir()
-    return Cli(folder, capsys)
-
-
-@pytest.fixture
 def exr(tmp_path: Path) -> Path:
     path = tmp_path / "reference.exr"
     save_exr(path, plain(), {})
@@ -609,12 +577,7 @@ NUMBERS = {  # two images, limits, and a part of the result
     "large change": (plain(0.2)[RGB], plain(3.0)[RGB], {"point": 9.0}, "mean +1400 %, limit 0.5 %"),
     "large limit": (plain(0.001)[RGB], plain(3e5)[RGB], {"block": 12345.0}, "limit 1234500 %"),
     "radiance": (plain(0.2)[RGB], plain(155.0)[RGB], {}, "by up to 155, worst"),
-    "one block": (
-        np.full((16, 16, 3), 0.2),
-        np.full((16, 16, 3), 0.3),
-        {},
-        "exceeded by 1 of 1 block:",
-    ),
+    "one block": (*(np.full((16, 16, 3), x) for x in (0.2, 0.3)), {}, "exceeded by 1 of 1 block:"),
 }
 
 
@@ -631,23 +594,6 @@ def test_numbers_have_no_exponent(case, cli, tmp_path):
     assert not re.search(r"\de[+-]\d", out)
     page = re.sub(r'"[^"]*"', "", (tmp_path / "a.html").read_text())
     assert not re.search(r"\de[+-]\d+ (%|pixels|levels|radiance|blocks)", page)
-
-
-@pytest.mark.parametrize(
-    ("image", "text"),
-    [
-        (np.full((8, 8), 100, np.uint8), "B has 1 channel: save both as RGB"),
-        (np.full((8, 8, 2), 100, np.uint8), "B has 2 channels: save both as RGB"),
-        (
-            np.where(np.arange(192).reshape(8, 8, 3) == 5, np.inf, 1.0),
-            "0 NaN and 1 infinite value,",
-        ),
-    ],
-)
-def test_counts_agree_with_their_nouns(image, text):
-    reference = np.full((8, 8, 3), 100, image.dtype)
-    with pytest.raises(fr.InputError, match=text):
-        compare(reference, image)
 
 
 def test_same_driver(cli, tmp_path):
@@ -757,10 +703,7 @@ PNG_16_RGB = (
 )
 UNREADABLE = {  # name of the file, content, error
     "empty.exr": (b"", r"empty\.exr is empty: save it again"),
-    "empty.png": (b"", r"empty\.png is empty"),
     "page.exr": (b"<html></html>" * 9, r"page\.exr is an HTML page; download"),
-    "page.png": (b"<html></html>" * 9, r"page\.png is an HTML page; download the file"),
-    "page.npz": (b"<html></html>" * 9, r"page\.npz is an HTML page"),
     "stub.png": (b"\x89PNG\r\n\x1a\n", r"stub\.png is not an image; give a PNG or JPEG"),
     "half.png": (encoded("PNG", noise(64, 64, 3))[:6000], r"half\.png is damaged"),
     "half.jpg": (encoded("JPEG", noise(64, 64, 3))[:2000], r"half\.jpg is damaged"),
@@ -787,20 +730,12 @@ UNREADABLE = {  # name of the file, content, error
         numpy_file(np.save, np.array([{}], dtype=object)),
         r"pickle\.npy contains Python objects, which are not read: give floats",
     ),
-    "pickle.npz": (
-        numpy_file(np.savez, np.array([{}], dtype=object)),
-        r"pickle\.npz contains Python objects, which are not read: give floats",
-    ),
     "integer.npy": (
         numpy_file(np.save, np.zeros((64, 64, 3), dtype=np.int32)),
         r"integer\.npy has type int32: give linear floats, or uint8",
     ),
-    "complex.npy": (numpy_file(np.save, np.zeros((64, 64, 3), complex)), r"has type complex128"),
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
-    "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
     "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a Git LFS pointer"),
-    "image.svg": (b"<svg/>", r"image\.svg: unknown image format '\.svg'; give \.exr"),
-    "image": (b"x", r"image has no suffix, which sets the image format; give"),
 }
 
 
@@ -874,7 +809,6 @@ BAD_PIXELS = (((30, 50), (40, 2), (1, 0)), "=")
 FIRST = r"infinite values, the first at pixel \(40, 30\), channel 1: "
 UNLIKE = {  # two images that cannot be compared, and the error
     "size": (plain(), plain()[1:], r"a\.exr is 64 x 64, .*b\.exr is 64 x 63 pixels: render both"),
-    "half the size": (plain(), plain(side=32), r"b\.exr is 32 x 32 pixels: render both"),
     "kind": (plain(), GREY_8, r"exr is linear float, .*png is 8-bit sRGB: give two images"),
     "channels": (
         *(plain(), plain()[RGB]),
@@ -891,7 +825,6 @@ UNLIKE = {  # two images that cannot be compared, and the error
     "NaN": (plain(), edited(plain(), (*BAD_PIXELS, np.nan)), f"b.exr holds 2 NaN and 0 {FIRST}"),
     "inf": (edited(plain(), (*BAD_PIXELS, -np.inf)), plain(), f"a.exr holds 0 NaN and 2 {FIRST}"),
     "missing": (plain(), None, r"cannot read .*b\.png: no such file"),
-    "missing reference": (None, plain(), r"cannot read .*a\.png: no such file"),
 }
 
 
@@ -926,22 +859,10 @@ def test_exr_with_odd_channels_or_parts(cli, exr, tmp_path):
         cli.fail(rf"odd{number}\.exr has channels .*: give R, G, B", "compare", exr, path)
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "message"),
-    [
-        ("--point", "-1", r"limit point = -1.0 is outside \[0,"),
-        ("--block", "nan", r"limit block = nan is outside \[0,"),
-        ("--coverage", "-0.5", r"limit coverage = -0\.5 is outside"),
-        ("--point", "x", r"argument --point: 'x' is not a number: give 0 to 1e\+30"),
-        ("--mask", "gone.png", r"cannot read gone\.png: no such file"),
-        ("--mask", "small.png", r"the mask is 32 x 16, the images are 64 x 64 pixels"),
-        ("--colour", "1", r"unrecognized arguments: --colour 1"),
-    ],
-)
-def test_bad_option(option, value, message, cli, exr, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Image.new("L", (32, 16), 255).save("small.png")
-    cli.fail(message, "compare", exr, exr, option, value)
+def test_mask_of_another_size(cli, exr, tmp_path):
+    Image.new("L", (32, 16), 255).save(tmp_path / "small.png")
+    message = r"the mask is 32 x 16, the images are 64 x 64 pixels"
+    cli.fail(message, "compare", exr, exr, "--mask", tmp_path / "small.png")
 
 
 def test_damaged_exr_in_a_process(exr, tmp_path):
@@ -958,11 +879,3 @@ def test_damaged_exr_in_a_process(exr, tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
     printed = re.findall(r"(0\.\d)\.exr cannot be read as OpenEXR", done.stderr)
     assert (printed, len(done.stderr.splitlines())) == (["0.3", "0.6", "0.9"], 3)
-
-
-def test_pair_keeps_the_readable_image(exr, tmp_path):
-    ((name, a, b),) = pairs_of(exr, tmp_path / "gone.exr")
-    pair = Pair.of(name, a, b)
-    assert (pair.status, pair.comparison, pair.image) == (2, None, None)
-    assert pair.reference is not None
-    assert pair.as_dict() == {"name": "gone.exr", "error": pair.error}

@@ -159,19 +159,12 @@ def test_summary_has_each_pair_and_its_columns(parsed: Page, pairs: list[Pair]):
 
 def test_values_and_limits_have_units_and_a_meaning(parsed: Page) -> None:
     text = parsed.text[at("coverage.exr")]
-    assert (
-        "coverage16.7 % > 0.5 %The number of pixels whose coverage changed may be at most" in text
-    )
-    assert "point0 radiance ≤ 0.005 radianceThe difference of a pixel that" in text
-    assert "trend0 ≤ 0.9The mean product of adjacent blocks' changes" in text
-    assert (
-        "grain0 % ≤ 0.54 %The noise added or lost between adjacent pixels may be at most 0.54 %"
-        in text
-    )
-    assert "shift0 pixels ≤ 0.25 pixels" in text
+    assert "coverage16.7 % > 0.5 %The number of pixels whose coverage changed" in text
+    for row in ("point0 radiance ≤ 0.005 radiance", "trend0 ≤ 0.9", "grain0 % ≤ 0.54 %"):
+        assert row in text
     text = parsed.text[at("eight.png")]
     assert "levels > 3 levelsdarker at (30, 12); 1 pixel over" in text
-    assert "block0 levels ≤ 1 levelThe change of the mean of a block of 16 x 16 pixels" in text
+    assert "block0 levels ≤ 1 level" in text
     for text in (parsed.text[at(name)] for name in ("coverage.exr", "eight.png", "equal.exr")):
         assert text.count("may be at most") == len(CHECKS)
 
@@ -182,14 +175,6 @@ def test_equal_pairs_have_a_line_with_the_largest_difference(tmp_path: Path, par
     other[AT[1], AT[0], 0] += 1e-3
     text = page_of(tmp_path, image(), other).text["pair-0"]
     assert f"Largest difference of a pixel: 0.001 radiance at {AT}." in text
-
-
-def test_limit_of_slivers(tmp_path: Path) -> None:
-    """The limit is a whole number of pixels, and its sentence explains the number."""
-    a = np.full((100, 100, 3), 0.5, dtype=np.float32)
-    text = page_of(tmp_path, a, a).text["pair-0"]
-    assert "slivers0 pixels ≤ 51 pixelsThe number of pixels over the limit of point" in text
-    assert "may be at most 51 pixels (50 and 1 in 10,000)." in text
 
 
 def test_a_limit_that_the_verdict_does_not_apply_is_no_failure(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 from benchmarks.prices import amd, offline
 from benchmarks.prices.__main__ import main
 from facerender.errors import InputError, NotMeasured
-from facerender.pricing.variants import INPUTS, PRINTED
+from facerender.pricing.variants import PRINTED
 from tests.conftest import missing
 
 MEASUREMENTS = Path(__file__).parents[1] / "docs" / "measurements"
@@ -52,18 +52,6 @@ def require(name):
         missing(str(error), "intel-opencl-icd" if "ocloc" in str(error) else "")
 
 
-@pytest.fixture(params=[SMOKE_FAMILY, *(each for each in amd.FAMILIES if each != "navi21")])
-def family(request):
-    require("amd")
-    return request.param
-
-
-@pytest.fixture(params=offline.GPUS)
-def gpu(request):
-    require("offline")
-    return request.param
-
-
 def cost(rows, term):
     """Return instructions, or cycles relative to the formula as published."""
     if "all" in rows[term]:
@@ -87,52 +75,6 @@ def test_costs_of_terms_equal_the_committed_table(name, model):
             assert cost(found, term) == pytest.approx(cost(expected, term), rel=0.15), term
 
 
-@pytest.mark.slow
-@COMPILER
-def test_cost_is_in_cycles_of_the_vector_alu(family):
-    product, exponential = {"navi21": (2, 2), "vega10": (4, 16)}[family]
-    terms = {
-        "none": ("", INPUTS),
-        "eight products": ("", f"({INPUTS})" + 8 * " * l.x"),
-        "exponential": ("", f"exp2({INPUTS})"),
-    }
-    found = amd.statistics(terms, family)
-    assert found["none"] == amd.Statistics(0, 0, 0)
-    assert found["eight products"].instructions == 8
-    assert found["eight products"].inverse_throughput == 8 * product
-    assert found["exponential"].inverse_throughput == exponential
-
-
-@COMPILER
-def test_instructions_are_net_and_special_ones_are_counted(gpu):
-    terms = {
-        "none": ("", INPUTS),
-        "products": ("", f"({INPUTS}) * n.x * n.y * n.z * l.x * l.y * l.z * v.x * v.y"),
-        "exponential": ("", f"exp2({INPUTS})"),
-        "root and logarithm": ("", f"log2(sqrt({INPUTS}))"),
-    }
-    found = offline.statistics(terms, gpu)
-    assert found["none"] == offline.Instructions(0, 0)
-    assert found["products"].all == pytest.approx(8, abs=1)  # one product may be fused
-    assert found["products"].special == 0
-    assert found["exponential"].special == 1
-    assert found["root and logarithm"].special == 2
-    assert 1 <= found["exponential"].all <= 4  # it may include scaling for denormal numbers
-
-
-@COMPILER
-def test_features_of_glsl_in_terms_compile(gpu):
-    vectors = """#define FR_MASKING FR_MASKING_KELEMEN
-#include "facerender/cook_torrance.glsl"
-vec3 turned(vec3 a, float s) { return -s * a / 2.0 + vec3(s) - vec3(a.x, s, 1e-3); }
-float several(vec2 a) { return mix(a.x, abs(a.y), 0.25) + pow(a.x, 5.0) + float(3); }
-float more(vec3 a) { return several(vec2(a.y, clamp(a.z, 0.0, 1.0))) + inversesqrt(a.x); }
-"""
-    value = "fr_cook_torrance(normalize(n), l, v, m, f0) * more(turned(n, m))"
-    found = offline.statistics({"vectors": (vectors, value)}, gpu)["vectors"]
-    assert 30 < found.all < 120
-
-
 WHICH = (shutil, "which", lambda name: None)
 FILES = lambda name: importlib.metadata.distribution("no such package")  # noqa: E731
 
@@ -151,12 +93,7 @@ def of_amd(replaced, remedy):
             (amd.sys, "executable", "/bin/false"), "apt-get install mesa-vulkan-drivers libvulkan1"
         ),
         (WHICH, offline, "skl", "apt-get install intel-opencl-icd"),
-        (
-            (importlib.metadata, "files", FILES),
-            offline,
-            "sm_75",
-            "pip install --group compilers",
-        ),
+        ((importlib.metadata, "files", FILES), offline, "sm_75", "pip install --group compilers"),
     ],
 )
 def test_missing_tools_are_named(monkeypatch, replaced, module, gpu, remedy):

@@ -16,7 +16,6 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import parser_of
 from facerender.drawing.context import create_context
-from facerender.scenes.light import parse_light
 from tests import stand_ins
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import code, prose
@@ -89,15 +88,6 @@ def broken_links(page: Path) -> list[str]:
 def test_the_readme_and_the_guide_are_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 700
     assert sum(words(page) for page in GUIDE[1:]) <= 17_320
-
-
-def test_the_tutorial_names_the_options_of_maps_beside_the_maps():
-    before, _, behind = (DOCS / "start.md").read_text(encoding="utf-8").partition("## 4. Add maps")
-    section = behind.partition("\n## ")[0]
-    for option in ("--flip-v", "--albedo", "--normal-map", "--specular-map", "--roughness-map"):
-        assert option in section
-        assert f"add `{option}`" not in before
-    assert "Displacement maps are not supported" in (DOCS / "formats.md").read_text("utf-8")
 
 
 @pytest.fixture
@@ -173,17 +163,6 @@ def test_commands_of_the_page_have_valid_options(page):
         arguments = shlex.split(line, comments=True)
         if "COMMAND" not in arguments:
             parser_of(arguments).parse_args(arguments)
-
-
-def test_lights_of_the_guide_are_valid():
-    lights = [
-        light
-        for page in GUIDE
-        for light in re.findall(r"--light ([a-z0-9][\w:,.=-]*)", by_hand(page.read_text("utf-8")))
-    ]
-    assert len(lights) > 5
-    for light in lights:
-        parse_light(light)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -144,16 +144,6 @@ def test_commands_of_the_examples_run(tmp_path):
         assert image.size == (102, 102)
 
 
-def test_blocks_of_a_page_are_told_apart():
-    page = (
-        "```\nfirst\n```\n\n<!-- not run: slow -->\n```\nsecond\n```\n\n`a.toml`\n\n"
-        "```toml\nx = 1\n```\n\n```toml\n# b.toml\ny = 2\n```\n\n"
-        "```text\nthird\n```\n\nText:\n\n```\nfourth\n```\n"
-    )
-    assert script(page) == "first\nfourth\n"
-    assert files(page) == {"a.toml": "x = 1\n", "b.toml": "# b.toml\ny = 2\n"}
-
-
 @pytest.mark.slow
 def test_a_command_that_fails_is_seen(tmp_path):
     run(tmp_path, "facerender shaders path | cat > path\n")

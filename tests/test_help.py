@@ -26,15 +26,6 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
     return status, told.out, told.err
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_help_ends_with_examples(command, capsys):
-    with pytest.raises(SystemExit) as done:
-        main([command, "--help"])
-    assert done.value.code == 0
-    lines = capsys.readouterr().out.split("\nexamples:\n")[1].splitlines()
-    assert lines == [f"  {each}" for each in EXAMPLES[command]]
-
-
 @pytest.mark.parametrize("example", [each for lines in EXAMPLES.values() for each in lines])
 def test_examples_are_understood(example):
     words = shlex.split(re.sub(r'^eval "\$\((.*)\)"$', r"\1", example.partition(" > ")[0]))
@@ -104,7 +95,7 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
 def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
     code = (
         "import sys, facerender\n"
-        "assert not {'numpy', 'argparse', 'moderngl'} & {*sys.modules}\n"
+        "assert not {'numpy', 'argparse', 'moderngl', 'trimesh', 'scipy', 'PIL'} & {*sys.modules}\n"
         "from facerender.commands import main\n"
         "main(sys.argv[1:])\n"
         "late = {'tqdm', 'trimesh'}\n"

@@ -15,7 +15,6 @@ from facerender.comparison.compare import Pair, compare
 from facerender.comparison.report import entry
 from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb, srgb_to_linear
-from tests.test_cli import Capture, Cli
 
 # XYZ of red, green and blue, adapted to D50 as in ICC profiles (Lindbloom).
 SRGB = ((0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0971), (0.1431, 0.0606, 0.7141))
@@ -55,11 +54,6 @@ def profile(name: str, space: str, curve: np.ndarray, *primaries: tuple[float, .
 
 P3 = profile("Display P3", "RGB ", CURVE, *DISPLAY_P3)
 GREY = profile("Dot gain", "GRAY", GAMMA_1_8)
-
-
-@pytest.fixture
-def cli(tmp_path: Path, capsys: Capture) -> Cli:
-    return Cli(tmp_path, capsys)
 
 
 def colors(*channels: int) -> np.ndarray:

@@ -7,7 +7,6 @@ import pickle
 import subprocess
 import sys
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,19 +92,6 @@ def test_scene_files_hold_all_terms(head, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["defaults", "everything"])
-def test_job_from_json_draws_the_same_bits(name, egl, head):
-    job = replace(JOBS[name], image=fr.ImageSettings((48, 32), 1, float_albedo=True))
-    images = []
-    for each in (job, WAYS["JSON"](job)):
-        with fr.Renderer.of(each, egl) as renderer:
-            scene = each.scene(head if name == "defaults" else None)
-            images.append(renderer.render(scene, each.shading).linear)
-    assert images[0].shape[1::-1] == job.image.size
-    np.testing.assert_array_equal(*images)
-
-
-@pytest.mark.slow
 def test_pickled_scene_draws_the_same_bits(renderer, tmp_path):
     """A second process without the caches of this one draws the same bits, too."""
     mesh = fr.load_mesh(files.MINI_HEAD)
@@ -162,22 +148,6 @@ def test_invalid_tables_are_refused(tables, message):
 def test_paths_may_be_path_objects():
     assert fr.MeshFile(Path("a.glb")) == fr.MeshFile("a.glb")
     assert fr.Output(Path("a.png")) == fr.Output("a.png")
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"lights": [{"azimuth": 1}]},
-        {"image": {"size": [64]}},
-        {"mesh": "head.glb"},
-        {"material": {"mm": 1}},
-        {"background": (-1, 0, 0)},
-    ],
-    ids=str,
-)
-def test_invalid_fields_are_refused(given):
-    with pytest.raises(fr.InputError, match=next(iter(given))):
-        fr.Job(**given)
 
 
 def test_converted_jobs_are_equal():

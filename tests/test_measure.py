@@ -53,14 +53,6 @@ def test_interval_covers_the_spread_of_the_repeats():
     assert 0.9 <= interval.low <= interval.value <= interval.high < 5.0
 
 
-def test_frames_are_timed_for_each_shading(egl, head):
-    shadings = [fr.Shading(), fr.Shading(lobe="d16")]
-    plain = fr.Scene(head.with_material(m=0.3))
-    intervals = cost.frames(plain, shadings, (32, 32), repeats=3, backend=egl)
-    assert len(intervals) == 2
-    assert all(0.0 < x.low <= x.value <= x.high for x in intervals)
-
-
 @pytest.mark.parametrize(
     ("renderer", "software"),
     [("llvmpipe (LLVM 15.0.6, 256 bits)", True), ("softpipe", True), ("NVIDIA H200/PCIe", False)],
@@ -132,10 +124,6 @@ def test_every_lobe_is_measured(model):
     assert list(terms(model)) == names
     assert set(fr.lobes.NAMES) < set(names)
     assert set(fr.lobes.NAMES) < set(lobe_terms(model))
-    lobe = {variant.name: variant.lobe for variant in variants}
-    assert lobe["printed, d16"] == "d16"
-    assert lobe["exact, m >= 0.2"] == "exact"
-    assert lobe["fitted-fine"] == "fitted-fine"
 
 
 def test_json_of_a_measurement_is_read_and_written_unchanged():
@@ -200,25 +188,14 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     assert len(rows) == len(measurement.variants) == 2 * len(terms("ward"))
     for row in rows.values():
         assert row.term_ns == NANOSECOND
-    d16 = rows[Variant("cook-torrance", "d16")]
-    assert d16.lobe_error["0.4"] == pytest.approx(9.50, abs=0.01)
-    assert d16.image_error.largest > 0.1
     printed = rows[Variant("cook-torrance", "d16", printed=True)]
-    assert printed.image_error.largest == pytest.approx(
-        d16.image_error.largest, rel=1e-3
-    )  # m is large
-    assert printed.brdf_error["0.2"] > 1e3
     assert printed.lobe_error["0.2"] == pytest.approx(2.33e6, rel=0.01)
     plain = rows[Variant("ward", "exact", plain=True)]
     assert plain.lobe_error["0.1"] is None
-    assert {**plain.lobe_error, "0.1": 0.0} == dict.fromkeys(printed.lobe_error, 0.0)
     drawn = {(triptych.model, triptych.lobe): triptych for triptych in triptychs}
     assert drawn["ward", "d16"].exact.shape == (256, 256, 3)
-    assert (drawn["ward", "d16"].image != drawn["ward", "d16"].exact).any()
-    assert (
-        drawn["cook-torrance", "d16"].difference.max()
-        > drawn["cook-torrance", "fitted"].difference.max()
-    )
+    largest = [drawn["cook-torrance", lobe].difference.max() for lobe in ("fitted", "d16")]
+    assert largest == sorted({*largest})
 
 
 @pytest.mark.slow
@@ -271,11 +248,7 @@ def test_command_writes_everything(speed, egl, tmp_path, capsys, monkeypatch, re
         missing("; ".join(data["not_measured"]))
 
 
-def test_command_refuses_in_one_line(tmp_path, capsys):
-    assert main(["measure", "absent.glb", "-o", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.startswith("facerender: error: cannot read absent.glb")
-    assert main(["measure", "--m", "3", "-o", str(tmp_path)]) == 2
-    assert "facerender: error: m = 3" in capsys.readouterr().err
+def test_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
     (tmp_path / "file").touch()
     assert main(["measure", "-o", str(tmp_path / "file" / "folder")]) == 2
     assert "folder: not a directory; give a writable folder" in capsys.readouterr().err

@@ -25,19 +25,6 @@ from tests.conftest import require_backend, require_module
 
 ROOT = Path(__file__).parents[1]
 
-# Modules that must not import OpenGL; see the import rules in CONTRIBUTING.md.
-WITHOUT_GL = [
-    *("errors", "system.data", "images.read", "lobes", "brdf", "shading", "loading"),
-    *("glsl.library", "glsl.catalogue", "glsl.includes"),
-    *("scenes.scene", "scenes.file", "scenes.view", "scenes.texture"),
-    *("drawing.frame", "drawing.reference", "drawing.prepare"),
-    *("comparison.compare", "comparison.flip", "comparison.visualization"),
-    *("comparison.goldens", "comparison.report", "page.document"),
-    *("batch.jobs", "batch.outputs", "batch.supervisor", "batch.coordinator", "batch.folder"),
-    *("pricing.interval", "pricing.variants"),
-    *("measure.measurement", "measure.pareto", "measure.tables", "measure.report"),
-]
-
 
 def import_graph(folder: Path) -> subprocess.CompletedProcess[str]:
     tool = ROOT / "tools/import-graph"
@@ -73,48 +60,11 @@ def test_wrong_imports_are_reported(tmp_path):
         assert fault in done.stderr
 
 
-IMPORT_EACH = """
-import sys, types
-from importlib import import_module
-
-folder, *modules = sys.argv[1:]
-sys.modules["moderngl"] = sys.modules["glcontext"] = None
-for module in modules:
-    for name in [name for name in sys.modules if name.partition(".")[0] == "facerender"]:
-        del sys.modules[name]
-    package = sys.modules["facerender"] = types.ModuleType("facerender")
-    package.__path__, package.__version__ = [folder], "0"
-    try:
-        import_module(f"facerender.{module}")
-        assert "facerender.commands" not in sys.modules, "imports the commands"
-    except (ImportError, AssertionError) as error:
-        print(f"{module}: {error}")
-"""
-
-
 def test_all_copyright_lines_name_the_authors_of_the_metadata():
     with (ROOT / "pyproject.toml").open("rb") as file:
         (author,) = tomllib.load(file)["project"]["authors"]
     for path in ("LICENSE", "docs/conf.py", "facerender/glsl/library.py"):
         assert f"the {author['name']}" in (ROOT / path).read_text(encoding="utf-8"), path
-
-
-@pytest.mark.slow
-def test_modules_without_opengl_do_not_import_it():
-    command = [sys.executable, "-c", IMPORT_EACH, ROOT / "facerender"]
-    done = subprocess.run(
-        [*command, *WITHOUT_GL, "drawing.context"], check=True, capture_output=True, text=True
-    )
-    lines = done.stdout.splitlines()
-    assert [line.partition(":")[0] for line in lines] == ["drawing.context"], lines
-
-
-def test_importing_the_package_imports_no_heavy_module():
-    code = "import sys, facerender\nprint(*{'trimesh', 'scipy', 'PIL'} & set(sys.modules))"
-    output = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    )
-    assert output.stdout.strip() == ""
 
 
 # Runs a process as on another system, without OpenGL: removes what this system's Python and

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import re
 from dataclasses import asdict, replace
 from itertools import product
@@ -17,7 +16,6 @@ from PIL import Image
 import facerender as fr
 from facerender import lobes
 from facerender.drawing import reference
-from facerender.glsl.library import LANGUAGES
 from facerender.lobes import GPower
 from facerender.planning import search, views
 from facerender.planning.budget import ROUNDING, Budget
@@ -28,7 +26,6 @@ from facerender.planning.candidates import (
     Constants,
     candidates,
     changed,
-    values,
     with_decisions,
 )
 from facerender.planning.decisions import _words
@@ -39,10 +36,8 @@ from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run
-from tests.verification import metal
 from tests.verification.lights import PLAIN, PLAIN_THREE
-from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
-from tests.verification.targets import compiled
+from tests.verification.subjects import Subject, brute_force
 
 KEY = (PLAIN["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5), shadow=False)
@@ -129,6 +124,7 @@ def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1
         # With FLIP the search does not try all candidates.
         assert plan.cost.total == cheapest or plan.budget.unit == "flip", (budget, kind)
         assert of[plan.shading] <= limit
+        assert subject.full.term.m in (None, plan.shading.term.m)  # given values stay
         assert plan.error.within == pytest.approx(of[plan.shading], rel=1e-9, abs=1e-12)
         worst = brute([plan.shading], budget, 1.0)[plan.shading]
         assert plan.error.maximum == pytest.approx(worst, rel=1e-9, abs=1e-12)
@@ -211,13 +207,6 @@ def test_plans_fit_all_sizes(small, egl, subject):
     assert plan.cost.total > min(each.cost.total for each in alone)  # both sizes matter
 
 
-@SLOW
-@pytest.mark.parametrize("index", range(8))
-def test_no_fitting_candidate_is_cheaper_in_more_scenes(index, medium, head):
-    each = list(subjects(head, None))[index]
-    planned([medium], each, (*BUDGETS, "0.5%", "3%"), KINDS, turntable(fr.Camera(15.0, 10.0), 2))
-
-
 def test_every_term_is_a_candidate(bare):
     scene = fr.Scene(bare.with_material(m=0.15), lights=KEY)
     both = {"cook-torrance", "ward"}
@@ -229,45 +218,15 @@ def test_every_term_is_a_candidate(bare):
     ):
         found = list(candidates(scene, full, Constants(0.15, 1.0, (0,))))
         assert {each.term.model for each in found} == models
-        assert {each.term.lobe for each in found if isinstance(each.term.lobe, str)} == set(
-            lobes.NAMES
-        )
-        assert {each.term.lobe.g for each in found if isinstance(each.term.lobe, GPower)} == set(
-            G_POWERS
-        )
+        used = {each.term.lobe for each in found}
+        assert {each for each in used if isinstance(each, str)} == {*lobes.NAMES}
+        assert {each.g for each in used if isinstance(each, GPower)} == {*G_POWERS}
         assert {each.term.small_slope for each in found} == {None, False}
         assert {each.term.m for each in found} == {None, 0.15}
         factors = {
             (c.term.fresnel, c.term.masking) for c in found if c.term.model == "cook-torrance"
         }
         assert factors == set(product(fresnel, ("v-cavity", "kelemen", "none")))
-
-
-@pytest.mark.slow
-def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
-    rough = fr.Scene(head.with_material(m=0.9))
-    constants = Constants(0.3, 0.9, (2, 0, 1))
-    for scene, full in ((fr.Scene(head), Shading()), (rough, Shading("ward", m=0.8, ks=0.5))):
-        found = list(candidates(scene, full, constants))
-        assert len(found) == len(set(found))
-        assert full in found
-        assert {each.specular_lights for each in found} == {None, (0, 1), (1,), ()}
-    assert {each.term.m for each in found} == {0.8}  # given values stay
-    assert {each.ks for each in found} == {0.5}
-    assert {(each.normal_map, each.ambient) for each in found} == set(
-        product([True, False], [True, False])
-    )
-    lean = candidates(fr.Scene(bare, ambient=0.0), Shading(), constants)  # has neither of them
-    assert all(each.normal_map and each.ambient for each in lean)
-
-
-@pytest.mark.slow
-def test_lights_are_ordered_by_their_contribution(small, subject):
-    scene = subject("three").scene
-    scene = replace(scene, lights=(*PLAIN_THREE, replace(PLAIN["front"], irradiance=9.0)))
-    constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
-    peaks = reference.layers(small.gbuffer(scene), scene, Shading()).specular.max(axis=(1, 2, 3))
-    assert list(constants.faintest) == sorted(range(4), key=peaks.__getitem__)
 
 
 def test_unlit_pixels_do_not_matter(small, subject):
@@ -330,38 +289,6 @@ def test_errors_in_multisampled_images_count(egl, subject, monkeypatch):
     assert flawed.tried < 10  # a term that failed once is not tried again
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("more", [0, 1])
-def test_fraction_of_pixels_applies_to_drawn_images(more, egl, subject, monkeypatch):
-    """The number of pixels that may exceed the budget follows from the covered pixels."""
-    draw = views.draw
-    at, options = subject("constant m"), {"cost": "navi21", "within": 0.95}
-    with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
-        sound = fr.plan(at.scene, "1/255", renderer=renderer, **options)
-        own, full = (
-            renderer.render(at.scene, each).linear.astype(float)
-            for each in (sound.shading, sound.full)
-        )
-        errors = sound.budget.errors(own[..., :3], full[..., :3])
-        covered = np.count_nonzero(full[..., 3])
-        spared = covered - math.ceil(0.95 * covered)
-        over = np.count_nonzero(errors > sound.budget.limit)
-        assert sound.error.drawn == pytest.approx(errors.max())
-        assert sound.error.drawn_within == pytest.approx(np.sort(errors, axis=None)[-spared - 1])
-        assert sound.error.drawn_within <= sound.budget.limit < sound.error.drawn
-        flawed = np.argsort(errors, axis=None)[: spared - over + more]
-
-        def with_flaws(place, shading, detail):
-            image = draw(place, shading, detail)
-            if shading == sound.shading:
-                image.reshape(-1, 4)[flawed] += 0.5
-            return image
-
-        monkeypatch.setattr(views, "draw", with_flaws)
-        found = fr.plan(at.scene, "1/255", renderer=renderer, **options)
-    assert (found.shading == sound.shading) == (more == 0)
-
-
 # --- errors --------------------------------------------------------------------------------------
 
 
@@ -418,14 +345,7 @@ def test_errors_agree_with_the_reference_and_the_renderer(
         ({"lights": ()}, {}, "the scene has no lights, so there is no shading to plan: add a "),
         ({}, {"full": Shading(lobe="d8")}, "a plan chooses the lobe: omit d8"),
         ({}, {"full": Shading(lobe=GPower(4, 0.3))}, r"omit g-power 4 \(0.3/m\^2\)"),
-        (
-            {},
-            {"cost": "voodoo"},
-            "unknown cost 'voodoo'; known: frame, auto, .* here",
-        ),
-        ({}, {"budget": "-1/255"}, "budget -1/255 is negative"),
-        ({}, {"budget": "1 dB"}, "budget '1 dB' has an unknown unit"),
-        ({}, {"exposure": math.nan}, "exposure = nan is outside"),
+        ({}, {"cost": "voodoo"}, "unknown cost 'voodoo'; known: frame, auto, .* here"),
         ({}, {"cameras": ()}, "the cameras see nothing of head.glb"),
         (
             {"camera": fr.Camera(position=(0, 0, 5), target=(0, 0, 9))},
@@ -433,11 +353,6 @@ def test_errors_agree_with_the_reference_and_the_renderer(
             "the cameras see nothing of head.glb",
         ),
         ({}, {"full": Shading(specular_lights=(0, 7))}, "specular_lights names light 7"),
-        (
-            {},
-            {"within": "99.9"},
-            "within 99.9: give a fraction of the pixels such as 99.9%",
-        ),
         ({}, {"sizes": [(0, 8)]}, "size 0 x 8: give 1 to 16384 pixels a side"),
     ],
 )
@@ -517,31 +432,6 @@ def test_every_decision_has_a_line(plans):
             assert plan.budget.text(each.error) in each.text
 
 
-def test_constants_have_the_digits_of_their_text(plans):
-    """A scene file pins the constants, so their text has to state them in full."""
-    values = [each for plan in plans for each in (plan.constants.m, plan.constants.ks)]
-    assert [float(f"{each:.4g}") for each in values] == values
-    assert len(set(values)) > 3
-
-
-def test_decisions_have_the_values_that_differ(plans):
-    plan = plans[1]
-    taken = {
-        path: value
-        for each in plan.decisions
-        if each.changed
-        for path, value in each.values.items()
-    }
-    differs = changed(plan.shading, plan.full)
-    assert len(differs) > 3
-    assert values(plan.shading, differs).items() <= taken.items()
-    for each in plan.decisions:
-        assert each.values
-        names = [name for name, path in DECISIONS.items() if path in each.values]
-        assert values(plan.full if each.changed else plan.shading, names) != each.values
-    assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
-
-
 @pytest.mark.slow
 def test_decisions_state_their_error_and_saving(plans, small):
     for plan in plans:
@@ -574,24 +464,6 @@ def test_decisions_state_their_error_and_saving(plans, small):
                 assert limit < each.error == pytest.approx(min(errors(others)), rel=1e-9)
 
 
-@pytest.mark.slow
-def test_rejected_choices_are_explained_in_flip(small, subject):
-    require_module("flip_evaluator")
-    at = subject("two")
-    plan = fr.plan(at.scene, "0.1 flip", cost="navi21", renderer=small)
-    unchanged = [each for each in plan.decisions if not each.changed]
-    assert unchanged
-    for each in unchanged:
-        others = [
-            other
-            for other in candidates(at.scene, plan.full, plan.constants)
-            if changed(other, plan.shading) == [each.name]
-        ]
-        errors = brute_force(small, at, others, "0.1 flip")
-        assert min(abs(error - each.error) for error in errors) < 1e-6, each.text
-        assert each.error > 0.1 - ROUNDING["flip"]
-
-
 def test_as_dict_can_be_json(plans):
     for plan in plans:
         found = json.loads(json.dumps(plan.as_dict(), allow_nan=False))
@@ -603,19 +475,6 @@ def test_as_dict_can_be_json(plans):
         assert [each["text"] for each in found["decisions"]] == [d.text for d in plan.decisions]
         assert [fr.Camera(**each) for each in found["cameras"]] == list(plan.cameras)
         assert 0 <= found["tried"] <= found["candidates"]
-
-
-def test_cameras_with_numpy_numbers_can_be_written(small, bare, tmp_path):
-    camera = fr.Camera(np.arange(0, 90, 30)[1], zoom=np.float32(1.25))
-    light = fr.Light(np.float64(20.0), np.int64(10))
-    scene = fr.Scene(bare.with_material(m=np.float64(0.3)), camera, (light,))
-    plan = fr.plan(scene, "1/255", cost="auto", renderer=small)
-    json.dumps(plan.as_dict())
-    (tmp_path / "scene.toml").write_text(plan.scene_toml())
-    found = load_scene(tmp_path / "scene.toml")
-    assert found["camera"] == camera
-    assert found["lights"] == (light,)
-    assert found["material"]["m"] == 0.3
 
 
 @pytest.mark.first_case
@@ -638,37 +497,6 @@ def test_shaders_compile(target, plans, tmp_path):
         path.write_text(f"{text}\n{OUTPUT[target]}out vec4 result;\n{main}\n")
         options = ["-V", "-o", path.with_suffix(".spv")] if target == "vulkan" else []
         run(["glslangValidator", *options, path])
-
-
-C_LIKE = "float used(float3 n, float3 l, float3 v, float m, float f0) {{ return {call}; }}"
-USED = {
-    "hlsl": C_LIKE + "\nfloat4 main() : SV_Target {{ return 0; }}",
-    "msl": C_LIKE,
-    "wgsl": "fn used(n: vec3f, l: vec3f, v: vec3f, m: f32, f0: f32) -> f32 {{ return {call}; }}",
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "language",
-    [each if each == "wgsl" else pytest.param(each, marks=COMPILER) for each in LANGUAGES],
-)
-def test_shaders_in_other_languages_have_the_called_functions(language, plans):
-    require_module("wgpu")
-    from tests.verification.webgpu import Device
-
-    texts = []
-    for plan in plans:
-        text = plan.shader(language)
-        calls = re.findall(r"^// BRDF of light \d+: (.*fr_.*)$", text, re.MULTILINE)
-        texts += [f"{text}\n{USED[language].format(call=each)}\n" for each in dict.fromkeys(calls)]
-    assert len(texts) > 6
-    if language == "msl":
-        metal.drawn(texts, [], 1)
-        return
-    device = Device()
-    for text in texts:
-        device.compile(compiled(text, hlsl=True) if language == "hlsl" else text)
 
 
 def test_shader_without_a_target_has_no_version(plans):
@@ -704,12 +532,10 @@ def test_texts_have_the_error_of_the_fraction_and_the_worst(small, subject, tmp_
     assert error.maximum > plan.budget.limit
     lines = dict(re.split(" {2,}", line, maxsplit=1) for line in plan.explain().splitlines())
     assert lines["budget"].startswith("1/255 for 95.1 % of the pixels, of which rounding ")
-    met = f"budget met: 95.1 % of the pixels within {text(error.within)}; at pixel centres up to "
-    assert lines["error"].startswith(f"{met}{text(error.maximum)}, at pixel ")
-    assert lines["error"].endswith(f"; 95.1 % within {text(error.within)}")
+    assert f"95.1 % of the pixels within {text(error.within)}; " in lines["error"]
+    assert f" up to {text(error.maximum)}, at pixel " in lines["error"]
     worse = replace(plan, error=replace(error, drawn=1.0, drawn_within=1.1 / 255))
     assert "  budget not met: 95.1 % of the pixels within 1.1/255; " in worse.explain()
-    assert "; as rendered up to 255/255\n" in worse.explain()
     found = json.loads(json.dumps(plan.as_dict()))
     assert found["budget"]["within"] == 0.951
     assert (found["error"]["within"], found["error"]["maximum"]) == (error.within, error.maximum)

@@ -13,10 +13,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import main, render
 from facerender.commands.common import parse_sizes
-from facerender.loading.vertices import posed
-from facerender.lobes import GPower
 from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan as make_plan
@@ -24,7 +21,6 @@ from facerender.scenes.file import load_scene
 from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
-from tests.test_cli import Capture, Cli
 from tests.verification.lights import PLAIN
 
 # Without shadows, plans have fewer candidates.
@@ -64,13 +60,11 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def cli(tmp_path, capsys: Capture, egl, cache, monkeypatch):
-    folder = tmp_path / "out"
-    folder.mkdir()
+def cli(cli, egl, cache, monkeypatch):
     monkeypatch.setattr("facerender.planning.plan.plan", plan_once)
     monkeypatch.setattr("facerender.commands.plan._SILENT", math.inf)
     monkeypatch.setattr(plan_cache, "plan", plan_once)
-    return Cli(folder, capsys)
+    return cli
 
 
 @pytest.fixture
@@ -120,15 +114,9 @@ def planned(monkeypatch, framed, cli):
 def test_text_output(plan):
     out = plan("--budget", "1/255")
     assert out == expected("1/255").explain() + "\n"
-    lines = out.splitlines()
-    assert lines[0].startswith("budget ")
-    assert lines[0].endswith(" 1/255, of which rounding may use 0.05/255")
-    assert lines[1].endswith(
-        " 1 camera, 48 x 48 pixels; no guarantee for other cameras, sizes and poses"
-    )
-    at = r"at pixel centres up to 0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % within 0\.\d+/255"
-    assert re.search(rf"^error +budget met: all pixels within 0\.\d+/255; {at}$", lines[-2])
-    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", lines[-1])
+    error, cost = out.splitlines()[-2:]
+    assert re.search(r"^error +budget met: all pixels within 0\.\d+/255; .* \(\d+, \d+\); ", error)
+    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", cost)
 
 
 @pytest.mark.slow
@@ -143,10 +131,14 @@ def test_json(plan):
 @pytest.mark.parametrize("target", [None, "330", "es300", "vulkan"])
 def test_emit(target, plan, cli):
     """tests/test_plan.py compiles the shaders."""
-    path = cli.folder / "lean.glsl"
-    plan("--budget", "2/255", "--emit", path, *(["--target", target] if target else []))
-    assert path.read_text("ascii") == expected("2/255").shader(target)
-    assert cli.written == ["lean.glsl"]
+    path, image = cli.folder / "lean.glsl", cli.folder / "error.png"
+    words = ("--budget", "2/255", "--emit", path, "--error-map", image)
+    plan(*words, *(["--target", target] if target else []))
+    found = expected("2/255")
+    assert path.read_text("ascii") == found.shader(target)
+    with Image.open(image) as file:
+        assert found.budget.text(found.error.maximum) in file.info["Comment"]
+    assert cli.written == ["error.png", "lean.glsl"]
 
 
 @pytest.mark.slow
@@ -167,14 +159,6 @@ def test_pinned_scene_renders_with_its_shading(budget, plan, cli):
     assert load_scene(pinned)["shading"] == expected("3/255").shading.as_dict()
 
 
-def test_a_pinned_scene_holds_a_g_power(plan, cli):
-    pinned = cli.folder / "pinned.toml"
-    plan("--budget", "1/255", "--m", "0.3", "--save-scene", pinned)
-    shading = Shading.from_dict(load_scene(pinned)["shading"])
-    assert isinstance(shading.term.lobe, GPower)
-    assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
-
-
 @pytest.mark.slow
 def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
     pinned = cli.folder / "pinned.toml"
@@ -189,18 +173,14 @@ def test_pinned_scene_warns_at_other_sizes_and_samples(plan, cli):
         status, _, err = cli.run(*render, *options)
         assert (status, "warning" in err) == (0, False), (options, err)
     for options, image in (
-        (("--size", "23"), "23 x 23 with 4"),
         (("--size", "33"), "33 x 33 with 4"),
-        (("--size", "32x24"), "32 x 24 with 4"),
         (("--size", "24x32"), "24 x 32 with 4"),
         (("--size", "32", "--samples", "2"), "32 x 32 with 2"),
     ):
         status, _, err = cli.run(*render, *options)
-        assert (status, err) == (
-            0,
-            f"facerender: warning: {pinned} was planned for 24 x 24 to 32 x 32 pixels with 4 "
-            f"samples: at {image} samples its error is unknown; plan for this size and samples\n",
-        )
+        assert (status, err.count("\n")) == (0, 1)
+        assert f"{pinned} was planned for 24 x 24 to 32 x 32 pixels with 4 samples" in err
+        assert f": at {image} samples its error is unknown; plan for this size" in err
     (warning,) = cli.describe("--scene", pinned, "--size", "64")["warnings"]
     assert "was planned for" in warning
     pinned.write_text("[planned]\nsizes = [[8, 8]]\nsamples = 1\n")
@@ -243,7 +223,7 @@ def test_a_message_announces_long_plans_where_no_bar_is_shown(cli, framed, monke
 
 
 @pytest.mark.slow
-def test_cameras(plan, tmp_path, monkeypatch):
+def test_cameras(plan, tmp_path):
     """tests/test_plan.py checks that plans fit all cameras."""
     path = tmp_path / "path.toml"
     path.write_text("[[cameras]]\nazimuth = 5\n[[cameras]]\nazimuth = 60\nelevation = 10\n")
@@ -251,24 +231,6 @@ def test_cameras(plan, tmp_path, monkeypatch):
     cameras = [fr.Camera(5.0), fr.Camera(60.0, 10.0)]
     assert [fr.Camera(**each) for each in found["cameras"]] == cameras
     assert " 2 cameras, 48 x 48 pixels" in found["text"]
-    seen = []
-
-    def spy(scene, budget, cameras, **options):
-        seen.extend(cameras)
-        return expected("2/255")
-
-    monkeypatch.setattr("facerender.planning.plan.plan", spy)
-    for options, expected_cameras in (
-        (("--camera", "profile"), [fr.Camera(90.0)]),
-        (("--camera", "10", "--camera", "-30,20"), [fr.Camera(10.0), fr.Camera(-30.0, 20.0)]),
-        (("--scene", path), cameras),
-        (("--camera", "turntable"), list(fr.turntable())),
-        (("--camera", "turntable", "--camera", "0,80", "--fov", "40"),
-         [*fr.turntable(fr.Camera(fov=40.0)), fr.Camera(0.0, 80.0, 40.0)]),
-    ):  # fmt: skip
-        seen.clear()
-        plan("--budget", "30/255", *options)
-        assert seen == expected_cameras
 
 
 def test_size(plan):
@@ -306,18 +268,6 @@ def test_within_a_fraction_of_the_pixels(plan):
     assert " 1/255 for 95 % of the pixels, of which rounding may use" in out.splitlines()[0]
 
 
-@pytest.mark.slow
-def test_error_map(plan, cli):
-    plan("--budget", "2/255", "--error-map", cli.folder / "error.png", "--camera", "30")
-    found = expected("2/255", fr.Camera(30.0))
-    with Image.open(cli.folder / "error.png") as image:
-        pixels = np.asarray(image).sum(axis=-1, dtype=int)
-        assert found.budget.text(found.error.maximum) in image.info["Comment"]
-    assert pixels.shape == (48, 48)
-    x, y = found.error.pixel
-    assert pixels[y, x] == pixels.max() > 0
-
-
 def test_exposure_counts(plan):
     normal, bright = (
         json.loads(plan("--budget", "2/255", "--json", "--exposure", stops)) for stops in "04"
@@ -331,22 +281,11 @@ def test_exposure_counts(plan):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), r"arguments are required: --budget; see facerender plan --help"),
-        (
-            ("--budget", "1"),
-            r"budget '1' has no unit: give a fr.* 1/255, 0\.5%, or 0\.02 flip",
-        ),
-        (("--budget", "1/255", "--target", "330"), r"--target 330 .* add --emit OUT\.glsl"),
         (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
-        (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
-        (("--budget", "1/255", "--scene", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
-        (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give the smaller size first"),
         (("--budget", "1/255", "--size", "24x48..48x24"), r"give the smaller size first"),
         (("--budget", "1/255", "--size", "0..4"), r"size 0 x 0: give 1 to 16384 pixels a side"),
-        (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
-        (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a fraction of the pixels"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
     ],
 )
@@ -358,24 +297,15 @@ def test_bad_option(options, message, cli):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("lights = []", r"the scene has no lights, so there is no shading to plan: add a light"),
         ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of names or tables"),
         ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
-        ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: omit d8"),
         ("[shading]\nspecular_lights = [9]", r"specular_lights names light 9: the scene has 3"),
-        ("[camera]\nposition = [0, 0, 5]\ntarget = [0, 0, 9]", r"cameras see nothing of mini_head"),
     ],
 )
 def test_bad_scene_file(text, message, cli, tmp_path):
     (tmp_path / "scene.toml").write_text(text)
     options = ("--budget", "1/255", "--scene", tmp_path / "scene.toml", "--size", "48")
     cli.fail(message, "plan", MINI_HEAD, *options)
-
-
-def test_a_camera_path_without_cameras(cli, tmp_path):
-    (tmp_path / "path.toml").write_text("ambient = 1\n")
-    options = ("--budget", "1/255", "--camera", tmp_path / "path.toml")
-    cli.fail(r"path\.toml has no cameras", "plan", *FACE, *options)
 
 
 @pytest.mark.parametrize("option", ["--emit", "--save-scene", "--error-map"])
@@ -447,20 +377,13 @@ def test_pinned_scene_can_be_planned_again(plan, cli):
 @pytest.mark.parametrize(
     "options",
     [
-        ("--budget", "-1/255"),
         ("--budget", "1/255", "--lobe", "d8"),
-        ("--budget", "1/255", "--camera", "top"),
         ("--budget", "1/255", "--only", "specular"),
-        ("--budget", "1/255", "--within", "0%"),
-        ("--within", "99%"),
         ("--size", "24..48", "--budget", "1/255"),
     ],
 )
 def test_render_with_a_bad_budget(options, cli, cache):
-    message = (
-        r"budget|unknown camera|a plan chooses the lobe|exposure|--camera|within 0%|size '24\.\.48'"
-    )
-    cli.fail_to_render(message, *options)
+    cli.fail_to_render(r"budget|a plan chooses the lobe|size '24\.\.48'", *options)
     assert not cache.exists()
 
 
@@ -513,19 +436,6 @@ def shoot(cli, *options, mesh=MINI_HEAD):
         return np.asarray(image), err
 
 
-def test_render_within_a_budget_poses_the_mesh_once(cli, planned, monkeypatch):
-    poses = []
-
-    def spy(mesh, pose):
-        poses.append(pose)
-        return posed(mesh, pose)
-
-    monkeypatch.setattr(render, "posed", spy)
-    np.save(cli.folder / "moved.npy", fr.load_mesh(MINI_HEAD).parts[0].positions[None])
-    shoot(cli, "--vertices", f"{cli.folder / 'moved.npy'},0")
-    assert len([each for each in poses if each.vertices]) == 1
-
-
 def test_plans_are_cached(cli, planned, framed, cache):
     first, printed = shoot(cli)
     again, printed_again = shoot(cli)
@@ -573,11 +483,7 @@ def test_irrelevant_options_reuse_the_plan(cli, planned):
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"{",
-        b"3",
-        b"{}",
-        b'{"shading": null, "text": "x"}',
+        *(b"", b"{", b"3", b"{}"),
         b'{"shading": {"lobe": "d5"}, "text": "x"}',
         b'{"shading": {"gloss": 3}, "text": "x"}',
     ],
@@ -594,26 +500,6 @@ def test_damaged_cache_entry_is_replaced(content, cli, planned, cache):
     assert entry.read_bytes() == good
 
 
-def test_unwritable_cache_is_ignored(cli, planned, tmp_path, monkeypatch):
-    image, printed = shoot(cli)
-    (tmp_path / "file").write_text("")
-    for place in (tmp_path / "file", "/dev/null"):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(place))
-        again, printed_again = shoot(cli)
-        assert printed == printed_again
-        np.testing.assert_array_equal(image, again)
-    assert len(planned) == 3
-
-
-def test_folder_in_place_of_a_cache_entry_is_ignored(cli, planned, cache):
-    shoot(cli)
-    (entry,) = cache.iterdir()
-    entry.unlink()
-    entry.mkdir()
-    shoot(cli)
-    assert len(planned) == 2
-
-
 def test_default_cache_folder_is_in_the_home_folder(cli, planned, tmp_path, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME")
     shoot(cli)
@@ -623,12 +509,3 @@ def test_default_cache_folder_is_in_the_home_folder(cli, planned, tmp_path, monk
 def test_plan_command_does_not_use_the_cache(plan, cache):
     plan("--budget", "2/255")
     assert not cache.exists()
-
-
-def test_help_names_the_units(capsys):
-    with pytest.raises(SystemExit):
-        main(["plan", "--help"])
-    out = " ".join(capsys.readouterr().out.split())
-    words = ("1/255 is one 8-bit level, 0.5% is", "'0.02 flip' is", "turntable", "OUT.toml")
-    for word in (*words, "--within FRACTION", "512..1024"):
-        assert word in out

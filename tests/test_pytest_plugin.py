@@ -197,17 +197,6 @@ def test_limits_are_options_of_check(recorded):
     assert recorded.passes() == [passes for *_, passes in LIMITS]
 
 
-def test_coverage_limit(suites):
-    alpha = "np.concatenate([image(), np.tri(32, k={k}, dtype=np.float32)[..., None]], axis=-1)"
-    suites.write(f"def test_head(snapshot): snapshot({alpha.format(k=0)})")
-    suites.run("--facerender-update-missing", passed=1)
-    for limit, passes in (("0.005", False), ("0.05", True)):
-        suites.write(
-            f"def test_head(snapshot): snapshot({alpha.format(k=1)}, coverage={limit}, point=9)"
-        )
-        suites.run(passed=int(passes), failed=int(not passes))
-
-
 NONE = {
     "image(np.nan)": "*the image holds 3072 NaN and 0 infinite values*",
     "image()[..., 0]": "*the image is grey: give RGB",
@@ -700,28 +689,6 @@ def test_report_in_a_folder_without_write_permission(recorded, monkeypatch):
         )
 
 
-def test_report_has_the_last_of_several_runs_of_a_test(suites):
-    suites.write(
-        "from pathlib import Path\n"
-        "def test_head(snapshot):\n"
-        "    again = Path('again').exists(); Path('again').touch()\n"
-        "    snapshot(image(0.5 if again else 0.9))\n"
-    )
-    suites.golden().parent.mkdir(parents=True)
-    save_exr(suites.golden(), np.full((32, 32, 3), 0.5, np.float32), {})
-    suites.pytester.makeconftest(
-        "from _pytest.runner import runtestprotocol\n"
-        "def pytest_runtest_protocol(item, nextitem):\n"
-        "    for _ in range(2):\n"
-        "        for report in runtestprotocol(item, nextitem=nextitem, log=False):\n"
-        "            item.ihook.pytest_runtest_logreport(report=report)\n"
-        "    return True\n"
-    )
-    suites.run("--facerender-report=page")
-    page = (suites.path / "page/index.html").read_text()
-    assert "<h1>Comparison: 1 the same</h1>" in page
-
-
 def test_report_removes_images_of_earlier_sessions(recorded):
     recorded.write(ONE.format(value=0.6))
     recorded.run("--facerender-report=page", failed=1)
@@ -841,27 +808,3 @@ def test_sessions_without_images_import_nothing(suites):
     result = suites.run_apart("--facerender-unused=list", "--facerender-report=page")
     result.assert_outcomes(passed=1)
     assert list((suites.path / "page").iterdir()) == []
-
-
-def test_options_are_in_the_help(suites):
-    output = suites.run("--help").stdout.str()
-    for name in ("update", "update-missing", "force", "report", "unused"):
-        assert f"--facerender-{name}" in output
-
-
-@pytest.mark.slow
-def test_workers_write_goldens(suites):
-    suites.write(
-        "@pytest.mark.parametrize('p', range(8))\n"
-        "def test_many(snapshot, p):\n"
-        "    snapshot(image(p / 8))\n"
-        "    snapshot(image(), 'second')\n"
-    )
-    result = suites.run_apart("-n", "2", "--facerender-update-missing")
-    result.assert_outcomes(passed=8)
-    assert len(suites.goldens()) == 16
-    assert sum(line.startswith("written: ") for line in result.outlines) == 16
-    options = ("--facerender-unused=fail", "--facerender-report=page")
-    assert suites.run_apart("-n", "2", *options).ret == pytest.ExitCode.OK
-    page = (suites.path / "page/index.html").read_text()
-    assert all(f"test_suite.py::test_many[{p}]" in page for p in range(8))

@@ -19,7 +19,6 @@ from facerender.scenes.lod import Planned
 from facerender.terms.ranges import (
     FRACTION,
     IntegerRange,
-    Range,
     SizeRange,
     VectorRange,
     check_fields,
@@ -93,29 +92,11 @@ def test_one_number_is_width_and_height():
         fr.Renderer(0)
 
 
-def test_none_is_refused_unless_allowed():
-    assert of(fr.Shading, "ks", None) is None
-    with pytest.raises(fr.InputError, match="^m = None is not a number: give a number in"):
-        of(fr.Material, "m", None)
-
-
 def test_numpy_numbers_are_converted():
     assert type(of(fr.ImageSettings, "samples", np.int64(4))) is int
     assert of(fr.ImageSettings, "size", np.array([3, 4])) == (3, 4)
     assert of(fr.Light, "irradiance", np.array([1.0, 2.0, 3.0])) == (1.0, 2.0, 3.0)
     assert of(fr.Light, "irradiance", 2) == (2.0, 2.0, 2.0)
-
-
-@pytest.mark.parametrize(
-    ("limits", "text"),
-    [
-        (Range(1.0, 150.0, "degrees"), "1 to 150 degrees"),
-        (IntegerRange(1, math.inf), "at least 1"),
-        (Range(1e-4, 2.0), "0.0001 to 2"),
-    ],
-)
-def test_text_of_a_range(limits, text):
-    assert str(limits) == text
 
 
 def test_a_dataclass_without_text_annotations_is_refused():

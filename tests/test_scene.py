@@ -76,34 +76,6 @@ def test_frustum_of_a_camera_fills_the_clip_space(head):
                 assert clip == pytest.approx(depth * np.array([x, -y, z, 1.0]), abs=1e-9)
 
 
-def test_intrinsics_of_a_view(head):
-    size = (640, 200)
-    scene = fr.Scene(head, fr.Camera(azimuth=20.0, fov=40.0))
-    view = view_of(scene, size[0] / size[1])
-    focal = 100.0 / math.tan(math.radians(20.0))
-    pixels = np.array([[focal, 0.0, 320.0], [0.0, focal, 100.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(view.intrinsics(size), pixels, rtol=0, atol=1e-9)
-    # A shifted image has another principal point, and its camera does not move.
-    shifted = view.shifted((0.25, -0.375), size)
-    pixels[:2, 2] += 0.25, -0.375
-    np.testing.assert_allclose(shifted.intrinsics(size), pixels, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(shifted.extrinsics(head), view.extrinsics(head), atol=1e-12)
-
-
-def test_extrinsics_of_a_camera_in_front(head):
-    """Camera axes are x right, y down and z forward, in the mesh's units."""
-    eye = head.center + [0.0, 0.0, 1.0]
-    pose = view_of(fr.Scene(head, fr.Camera(position=tuple(eye))), 1.0).extrinsics(head)
-    np.testing.assert_allclose(pose[:, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
-    np.testing.assert_allclose(pose[:, :3] @ eye + pose[:, 3], 0.0, atol=1e-12)
-
-
-def test_numpy_numbers_are_accepted():
-    assert fr.Camera(azimuth=np.arange(0, 90, 30)[1], zoom=np.float32(2.0)).zoom == 2.0
-    with pytest.raises(fr.InputError, match="camera azimuth = True"):
-        fr.Camera(azimuth=True)
-
-
 def test_camera_at_its_target_is_refused(head):
     scene = fr.Scene(head, fr.Camera(position=tuple(head.center)))
     with pytest.raises(fr.InputError, match="is at its target"):
@@ -124,17 +96,9 @@ def test_lights_from_text(text, light):
     assert parse_light(text) == light
 
 
-@pytest.mark.parametrize("text", ["blue", "", "30", "1,2,3,4", "point:1,2", "1,two", "point:"])
-def test_unknown_lights_name_the_known_ones(text):
-    with pytest.raises(fr.InputError, match=r"unknown light .* key, rim, .* AZIMUTH,ELEVATION"):
-        parse_light(text)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: fr.Camera(position=(0.0, math.inf, 0.0)), "camera position"),
-        (lambda: fr.Material(albedo=(0.1, -0.1, 0.1)), "albedo = .* give a number in"),
         (lambda: fr.Material(albedo_map="skin.png"), "albedo_map = 'skin.png': give"),
         (lambda: fr.Shading("ward", fresnel="dielectric"), "ward has no Fresnel term"),
         (lambda: fr.Shading("ward", masking="none"), "ward has no masking term: leave 'none' out"),
@@ -142,8 +106,6 @@ def test_unknown_lights_name_the_known_ones(text):
             lambda: fr.Shading(masking="smith"),
             "unknown masking term 'smith'; known: v-cavity, kelemen, none",
         ),
-        (lambda: fr.Shading(lobe="d5"), "unknown lobe 'd5'"),
-        (lambda: fr.Material(albedo=(1.0, 2.0)), "albedo = "),
     ],
 )
 def test_values_outside_their_domain(make, message):
@@ -172,18 +134,13 @@ def test_scene_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("camera = 3", "unknown value 3 in camera"),
         ("[camera]\nroll = 3", "unknown key 'roll' in camera; known: azimuth, elevation"),
-        ("[camera]\nfov = 500", "camera fov = 500 is outside"),
         ("[camera]\nfov = 'wide'", "camera fov = 'wide'"),
         ("camera = { position = [0, 0] }", r"camera position = \[0, 0\]"),
         ("[[lights]]\nwatt = 3", "unknown key 'watt' in lights"),
         ("lights = 'key'", "lights = 'key': give a list"),
         ("material = { m = 'rough' }", "m = 'rough' is not a number: give a number in"),
         ("material = { albedo = 'red' }", "albedo = 'red': give a number in"),
-        ("ambient = nan", "ambient = nan: give a number in"),
-        ("<html>", " is not valid TOML"),
-        ("lights = 3", "lights = 3"),
         ("lights = ['blue']", "unknown light 'blue'"),
         ("[material]\nm = 9", "m = 9 is outside"),
         ("[material]\nalbedo_map = 'a.png'", "unknown key 'albedo_map' in material"),
@@ -191,24 +148,19 @@ def test_scene_file(tmp_path):
         ("colour = 1", "unknown key 'colour'; known: camera, "),
         ("lights = [3]", "unknown value 3 in lights"),
         ("ambient = -1.0", "ambient = -1.0: give a number in"),
-        ("[material]\nmm = 9", "unknown key 'mm' in material"),
         ("shading = 'exact'", "shading = 'exact': give a table"),
         ("[shading]\nlobe = 'd5'", "unknown lobe 'd5'"),
-        ("[shading]\nlobe = 3", "unknown lobe 3"),
         ("[shading]\nlobe = { g = 4 }", "lobe = .*: give a name, or g, factor, offset"),
         ("[shading]\nlobe = { g = 4, factor = -1 }", "g-power factor = -1"),
         ("[shading]\ngloss = 1", "unknown key 'gloss' in shading; known: model"),
-        ("[shading]\nspecular_lights = 3", "specular_lights = 3: give a list"),
         ("[shading]\nspecular_lights = ['key']", r"specular_lights = \['key'\]: "),
         ("[shading]\nspecular_lights = [0, 0]", r"specular_lights = \[0, 0\]: .* each once"),
         ("[shading]\nspecular_lights = [true]", r"specular_lights = \[True\]: give a list"),
         ("[shading]\nsmall_slope = 'no'", "small_slope = 'no': give true or false"),
-        ("[shading]\nm = 'rough'", "m = 'rough' is not a number: give a number in"),
         ("[planned]\nsizes = [[8, 8]]", "planned .* lacks samples"),
         ("[planned]\nsizes = []\nsamples = 1", r"planned sizes = \[\], samples = 1: give widths"),
         ("[planned]\nsizes = [[8, 0]]\nsamples = 1", r"planned sizes = \[\[8, 0\]\]"),
         ("[planned]\nsizes = [[8]]\nsamples = 1", r"planned sizes = \[\[8\]\]"),
-        ("[planned]\nsizes = 8\nsamples = 1", "planned sizes = 8"),
         ("[planned]\nsizes = [[8, 8]]\nsamples = 0.5", "samples = 0.5: give"),
         ("planned = { sizes = [[8, 8]], samples = 4, shading_rate = 1 }", "give sample or pixel"),
         ("[camera", " is not valid TOML"),
@@ -224,22 +176,15 @@ def test_invalid_scene_files_are_refused(tmp_path, text, message):
             fr.Job.from_dict(tables)
 
 
-def test_missing_scene_file(tmp_path):
-    with pytest.raises(fr.InputError, match="cannot read .*scene.toml: no such file"):
-        load_scene(tmp_path / "scene.toml")
-
-
 @pytest.mark.parametrize(
     ("function", "name", "message"),
     [
         (fr.render, "lobes", "fr.render has no argument lobes: give lobe=..."),
-        (fr.render, "roughness", "fr.render has no argument roughness: give m=..."),
         (fr.render, "f0", "fr.render has no argument f0: give mesh.with_skin(f0=...)"),
         (fr.render, "fov", "fr.render has no argument fov: give camera=fr.Camera(fov=...)"),
         (fr.render, "shadows", "no argument shadows: give lights=[fr.Light(shadow=...)]"),
         (fr.render, "anisotropy", "no argument anisotropy: give fr.Renderer(anisotropy=...)"),
         (fr.render, "bogus", "fr.render has no argument bogus: known: mesh, model, lobe"),
-        (fr.Scene, "shadows", "fr.Scene has no argument shadows: give lights=[fr.Light(shadow="),
         (fr.Scene, "roughness", "no argument roughness: give mesh.with_skin(m=...)"),
         (fr.Scene, "light", "fr.Scene has no argument light: give lights=..."),
     ],

@@ -14,7 +14,6 @@ import pytest
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
 from facerender.glsl.code import defines, lobe_macros
-from facerender.glsl.includes import scan
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
 from tests.verification.cases import brdf_case, directions, flat, include
@@ -126,19 +125,6 @@ def test_published_forms_agree_where_they_are_valid(evaluate, model, file, call,
     np.testing.assert_allclose(result[sound], expected[sound], rtol=2e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_conventions_of_a_shader_file(path):
-    text = path.read_text()
-    code = re.sub(r"//[^\n]*", "", text)
-    assert text.startswith("// "), "a header comment comes first"
-    assert scan(text).guard, "an include guard"
-    assert not functions(code) or re.search(r"^//\s+(unit|returns)\b", text, re.MULTILINE)
-
-
-def functions(code: str) -> list[str]:
-    return re.findall(r"^\w+ (\w+)\([^;]*\)\s*\{", code, re.MULTILINE)
-
-
 def test_every_reference_function_exists_in_glsl():
     source = "".join(path.read_text() for path in FILES)
     host_only = {"check_slope", "in_domain", "max_slope"}
@@ -157,19 +143,6 @@ def test_constants_of_the_fitted_lobes_are_the_same_in_glsl():
     assert [tuple(map(float, row.split(","))) for row in rows] == [r for t in tables for r in t]
 
 
-def test_source_is_flat_and_includes_may_stand_in_conditions(evaluate):
-    assert "#include" not in shader_source("cook_torrance")
-    prelude = resolve_includes(
-        '#ifdef ABSENT\n#include "facerender/ward.glsl"\n#endif\n'
-        '#include "facerender/cook_torrance.glsl"\n'
-    )
-    up = np.float32([[0, 0, 1]])
-    inputs = {"n": up, "l": up, "v": up}
-    assert evaluate(prelude, "fr_cook_torrance(n, l, v, 0.3, 0.028)", inputs) > 0.0
-    with pytest.raises(InputError, match="unknown shader .ggx.; known: "):
-        shader_source("ggx")
-
-
 @pytest.mark.parametrize("name", ["FR_LOBE_D32", "77", "0"])
 def test_unknown_lobe_does_not_compile(evaluate, name):
     prelude = include("ward", FR_LOBE=name)
@@ -185,103 +158,35 @@ DISPATCH: dict[str, list[Lobe | Fresnel | Masking]] = {
 }
 
 
-def dispatch_faults(kind: str, text: str) -> list[str]:
-    """Return messages about missing, repeated and superfluous lines of a dispatch file."""
+@pytest.mark.parametrize("kind", DISPATCH)
+def test_registry_and_glsl_have_the_same_macros(kind):
+    """The cases of test_targets.py call each term by its macro."""
+    text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
     macros = {entry.macro: entry.number for entry in DISPATCH[kind]}
     macros |= GENERAL if kind == "lobe" else {}
-    defined = re.findall(rf"^#define (FR_{kind.upper()}_\w+) \d+$", text, re.MULTILINE)
-    faults = [f"{name}: no entry" for name in defined if name not in macros]
-    functions = len(re.findall(r"^\w+ \w+_(?:of|times)\(", text, re.MULTILINE))
-    lines: dict[str, tuple[str, int]] = {}  # required line: its pattern and count
-    for macro, number in macros.items():
-        lines[f"#define {macro} {number}"] = rf"^#define {macro} {number}$", 1
-        if kind == "lobe":
-            branch = f"if FR_LOBE == {macro}\n#define FR_COMPILED_LOBE {number}\n"
-            lines[branch] = branch, 1
-            lines[f"{number} {macro} in #error"] = rf"^#error .* {number} {macro}\b", 1
-    for entry in DISPATCH[kind]:
-        include, branch = f'#include "{entry.file}.glsl"', f"if ({kind} == {entry.macro}) return"
-        if kind == "lobe":
-            guard = f"#if FR_LOBE == {entry.macro} || FR_LOBE == FR_LOBE_EVERY"
-            own = re.escape(f"FR_LOBE == {entry.macro} || ")
-            lines[f"{guard} and {include}"] = rf"^#if [^\n]*{own}[^\n]*\n{include}$", 1
-            before, after = (
-                re.escape(f"{guard}\n    {branch}"),
-                f"#else\n#undef {entry.macro}\n#endif",
-            )
-            lines[f"{guard} and {branch} {entry.call};"] = f"^{before}[^\n]*\n{after}$", 1
-            continue
-        default = entry.name in ("schlick", "v-cavity")  # used for any other number
-        lines[f"{branch} {entry.call};"] = re.escape(branch), 0 if default else functions
-        if entry.file != "constants":
-            lines[include] = f"^{include}$", 1
-    found = {line: re.findall(pattern, text, re.MULTILINE) for line, (pattern, _) in lines.items()}
-    return faults + [
-        f"{kind}.glsl has {len(found[line])} times, and not {wanted}: {line}"
-        for line, (_, wanted) in lines.items()
-        if len(found[line]) != wanted
-    ]
-
-
-@pytest.mark.parametrize("kind", DISPATCH)
-def test_registry_and_glsl_dispatch_have_the_same_terms(kind):
-    text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
-    if faults := dispatch_faults(kind, text):
-        pytest.fail("\n".join(faults), pytrace=False)
-
-
-D8 = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY"
-
-
-@pytest.mark.parametrize(
-    ("kind", "line", "other", "message"),
-    [
-        ("lobe", "#define FR_LOBE_D8 8\n", "", "0 times, and not 1: #define FR_LOBE_D8 8"),
-        ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 9\n", "#define FR_LOBE_D8 8"),
-        ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 8\n" * 2, "2 times, and not 1: #d"),
-        ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 8\n#define FR_LOBE_STRANGE 99\n",
-         "FR_LOBE_STRANGE: no entry"),
-        ("lobe", "_COMPILED_LOBE 8\n", "_COMPILED_LOBE 4\n", "#define FR_COMPILED_LOBE 8"),
-        ("lobe", "#undef FR_LOBE_D8\n", "", f"{D8} and if (lobe =="),
-        ("lobe", ", 8 FR_LOBE_D8", "", "8 FR_LOBE_D8 in #error"),
-        ("lobe", f"{D8}\n    if (lobe == FR_LOBE_D8) return", "", f"{D8} and if (lobe =="),
-        ("lobe", "(lobe == FR_LOBE_D8)", "(lobe == FR_LOBE_D4)", "0 times, and not 1: #if FR"),
-        ("lobe", '#include "lobe/cosine.glsl"\n', "", '#include "lobe/cosine.glsl"'),
-        ("fresnel", '#include "fresnel/schlick.glsl"\n', "", '0 times, and not 1: #include'),
-        ("fresnel", "    if (fresnel == FR_FRESNEL_CONSTANT) return f0;\n", "",
-         "1 times, and not 2: if (fresnel == FR_FRESNEL_CONSTANT) return f0;"),
-        ("masking", "#define FR_MASKING_NONE 2\n", "", "#define FR_MASKING_NONE 2"),
-        ("masking", "    if (masking == FR_MASKING_KELEMEN)", "    if (true)",
-         "0 times, and not 1: if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen"),
-    ],
-)  # fmt: skip
-def test_faults_of_the_dispatch_name_the_line(kind, line, other, message):
-    text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
-    assert line in text
-    assert any(message in fault for fault in dispatch_faults(kind, text.replace(line, other)))
-
-
-def test_macros_of_terms_have_unique_numbers():
-    for entries in DISPATCH.values():
-        assert len({entry.number for entry in entries}) == len(entries)
+    assert len({*macros.values()}) == len(macros)
+    defined = re.findall(rf"^#define (FR_{kind.upper()}_\w+) (\d+)$", text, re.MULTILINE)
+    assert sorted(defined) == sorted((macro, str(number)) for macro, number in macros.items())
+    if kind == "lobe":
+        message = " ".join(re.findall("^#error .*", text, re.MULTILINE))
+        assert all(re.search(rf" {number} {macro}\b", message) for macro, number in macros.items())
 
 
 def test_lobe_that_is_not_available_does_not_compile(evaluate):
     inputs = {"c": np.float32([0.9])}
-    for lobe, name in (("FR_LOBE_D8", "FR_LOBE_EXACT"), ("FR_LOBE_EXACT", "FR_LOBE_FITTED")):
+    names = [entry.macro for entry in LOBES.values()]
+    for lobe, name in zip(names, [*names[1:], names[0]], strict=True):
         prelude = include("lobe", FR_LOBE=lobe)
         assert evaluate(prelude, f"fr_lobe_of(c, 0.3, 4, {lobe})", inputs) > 0.0
         with pytest.raises(moderngl.Error, match=name):
             evaluate(prelude, f"fr_lobe_of(c, 0.3, 4, {name})", inputs)
-    assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, 16)", inputs) == 0.0
+    assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, 99)", inputs) == 0.0
 
 
 PAIRS = [
     ("cook_torrance", "ward", "FR_LOBE", "FR_LOBE_EXACT", "FR_LOBE_D16"),
     ("ward", "cook_torrance", "FR_LOBE", "FR_LOBE_FITTED", "2"),
-    ("ward", "ward_printed", "FR_LOBE", "FR_LOBE_EVERY", "FR_LOBE_EXACT"),
     ("lobe", "lobe", "FR_LOBE", "FR_LOBE_D8", "FR_LOBE_D16"),
-    ("cook_torrance", "cook_torrance", "FR_LOBE", "1", "8"),
     ("cook_torrance", "cook_torrance_two", "FR_FRESNEL", "FR_FRESNEL_SCHLICK", "1"),
     ("environment", "cook_torrance", "FR_MASKING", "1", "FR_MASKING_NONE"),
     ("cook_torrance", "cook_torrance", "FR_MASKING", "FR_MASKING_KELEMEN", "0"),

@@ -118,10 +118,7 @@ def lost(image: NDArray[np.floating], reference: NDArray[np.floating]) -> Lost:
     )
 
 
-FILTERS = {
-    "none": fr.Shading(slope_filter=False),
-    "filter": fr.Shading(),
-}
+FILTERS = {"none": fr.Shading(slope_filter=False), "filter": fr.Shading()}
 
 
 def filtered(

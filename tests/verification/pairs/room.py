@@ -76,10 +76,7 @@ class Room:
         self.size = (setting.size, setting.size)
         self.view = view_of(self.scene, 1.0)
         self.renderer = Retouched(
-            self.size,
-            samples=setting.samples,
-            backend=backend,
-            float_albedo=setting.float_albedo,
+            self.size, samples=setting.samples, backend=backend, float_albedo=setting.float_albedo
         )
 
     def draw(
@@ -162,9 +159,7 @@ class Room:
 
 
 def draw_elsewhere(
-    setting: Setting,
-    backend: Backend = "egl",
-    variables: Mapping[str, str] = MappingProxyType({}),
+    setting: Setting, backend: Backend = "egl", variables: Mapping[str, str] = MappingProxyType({})
 ) -> fr.Frame:
     """Draw a setting in a new process with additional environment variables.
 

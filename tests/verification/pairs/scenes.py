@@ -191,10 +191,7 @@ _SETTINGS = (
     ),
     Setting(
         *("haired-close", "judge", "haired", 256, 16, fr.Camera(-70.0, 25.0, zoom=2.2)),
-        lights=(
-            fr.Light(-100.0, 50.0, 3.2, shadow=False),
-            fr.Light(10.0, 20.0, 0.9, shadow=False),
-        ),
+        lights=(fr.Light(-100.0, 50.0, 3.2, shadow=False), fr.Light(10.0, 20.0, 0.9, shadow=False)),
         target=(0.0, 0.35, 0.1),
     ),
     Setting(
