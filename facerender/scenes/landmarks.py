@@ -238,12 +238,11 @@ def located(
     """
     height, width = image.shape[:2]
     pixels, depth = view.project(mesh, points, (width, height))
-    with np.errstate(invalid="ignore"):
-        inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)
     pixel = depth / view.intrinsics((width, height)).diagonal()[:2].min()
     slack = pixel + depth * _RESOLUTION + mesh.radius * _INTERPOLATION
     surface = np.where(image[..., 3] > 0.0, image[..., 0].astype(np.float64), np.inf)
     with np.errstate(invalid="ignore"):  # at the border, slopes continue; inf - inf is NaN
+        inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)
         surface = np.pad(surface, 1, mode="reflect", reflect_type="odd")
     column, row = np.floor(np.where(inside[:, None], pixels, 0.0) + 0.5).astype(np.int64).T
     around = [surface[row + i, column + j] for i in (0, 1) for j in (0, 1)]

@@ -218,7 +218,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
     )
 }
 
-
 # Key and rim light are high and oblique, so that skin shows its specular highlights.
 LIGHTS: Mapping[str, Light] = {
     "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1), radius=4.0),

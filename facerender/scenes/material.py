@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear RGB; default of meshes without colours
 
-
 Alpha = Literal["opaque", "mask", "blend"]
 
 # Maps that can be packed in the red, green and blue channels of one texture.

@@ -178,6 +178,10 @@ class Mesh:
             raise InputError(f"regions = {shown(regions)}: give auto, head and face, or None")
         check_maps(self.name, self.materials)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle only the parameters, not the cached properties."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     def __repr__(self) -> str:
         count = len(self.parts)
         triangles = sum(len(part.faces) for part in self.parts)

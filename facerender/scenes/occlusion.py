@@ -108,9 +108,8 @@ def _open_fraction(
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError:
-        raise InputError(
-            "baking occlusion needs the package embreex; pip install 'facerender[rays]'"
-        ) from None
+        need = "baking occlusion needs the package embreex"
+        raise InputError(f"{need}; pip install 'facerender[rays]'") from None
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
     offsets = _off_surface(positions, faces, vertices, corners)

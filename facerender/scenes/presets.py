@@ -48,7 +48,6 @@ _SPECIFIC: dict[str, dict[str, Any]] = {
 }
 PRESETS: Mapping[str, Mapping[str, Any]] = {k: {**COMMON, **v} for k, v in _SPECIFIC.items()}
 
-
 # Fields that need another field: the other field, and whether a material has it.
 _NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
     "roughness_factor": ("a roughness map", lambda material: material.roughness_map is not None),
