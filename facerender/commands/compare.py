@@ -148,7 +148,6 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
     Parameters
     ----------
     images : compared images, which no output may replace
-    pairs : number of pairs of images
 
     Raises
     ------
