@@ -219,9 +219,7 @@ def _print_status(
 
     counts = status(output)
     facts: dict[str, Any] = {"output": output, **counts}
-    text = (
-        f"{output}: {counts['done']} of {counts['jobs']} jobs are done, {counts['failed']} failed"
-    )
+    text = "{}: {done} of {jobs} jobs are done, {failed} failed".format(output, **counts)
     if counts["failed"] and not counts["left"]:
         text += f" ({output}/{FAILED} has the reasons)"
     text += f", {counts['left']} remain" if counts["left"] else ""

@@ -148,7 +148,6 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
     Parameters
     ----------
     images : compared images, which no output may replace
-    pairs : number of pairs of images
 
     Raises
     ------
@@ -167,17 +166,16 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
             )
     if options.heatmap:
         flip.check_installed()
-    check_outputs(
-        [getattr(options, name) for name in OUTPUTS], [*images, options.mask, options.limits]
-    )
+    written = [getattr(options, name) for name in OUTPUTS]
+    check_outputs(written, [*images, options.mask, options.limits])
 
 
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import ENOUGH, calibration_of, runs_of, text_of
 
-    limits = (field.name for field in fields(Limits))
-    for name in ("a", *limits, "limits", "same_driver", "heatmap", "sheet", "report"):
+    names = (field.name for field in fields(Limits))
+    for name in ("a", *names, "limits", "same_driver", "heatmap", "sheet", "report"):
         if getattr(options, name) not in (None, False):
             option = name.upper() if name == "a" else f"--{name.replace('_', '-')}"
             raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")
@@ -198,10 +196,8 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
             )
         for text in calibration.blind:
             warn(text)
-    text = text_of(
-        options.output or "pytest.ini",
-        {calibration.encoding: calibration.noted for calibration in calibrations},
-    )
+    limits = {calibration.encoding: calibration.noted for calibration in calibrations}
+    text = text_of(options.output or "pytest.ini", limits)
     if options.output:
         write_text(options.output, f"{text}\n")
     if options.json or not options.output:

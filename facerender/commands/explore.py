@@ -50,9 +50,8 @@ def run(options: argparse.Namespace) -> int:
     with progress_bar(options) as progress:
         progress("mesh", 0.0)
         # The page applies these factors itself, so that its controls can remove them.
-        material = {
-            name: factor for name, factor in job.material.items() if name not in TERM_FACTORS
-        }
+        factors = job.material.items()
+        material = {name: factor for name, factor in factors if name not in TERM_FACTORS}
         mesh = replace(job, material=material).scene().mesh
         progress("page", 0.0)
         page = explorer_page(job, mesh, a, b, plays(options, job.pose))

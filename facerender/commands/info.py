@@ -86,9 +86,7 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
         "shapes": list(mesh.shapes),
-        "clips": {
-            clip.name: None if clip.fault else clip.duration for clip in clips_of(mesh.parts)
-        },
+        "clips": {c.name: None if c.fault else c.duration for c in clips_of(mesh.parts)},
         "hints": hints.of_mesh(mesh),
     }
 

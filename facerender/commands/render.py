@@ -100,7 +100,9 @@ def _scenes(
 
     previous_pose : pose before the first pose if motion is drawn, else None
     """
-    previous_scene = previous_pose and replace(scene, mesh=posed(scene.mesh, previous_pose))
+    previous_scene = (
+        replace(scene, mesh=posed(scene.mesh, previous_pose)) if previous_pose else None
+    )
     for pose in poses:
         posed_scene = replace(scene, mesh=posed(scene.mesh, pose))
         for camera in cameras:

@@ -162,7 +162,7 @@ def _nearest(box: Box, points: Sequence[tuple[float, float]]) -> tuple[float, fl
     """Return the point that is nearest to a box."""
     corners = np.reshape(box, (2, 2))
     gaps = np.maximum(0.0, np.maximum(corners[0] - points, points - corners[1]))
-    return points[np.hypot(*gaps.T).argmin()]
+    return points[int(np.hypot(*gaps.T).argmin())]
 
 
 def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:

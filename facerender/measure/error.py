@@ -95,8 +95,9 @@ def image_errors(
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.coverage > 0.0
-    others = [shade(gbuffer, scene, shading) for shading in undrawn]
-    errors = [image_error(image, reference, covered) for image in (*images, *others)]
+    compared: list[NDArray[np.floating]] = [*images]
+    compared += [shade(gbuffer, scene, shading) for shading in undrawn]
+    errors = [image_error(image, reference, covered) for image in compared]
     return reference, images, errors
 
 

@@ -27,11 +27,10 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
     time of every other shading.
     """
     full, cheap = choice.full, choice.ordered[0]
-    steps = {"full": drawn.finest}
-    steps["cull_back_faces"] = replace(drawn.finest, cull_back_faces=drawn.detail.cull_back_faces)
-    steps["samples"] = replace(steps["cull_back_faces"], samples=drawn.detail.samples)
-    steps["shading_rate"] = replace(steps["samples"], shading_rate=drawn.detail.shading_rate)
-    steps["triangles"] = drawn.detail
+    detail = drawn.finest
+    steps = {"full": detail}
+    for name in ("cull_back_faces", "samples", "shading_rate", "triangles"):
+        detail = steps[name] = replace(detail, **{name: getattr(drawn.detail, name)})
     asked = {(detail, full) for detail in steps.values()}
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)

@@ -271,10 +271,8 @@ class Plan:
             place = "at pixel ({}, {})".format(*error.pixel)
             place += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
             place += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
-            quantile = ("99.9 %", error.percentile) if every else (fraction, error.within)
-            exact = (
-                f"up to {text(error.maximum)}, {place}; {quantile[0]} within {text(quantile[1])}"
-            )
+            share, quantile = ("99.9 %", error.percentile) if every else (fraction, error.within)
+            exact = f"up to {text(error.maximum)}, {place}; {share} within {text(quantile)}"
             parts.append(f"at pixel centres {exact if error.maximum else '0, except for rounding'}")
         if error.drawn is not None:
             parts.append(f"as rendered up to {text(error.drawn)}")

@@ -185,9 +185,8 @@ class Choice:
 
     def cost(self, shading: Shading) -> Cost:
         """Return the cost of a fragment or a frame, with a shading and with the full shading."""
-        cost, full_cost = (
-            self.prices.cost(self.scene, variant) for variant in (shading, self.full)
-        )
+        cost = self.prices.cost(self.scene, shading)
+        full_cost = self.prices.cost(self.scene, self.full)
         if self.frames is None:
             return Cost(*cost, *full_cost, f"{self.prices.unit} a fragment", self.prices.source)
         frame_costs = self.frames.own.cost(*cost), self.frames.full.cost(*full_cost)
