@@ -21,11 +21,6 @@ from facerender.shading import Shading
 
 STEPS = 2**16 - 1  # Positions: 2.6 micrometres each on a head.
 LARGEST_MAP = 2048  # Texels per side; every WebGL 2 implementation supports it.
-QUALITIES: dict[Kind, tuple[int, ...]] = {
-    "color": (93, 97),
-    "normal": (95, 98),
-    "data": (93, 97),
-}
 MOST_NAMES = 4  # parts that a note names
 # Factors of materials that the page does not draw.
 UNDRAWN = (
@@ -173,7 +168,7 @@ def encoded(texture: Texture, kind: Kind) -> bytes:
         width, height = (max(round(side * scale), 1) for side in image.size)
         image = image.resize((width, height), Image.Resampling.BOX)
     texels = np.asarray(image).astype(np.int16)
-    for quality in QUALITIES[kind]:
+    for quality in (95, 98) if kind == "normal" else (93, 97):
         file = BytesIO()
         image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
         if np.abs(np.asarray(Image.open(file)) - texels).mean() < LEAST_LOSS:

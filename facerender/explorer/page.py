@@ -30,7 +30,7 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import FRAMING_MARGIN, target_of
 from facerender.shading import SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
-from facerender.terms.lobe import MIN_SLOPE, Lobe
+from facerender.terms.lobe import MIN_SLOPE
 from facerender.terms.ranges import EXPOSURES, range_of, ranges_of
 
 _BROWSER = Path(__file__).parent / "browser"
@@ -72,7 +72,16 @@ def explorer_page(
     -----
     FacerenderWarning : features are left out
     """
-    _check(job)
+    if job.camera.position is not None or job.camera.extrinsics is not None:
+        raise InputError(
+            "the explorer needs a camera that orbits the mesh: give --camera front, three-quarter, "
+            "profile or AZIMUTH,ELEVATION,ZOOM"
+        )
+    if len(job.lights) > MOST_LIGHTS:
+        raise InputError(
+            f"the explorer has at most {MOST_LIGHTS} lights, and there are {len(job.lights)}: "
+            "leave some out"
+        )
     of_scene, note = ", ".join(_omitted(job, mesh, plays)), ""
     if omitted := ", ".join(filter(None, [*lost_features(mesh), of_scene])):
         warn(f"the explorer shows {mesh.name} without {omitted}")
@@ -117,27 +126,11 @@ def explorer_page(
         **{f"map-{i}": encoded(*pair) for i, pair in enumerate(textures)},
     }
     json_text = json.dumps(facts, separators=(",", ":")).replace("</", "<\\/")
-    data = [_script("application/json", "facts", json_text)]
-    data += [
-        _script("text/plain", name, b64encode(each).decode()) for name, each in contents.items()
-    ]
-    body = _text("explorer.html") + "".join(data)
+    body = _text("explorer.html") + _script("application/json", "facts", json_text)
+    for name, content in contents.items():
+        body += _script("text/plain", name, b64encode(content).decode())
     title = f"facerender explorer: {mesh.name}"
     return document(title, body, *(_BROWSER / name for name in _FILES))
-
-
-def _check(job: Job) -> None:
-    """Raise InputError if the page cannot show the job's camera or the number of its lights."""
-    if job.camera.position is not None or job.camera.extrinsics is not None:
-        raise InputError(
-            "the explorer needs a camera that orbits the mesh: give --camera front, three-quarter, "
-            "profile or AZIMUTH,ELEVATION,ZOOM"
-        )
-    if len(job.lights) > MOST_LIGHTS:
-        raise InputError(
-            f"the explorer has at most {MOST_LIGHTS} lights, and there are {len(job.lights)}: "
-            "leave some out"
-        )
 
 
 def _term(term: Term) -> dict[str, Any]:
@@ -156,9 +149,7 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
         for number, light in enumerate(job.lights)
         if light.shadow and (shading.shadow_lights is None or number in shading.shadow_lights)
     ]
-    environment = "the environment map" + (
-        "" if job.lights else " (the default lights and ambient light replace the map)"
-    )
+    replaced = "" if job.lights else " (the default lights and ambient light replace the map)"
     parameters = [name for name in shading.as_dict() if name not in _NAMED]
     image = [
         field.name
@@ -168,7 +159,7 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     features = {
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
-        environment: job.environment is not None,
+        f"the environment map{replaced}": job.environment is not None,
         "second lobes": shading.two_lobes and any(material.two_lobes for material in materials),
         "subsurface scattering": shading.scatter_samples > 0
         and any(material.scattering for material in materials),
@@ -188,18 +179,20 @@ def _registry() -> dict[str, Any]:
             model.name: {"title": model.title, "k": model.k, "factors": model.factors}
             for model in MODELS.values()
         },
-        "lobes": {lobe.name: _lobe(lobe) for lobe in LOBES.values()},
-        "g_power": _lobe(lobe_entry(_G_POWER)),
+        "lobes": {
+            name: {
+                "ends": lobe.ends,
+                "open": lobe.open_ends,
+                "errors": lobe.errors,
+                "by_angle": lobe.of_tan2 is not None,
+            }
+            for name, lobe in (LOBES | {"g-power": lobe_entry(_G_POWER)}).items()
+        },
         "fresnel": [*FRESNEL],
         "masking": [*MASKING],
         "defaults": asdict(Term()),
         "small_slope": SMALL_SLOPE,
     }
-
-
-def _lobe(lobe: Lobe) -> dict[str, Any]:
-    by_angle = lobe.of_tan2 is not None
-    return {"ends": lobe.ends, "open": lobe.open_ends, "errors": lobe.errors, "by_angle": by_angle}
 
 
 def _ranges() -> dict[str, Any]:
@@ -222,21 +215,12 @@ def _ranges() -> dict[str, Any]:
 
 
 def _sources() -> dict[str, Any]:
-    """Return the GLSL sources of the page's programs, keyed by role.
-
-    A term is stored as its function call and the indices of its lines in ``lines``; the #version
-    line is left out.
-    """
+    """Return the GLSL sources of the page's programs, keyed by role."""
     host = shader_dir() / "host"
     lines: dict[str, int] = {}
-    terms = {}
-    for name, (term, smallest) in _terms().items():
-        text = term_source(term, smallest, "330").rstrip("\n").split("\n")[1:]
-        numbers = [lines.setdefault(line, len(lines)) for line in text]
-        terms[name] = {"lines": numbers, "call": call(term)}
     return {
+        "terms": _terms(lines),
         "lines": [*lines],
-        "terms": terms,
         "variance": shader_source("slope_variance"),
         "host": {name: shader_source(str(host / name)) for name in _HOST},
         "lights": {
@@ -247,9 +231,9 @@ def _sources() -> dict[str, Any]:
     }
 
 
-def _terms() -> dict[str, tuple[Term, float]]:
-    """Return every term and the smallest m that its GLSL supports, keyed by the term's names,
-    such as "ward exact"."""
+def _terms(lines: dict[str, int]) -> dict[str, Any]:
+    """Return every term, keyed by its names, such as "ward exact", as its function call and the
+    indices of its lines in ``lines``. Adds its lines, without the #version line, to ``lines``."""
     lobes: dict[str, AnyLobe] = {**{name: name for name in LOBES}, "g-power": _G_POWER}
     terms = {}
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):
@@ -260,7 +244,9 @@ def _terms() -> dict[str, tuple[Term, float]]:
         for (fresnel, masking), (suffix, smallest) in product(factors, slopes.items()):
             words = filter(None, [model.name, name, fresnel, masking, suffix])
             term = Term(model.name, lobe, fresnel or Term.fresnel, masking or Term.masking)
-            terms[" ".join(words)] = (term, smallest)
+            text = term_source(term, smallest, "330").rstrip("\n").split("\n")[1:]
+            numbers = [lines.setdefault(line, len(lines)) for line in text]
+            terms[" ".join(words)] = {"lines": numbers, "call": call(term)}
     return terms
 
 
@@ -269,19 +255,13 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
 
     The data of a point light include the light's distance from the centre, in the renderer's space.
     """
-    azimuth, elevation, distance = light.azimuth, light.elevation, None
-    if light.position is not None:
-        x, y, z = mesh.normalised(light.position)
-        distance = float(np.linalg.norm((x, y, z)))
-        azimuth = float(np.degrees(np.arctan2(x, z)))
-        elevation = float(np.degrees(np.arcsin(y / max(distance, 1e-30))))
-    return {
-        "azimuth": azimuth,
-        "elevation": elevation,
-        "irradiance": light.irradiance,
-        "radius": light.radius,
-        "distance": distance,
-    }
+    values = {"irradiance": light.irradiance, "radius": light.radius}
+    if light.position is None:
+        return values | {"azimuth": light.azimuth, "elevation": light.elevation, "distance": None}
+    x, y, z = mesh.normalised(light.position)
+    distance = float(np.linalg.norm((x, y, z)))
+    azimuth, elevation = np.degrees((np.arctan2(x, z), np.arcsin(y / max(distance, 1e-30))))
+    return values | {"azimuth": azimuth, "elevation": elevation, "distance": distance}
 
 
 def _words(job: Job) -> dict[str, Any]:
@@ -304,9 +284,7 @@ def _words(job: Job) -> dict[str, Any]:
     files = options(*flags, "normal_map_y", "parts", "hide").values()
     materials = [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
     factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *UNDRAWN)}
-    pose = {
-        name: value for name, value in asdict(job.pose).items() if value != getattr(Pose(), name)
-    }
+    pose = {n: value for n, value in asdict(job.pose).items() if value != getattr(Pose(), n)}
     return {
         "shell": " ".join([*path, *files, *materials]),
         "maps": options("albedo", "normal_map", "specular_map", "roughness_map"),

@@ -139,7 +139,6 @@ function termSource(term, smallest) {
 const surfaceHead = (part, term) => "#version 300 es\n" + part.features
   .filter(name => termOf(part, term).m === null || name !== "ROUGHNESS_MAP")
   .map(name => `#define ${name}\n`).join("");
-const gbufferSource = (part, term) => surfaceHead(part, term) + sources.host["gbuffer.frag"];
 
 function shadeSource(part, term, specular = true) {
   const {lights, ambient, only} = state;
@@ -447,12 +446,6 @@ function show(gain) {
     {height, cut, gain, difference: state.show === "difference", budget: state.budget ?? -1});
 }
 
-// Draws the error image, and returns a promise of its pixels.
-function measure() {
-  drawErrors(targets.error.buffer, sources.page["error.frag"]);
-  return read(targets.error);
-}
-
 // Reads a target asynchronously as float32 RGBA, row 0 on top; null if the context was lost.
 async function read(target) {
   const pixels = new Float32Array(4 * size[0] * size[1]);
@@ -505,7 +498,8 @@ function probe(places) {
   };
   const [a, b] = [state.a, state.b].map(term => {
     const image = sampled(1, facts.background, term, part => shadeSource(part, term));
-    return sampled(4, [0, 0, 0], term, part => gbufferSource(part, term)).map(
+    return sampled(4, [0, 0, 0], term, part =>
+      surfaceHead(part, term) + sources.host["gbuffer.frag"]).map(
       ([position, normal, albedo, other], i) => ({
         part: position[3] - 1, position: position.slice(0, 3), normal: normal.slice(0, 3),
         m: normal[3], albedo: albedo.slice(0, 3), specular_weight: albedo[3],

@@ -78,7 +78,8 @@ async function settle() {
     paint();
   }
   const now = version;
-  const pixels = await measure();
+  drawErrors(targets.error.buffer, sources.page["error.frag"]);
+  const pixels = await read(targets.error);
   if (now !== version || !pixels) return;
   statisticsNow = statistics(pixels);
   const {largest} = statisticsNow.display;
@@ -175,24 +176,6 @@ function saveFile(name, text) {
 function positionOf(event) {
   const box = viewport.getBoundingClientRect();
   return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
-}
-
-// Selects the pixel under a resting pointer.
-function watchPointer() {
-  let rest = 0;
-  canvas.addEventListener("pointermove", event => {
-    clearTimeout(rest);
-    if (event.buttons) return;
-    rest = setTimeout(() => {
-      pointed = positionOf(event).map((each, i) => clamp(Math.floor(each * size[i]), 0, size[i] - 1));
-      plotHere();
-    }, 120);
-  });
-  canvas.addEventListener("pointerleave", () => {
-    clearTimeout(rest);
-    pointed = null;
-    plotHere();
-  });
 }
 
 function writeCommand() {
@@ -331,7 +314,20 @@ function listen() {
     showMessage("");
     changed();
   }));
-  watchPointer();
+  let rest = 0;  // Timer that selects the pixel under a resting pointer.
+  canvas.addEventListener("pointermove", event => {
+    clearTimeout(rest);
+    if (event.buttons) return;
+    rest = setTimeout(() => {
+      pointed = positionOf(event).map((each, i) => clamp(Math.floor(each * size[i]), 0, size[i] - 1));
+      plotHere();
+    }, 120);
+  });
+  canvas.addEventListener("pointerleave", () => {
+    clearTimeout(rest);
+    pointed = null;
+    plotHere();
+  });
   byId("cost").onclick = () => attempt(measureCost);
   byId("save").onclick = () => saveFile("explorer-cost.json", JSON.stringify(cost, null, 2));
   addEventListener("hashchange", () => restore(location.hash));

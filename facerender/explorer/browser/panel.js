@@ -128,7 +128,7 @@ function buildTerms() {
   const mapsSlope = facts.parts.some(part => part.features.includes("ROUGHNESS_MAP"));
 
   selected("model", "model", Object.entries(registry.models).map(([name, {title}]) => [name, title]));
-  selected("lobe", "lobe", same([...Object.keys(registry.lobes), "g-power"]));
+  selected("lobe", "lobe", same(Object.keys(registry.lobes)));
   typed("power g", "g", {step: 1}, power);
   typed("factor", "factor", {}, power);
   typed("offset", "offset", {}, power);
@@ -361,21 +361,14 @@ const MOST_PASSES = 512;
 let cost = null;  // The last measurement of costs.
 let costOf = "";  // Key of the measured image.
 
-const imageKey = () => {
-  const {a, b, camera, lights, ambient, only} = state;
-  return JSON.stringify([a, b, camera, lights, ambient, only, size]);
-};
+const imageKey = ({a, b, camera, lights, ambient, only} = state) =>
+  JSON.stringify([a, b, camera, lights, ambient, only, size]);
 const showCostMessage = text => { byId("cost-message").textContent = text; };
 
-// Returns the median, both quartiles, and the values of all rounds.
+// Returns the median, both quartiles, and the values of all seven rounds.
 function quartiles(values) {
-  const sorted = [...values].sort((a, b) => a - b);
-  const at = fraction => {
-    const place = fraction * (sorted.length - 1);
-    const low = Math.floor(place);
-    return sorted[low] + (place - low) * ((sorted[low + 1] ?? sorted[low]) - sorted[low]);
-  };
-  return {median: at(0.5), low: at(0.25), high: at(0.75), rounds: values};
+  const [, b, c, median, e, f] = [...values].sort((x, y) => x - y);
+  return {median, low: (b + c) / 2, high: (e + f) / 2, rounds: values};
 }
 
 // Returns the milliseconds that 1 + count passes of an image take on the GPU, or null if the GPU's

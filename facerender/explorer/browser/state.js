@@ -40,7 +40,7 @@ const POWER = ["g", "factor", "offset"];  // numbers that only the lobe g-power 
 
 const modelOf = term => registry.models[term.model];
 const isPower = term => term.lobe === "g-power";
-const lobeOf = term => isPower(term) ? registry.g_power : registry.lobes[term.lobe];
+const lobeOf = term => registry.lobes[term.lobe];
 const lobeName = term => isPower(term)
   ? `g-power ${term.g}, factor ${short(term.factor)}, offset ${short(term.offset)}` : term.lobe;
 // Returns a term with the factors for a part: m, f0 and ks of the term apply only to skin, a constant
@@ -76,7 +76,7 @@ function lightOf(text) {
 
 const TERM_FIELDS = {
   model: oneOf(Object.keys(registry.models)),
-  lobe: oneOf([...Object.keys(registry.lobes), "g-power"]),
+  lobe: oneOf(Object.keys(registry.lobes)),
   fresnel: oneOf(registry.fresnel),
   masking: oneOf(registry.masking),
   ...mapped(ranges.term, (range, name) => POWER.includes(name) ? within(range) : optional(within(range))),
