@@ -12,24 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.prepare import part_maps
-from facerender.drawing.program import part_uniforms, surface_features
+from facerender.drawing.program import fixed_attributes, part_uniforms, surface_features
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, drawn_alpha, slope_range
 from facerender.scenes.mips import Kind
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading
 
-POSITION_STEPS = 2**16 - 1  # Steps across the bounding sphere: 2.6 micrometres each on a head.
-NORMAL_STEPS = 2**15 - 1  # Steps per unit of an octahedral coordinate: 0.003 degrees each.
-UV_STEPS = 2**16 - 1
-VERTEX_STEPS = 10_000  # Steps per unit of the colours and the occlusion at vertices.
+STEPS = 2**16 - 1  # Positions: 2.6 micrometres each on a head.
 LARGEST_MAP = 2048  # Texels per side; every WebGL 2 implementation supports it.
-QUALITIES: dict[Kind, tuple[int, ...]] = {
-    "color": (93, 97),
-    "normal": (95, 98),
-    "data": (93, 97),
-}
 MOST_NAMES = 4  # parts that a note names
+# Factors of materials that the page does not draw.
+UNDRAWN = (
+    *("second_slope", "lobe_weight", "scattering", "normal_strength", "occlusion_strength"),
+    *("emissive", "alpha", "alpha_cutoff", "opacity", "transmission", "refraction"),
+)
 LEAST_LOSS = 1.0  # Limit of a JPEG map's mean error, in 8-bit levels; above it, the map is a PNG.
 
 
@@ -39,25 +36,19 @@ def drawable(mesh: Mesh) -> Mesh:
     All parts of the result are opaque. Blended and refracting parts are removed, unless all parts
     are. Materials have no emission. Maps have strength 1 and use the first texture coordinates.
     """
-    materials = []
-    for material in mesh.materials:
-        removed: dict[str, Any] = dict.fromkeys(
-            (*_by_second(material), "opacity_map", "emissive_map")
-        )
-        plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": (), "transmission": 0.0}
-        strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
-        reflectance = {
-            "second_slope": 1.0,
-            "lobe_weight": 1.0,
-            "lobe_map": None,
-            "scattering": None,
-        }
-        materials.append(replace(material, **{**removed, **plain, **strengths, **reflectance}))
+    names = (*UNDRAWN, "opacity_map", "emissive_map", "lobe_map", "second_uv")
+    plain = {name: getattr(Material, name) for name in names}
     alphas = _alphas(mesh)
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
-    parts = tuple(mesh.parts[number] for number in numbers)
-    return replace(mesh, parts=parts, materials=tuple(materials[number] for number in numbers))
+    materials = [mesh.materials[number] for number in numbers]
+    return replace(
+        mesh,
+        parts=tuple(mesh.parts[number] for number in numbers),
+        materials=tuple(
+            replace(each, **dict.fromkeys(_by_second(each)) | plain) for each in materials
+        ),
+    )
 
 
 def lost_features(mesh: Mesh) -> list[str]:
@@ -101,9 +92,7 @@ def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]
         {**_part(mesh, part, material, columns, textures), "skin": number in skin}
         for number, (part, material) in enumerate(pairs)
     ]
-    steps = {"position": POSITION_STEPS, "normal": NORMAL_STEPS, "uv": UV_STEPS}
     facts = {
-        "steps": steps | {"vertex": VERTEX_STEPS},
         "parts": parts,
         "columns": [list(column.shape) for column in columns],
         "maps": [
@@ -127,43 +116,28 @@ def _part(
         if (texture, kind) not in textures:
             textures.append((texture, kind))
         maps[name] = textures.index((texture, kind))
-    corner, extent = np.zeros(2), np.ones(2)
-    values: dict[str, NDArray[Any]] = {
-        "position": (mesh.normalised(part.positions) + 1.0) * (0.5 * POSITION_STEPS),
-        "normal": octahedral(part.normals) * NORMAL_STEPS,
-        "faces": part.faces,
-    }
-    if part.uv is not None:
-        corner, extent = part.uv.min(axis=0), np.ptp(part.uv, axis=0).clip(1e-9)
-        values["uv"] = (part.uv - corner) / extent * UV_STEPS
-    if part.colors is not None:
-        values["color"] = part.colors * VERTEX_STEPS
-    if part.occlusion is not None:
-        values["occlusion"] = part.occlusion[:, None] * VERTEX_STEPS
-    arrays = {name: len(columns) + i for i, name in enumerate(values)}
-    columns += [np.round(column).astype(np.int64) for column in values.values()]
+    positions = mesh.normalised(part.positions)
+    attributes = {"in_position": positions, "in_normal": part.normals, **fixed_attributes(part)}
+    attributes.pop("in_uv2", None)
+    arrays = {}
+    for name, values in attributes.items():
+        low, extent = values.min(axis=0), np.ptp(values, axis=0).clip(1e-9)
+        if name == "in_position":  # One grid for all parts: their common borders stay closed.
+            low, extent = np.full(3, -1.0), np.full(3, 2.0)
+        scale = (extent / STEPS).tolist()
+        arrays[name] = {"column": len(columns), "scale": scale, "offset": low.tolist()}
+        columns.append(np.round((values - low) / extent * STEPS).astype(np.int64))
+    columns.append(part.faces.astype(np.int64))
     uniforms: Mapping[str, Any] = part_uniforms(part, material)
     return {
         "features": surface_features(part, material, Shading()),
         "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms.items()},
         "arrays": arrays,
-        "uv": [corner.tolist(), extent.tolist()],
+        "faces": len(columns) - 1,
         "maps": maps,
         "doubleSided": material.double_sided is not False,
         "slopes": slope_range(part, material),
     }
-
-
-def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Map unit vectors (N, 3) to a square, (N, 2) in [-1, 1].
-
-    References: Cigolle et al. (2014), "A survey of efficient representations for independent unit
-    vectors".
-    """
-    flat = normals / np.abs(normals).sum(axis=1, keepdims=True)
-    low = flat[:, 2] < 0.0
-    folded = (1.0 - np.abs(flat[:, 1::-1])) * np.where(flat[:, :2] < 0.0, -1.0, 1.0)
-    return np.asarray(np.where(low[:, None], folded, flat[:, :2]))
 
 
 def _planes(column: NDArray[np.int64]) -> bytes:
@@ -194,7 +168,7 @@ def encoded(texture: Texture, kind: Kind) -> bytes:
         width, height = (max(round(side * scale), 1) for side in image.size)
         image = image.resize((width, height), Image.Resampling.BOX)
     texels = np.asarray(image).astype(np.int16)
-    for quality in QUALITIES[kind]:
+    for quality in (95, 98) if kind == "normal" else (93, 97):
         file = BytesIO()
         image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
         if np.abs(np.asarray(Image.open(file)) - texels).mean() < LEAST_LOSS:

@@ -6,9 +6,7 @@ import json
 import shlex
 import zlib
 from base64 import b64encode
-from collections.abc import Mapping
 from dataclasses import asdict, fields
-from html import escape
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ import numpy as np
 
 from facerender import __version__
 from facerender.errors import InputError, warn
-from facerender.explorer.mesh import drawable, encoded, lost_features, packed
+from facerender.explorer.mesh import UNDRAWN, drawable, encoded, lost_features, packed
 from facerender.glsl.code import call
 from facerender.glsl.library import shader_dir, shader_source, term_source
 from facerender.job import Job, MeshFile
@@ -32,27 +30,22 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import FRAMING_MARGIN, target_of
 from facerender.shading import SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
-from facerender.terms.lobe import MIN_SLOPE, Lobe
-from facerender.terms.ranges import EXPOSURES, Range, range_of, ranges_of
+from facerender.terms.lobe import MIN_SLOPE
+from facerender.terms.ranges import EXPOSURES, range_of, ranges_of
 
 _BROWSER = Path(__file__).parent / "browser"
-_SCRIPTS = (
-    *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state", "controls"),
-    *("lobe", "cost", "command", "explorer"),
-)
+_FILES = ("explorer.css", "state.js", "drawing.js", "panel.js", "explorer.js")
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 _CAMERA = ("azimuth", "elevation", "zoom", "fov")
-_G_POWER = GPower(8, 0.25, 0.5)  # placeholders: the page replaces these numbers
+_G_POWER = GPower(8, 0.25, 0.5)  # first numbers of the g-power lobe, which the page replaces
 TERM_FACTORS = ("m", "f0", "ks")  # factors of the skin that the page changes, in A and in B
 MOST_LIGHTS = 8
-_DRAWN = {*("model", "lobe", "fresnel", "masking", "m", "small_slope", "outside", "diffuse")}
-_OWN_NOTE = ("scatter_samples", "environment", "environment_samples", "two_lobes", "shadow_lights")
-# Factors that the page does not draw. Its scene file leaves them out.
-_UNDRAWN = (
-    *("second_slope", "lobe_weight", "scattering", "normal_strength", "occlusion_strength"),
-    *("emissive", "alpha", "alpha_cutoff", "opacity", "transmission", "refraction"),
-)
+# Parameters of the shading that the page draws, or whose omission has a name in _omitted.
+_NAMED = {
+    *("model", "lobe", "fresnel", "masking", "m", "small_slope", "outside", "diffuse"),
+    *("scatter_samples", "environment", "environment_samples", "two_lobes", "shadow_lights"),
+}
 
 
 def explorer_page(
@@ -79,55 +72,6 @@ def explorer_page(
     -----
     FacerenderWarning : features are left out
     """
-    _check(job)
-    omitted = {"mesh": lost_features(mesh), "scene": _omitted(job, mesh, plays)}
-    if any(omitted.values()):
-        names = ", ".join([*omitted["mesh"], *omitted["scene"]])
-        warn(f"the explorer shows {mesh.name} without {names}")
-    full_mesh, mesh = mesh, drawable(mesh)
-    lights, ambient = job.lights, job.ambient
-    if job.environment is not None and not lights:
-        lights, ambient = Scene.lights, Scene.ambient
-    mesh_facts, arrays, textures = packed(mesh)
-    scale, offset = full_mesh.radius / mesh.radius, (full_mesh.center - mesh.center) / mesh.radius
-    framed = region_of(full_mesh, job.camera.frame) or full_mesh
-    factors = {name: job.material[name] for name in TERM_FACTORS if name in job.material}
-    facts = {
-        "version": __version__,
-        "name": mesh.name,
-        "mesh": _words(job),
-        "center": mesh.center.tolist(),
-        "radius": mesh.radius,
-        "target": (target_of(full_mesh, job.camera) * scale + offset).tolist(),
-        "profile": (framed.profile * scale).round(5).tolist(),
-        "framing_margin": FRAMING_MARGIN,
-        **mesh_facts,
-        "camera": {name: getattr(job.camera, name) for name in _CAMERA},
-        "aim": _aim(job.camera),
-        "cameras": AZIMUTHS_BY_NAME,
-        "lights": [_light(light, mesh) for light in lights],
-        "most_lights": MOST_LIGHTS,
-        "ambient": np.broadcast_to(ambient, 3).tolist(),
-        "shadings": {"a": _term(a) | factors, "b": _term(b) | factors},
-        "omitted": omitted,
-        "background": job.background or (0.0, 0.0, 0.0),
-        "registry": registry(),
-        "ranges": _ranges(),
-    }
-    sources = zlib.compress(json.dumps(_sources()).encode(), 9)
-    data = [
-        _json("facts", facts),
-        _bytes("geometry", arrays),
-        _bytes("sources", sources),
-        *(_bytes(f"map-{i}", encoded(*pair)) for i, pair in enumerate(textures)),
-    ]
-    body = _text("explorer.html") + "".join(data)
-    files = [_BROWSER / "explorer.css", *(_BROWSER / f"{name}.js" for name in _SCRIPTS)]
-    return document(f"facerender explorer: {mesh.name}", body, *files)
-
-
-def _check(job: Job) -> None:
-    """Raise InputError if the page cannot show the job's camera or the number of its lights."""
     if job.camera.position is not None or job.camera.extrinsics is not None:
         raise InputError(
             "the explorer needs a camera that orbits the mesh: give --camera front, three-quarter, "
@@ -138,31 +82,75 @@ def _check(job: Job) -> None:
             f"the explorer has at most {MOST_LIGHTS} lights, and there are {len(job.lights)}: "
             "leave some out"
         )
+    of_scene, note = ", ".join(_omitted(job, mesh, plays)), ""
+    if omitted := ", ".join(filter(None, [*lost_features(mesh), of_scene])):
+        warn(f"the explorer shows {mesh.name} without {omitted}")
+        note = f"This page omits {omitted}." + f" Its command omits {of_scene}." * bool(of_scene)
+    full_mesh, mesh = mesh, drawable(mesh)
+    lights, ambient = job.lights, job.ambient
+    if job.environment is not None and not lights:
+        lights, ambient = Scene.lights, Scene.ambient
+    mesh_facts, arrays, textures = packed(mesh)
+    scale, offset = full_mesh.radius / mesh.radius, (full_mesh.center - mesh.center) / mesh.radius
+    framed = region_of(full_mesh, job.camera.frame) or full_mesh
+    factors = {name: job.material.get(name) for name in TERM_FACTORS}
+    aim = {name: getattr(job.camera, name) for name in ("frame", "target")}
+    facts = {
+        "version": __version__,
+        "name": mesh.name,
+        "mesh": _words(job),
+        "center": mesh.center.tolist(),
+        "radius": mesh.radius,
+        "target": (target_of(full_mesh, job.camera) * scale + offset).tolist(),
+        "profile": (framed.profile * scale).round(5).tolist(),
+        "framing_margin": FRAMING_MARGIN,
+        **mesh_facts,
+        "first": {
+            "a": _term(a) | factors,
+            "b": _term(b) | factors,
+            "camera": {name: getattr(job.camera, name) for name in _CAMERA},
+            "lights": [_light(light, mesh) for light in lights],
+            "ambient": np.broadcast_to(ambient, 3).tolist(),
+        },
+        "aim": {name: value for name, value in aim.items() if value != getattr(Camera, name)},
+        "cameras": AZIMUTHS_BY_NAME,
+        "most_lights": MOST_LIGHTS,
+        "note": note,
+        "background": job.background or (0.0, 0.0, 0.0),
+        "registry": _registry(),
+        "ranges": _ranges(),
+    }
+    contents = {
+        "geometry": arrays,
+        "sources": zlib.compress(json.dumps(_sources()).encode(), 9),
+        **{f"map-{i}": encoded(*pair) for i, pair in enumerate(textures)},
+    }
+    json_text = json.dumps(facts, separators=(",", ":")).replace("</", "<\\/")
+    body = _text("explorer.html") + _script("application/json", "facts", json_text)
+    for name, content in contents.items():
+        body += _script("text/plain", name, b64encode(content).decode())
+    title = f"facerender explorer: {mesh.name}"
+    return document(title, body, *(_BROWSER / name for name in _FILES))
 
 
 def _term(term: Term) -> dict[str, Any]:
     """Return the values of a shading's controls; ``constant`` is the constant m of a plan."""
-    terms = {"model": term.model, "fresnel": term.fresnel, "masking": term.masking}
-    lobe = term.lobe
-    power = asdict(lobe) if isinstance(lobe, GPower) else {}
-    return {**terms, "lobe": "g-power" if power else lobe, "constant": term.m, **power}
+    power = term.lobe if isinstance(term.lobe, GPower) else _G_POWER
+    lobe = "g-power" if power is term.lobe else term.lobe
+    names = {"model": term.model, "lobe": lobe, "fresnel": term.fresnel, "masking": term.masking}
+    return {**names, "constant": term.m, **asdict(power)}
 
 
 def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     """Return the names of the features of a job that neither the page nor its command draws."""
     shading, materials = job.shading, mesh.materials
-    drawn = shading.shadow_lights
     cast = [
         light
         for number, light in enumerate(job.lights)
-        if light.shadow and (drawn is None or number in drawn)
+        if light.shadow and (shading.shadow_lights is None or number in shading.shadow_lights)
     ]
-    environment = "the environment map" + (
-        "" if job.lights else " (the default lights and ambient light replace the map)"
-    )
-    parameters = [
-        name for name in shading.as_dict() if name not in _DRAWN and name not in _OWN_NOTE
-    ]
+    replaced = "" if job.lights else " (the default lights and ambient light replace the map)"
+    parameters = [name for name in shading.as_dict() if name not in _NAMED]
     image = [
         field.name
         for field in fields(ImageSettings)
@@ -171,7 +159,7 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     features = {
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
-        environment: job.environment is not None,
+        f"the environment map{replaced}": job.environment is not None,
         "second lobes": shading.two_lobes and any(material.two_lobes for material in materials),
         "subsurface scattering": shading.scatter_samples > 0
         and any(material.scattering for material in materials),
@@ -184,78 +172,68 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     return [name for name, omitted in features.items() if omitted]
 
 
-def _aim(camera: Camera) -> dict[str, Any]:
-    """Return the fields of a camera's framing that differ from their defaults."""
-    fields = {"frame": camera.frame, "target": camera.target}
-    return {name: value for name, value in fields.items() if value != getattr(Camera, name)}
-
-
-def registry() -> dict[str, Any]:
+def _registry() -> dict[str, Any]:
     """Return every model, lobe, Fresnel and masking term, as data for the page's controls."""
     return {
         "models": {
             model.name: {"title": model.title, "k": model.k, "factors": model.factors}
             for model in MODELS.values()
         },
-        "lobes": {lobe.name: _lobe(lobe) for lobe in LOBES.values()},
-        "g_power": _lobe(lobe_entry(_G_POWER)),
+        "lobes": {
+            name: {
+                "ends": lobe.ends,
+                "open": lobe.open_ends,
+                "errors": lobe.errors,
+                "by_angle": lobe.of_tan2 is not None,
+            }
+            for name, lobe in (LOBES | {"g-power": lobe_entry(_G_POWER)}).items()
+        },
         "fresnel": [*FRESNEL],
         "masking": [*MASKING],
+        "defaults": asdict(Term()),
         "small_slope": SMALL_SLOPE,
-    }
-
-
-def _lobe(lobe: Lobe) -> dict[str, Any]:
-    return {
-        "ends": lobe.ends,
-        "open": lobe.open_ends,
-        "errors": lobe.errors,
-        "by_angle": lobe.of_tan2 is not None,
     }
 
 
 def _ranges() -> dict[str, Any]:
     """Return the ranges of the numbers that the page changes, as [low, high]."""
-
-    def pair(limits: Range) -> list[float]:
-        return [limits.low, limits.high]
-
     light = ("azimuth", "elevation", "radius", "irradiance")
-    term = {name: range_of(Material, name) for name in ("m", "f0", "ks")}
+    ranges = {
+        "term": {
+            **{name: range_of(Material, name) for name in TERM_FACTORS},
+            "constant": range_of(Term, "m"),
+            **ranges_of(GPower),
+        },
+        "camera": {name: range_of(Camera, name) for name in _CAMERA},
+        "light": {name: range_of(Light, name) for name in light},
+        "image": {"exposure": EXPOSURES},
+    }
     return {
-        "term": {name: pair(limits) for name, limits in (term | dict(ranges_of(GPower))).items()},
-        "camera": {name: pair(range_of(Camera, name)) for name in _CAMERA},
-        "light": {name: pair(range_of(Light, name)) for name in light},
-        "exposure": pair(EXPOSURES),
+        table: {name: [limits.low, limits.high] for name, limits in each.items()}
+        for table, each in ranges.items()
     }
 
 
 def _sources() -> dict[str, Any]:
-    """Return the GLSL sources of the page's programs, keyed by role.
-
-    A term is stored as its function call and the indices of its lines in ``lines``; the #version
-    line is left out.
-    """
+    """Return the GLSL sources of the page's programs, keyed by role."""
     host = shader_dir() / "host"
     lines: dict[str, int] = {}
-    terms = {}
-    for name, (term, smallest) in _terms().items():
-        text = term_source(term, smallest, "330").rstrip("\n").split("\n")[1:]
-        numbers = [lines.setdefault(line, len(lines)) for line in text]
-        terms[name] = {"lines": numbers, "call": call(term)}
     return {
+        "terms": _terms(lines),
         "lines": [*lines],
-        "terms": terms,
         "variance": shader_source("slope_variance"),
         "host": {name: shader_source(str(host / name)) for name in _HOST},
-        "lights": {kind: shader_source(str(host / f"light/{kind}.glsl")) for kind in LIGHT_KINDS},
+        "lights": {
+            name: {"text": shader_source(str(host / f"light/{name}.glsl")), "arrays": kind.arrays}
+            for name, kind in LIGHT_KINDS.items()
+        },
         "page": {name: _text(name) for name in _SHADERS},
     }
 
 
-def _terms() -> dict[str, tuple[Term, float]]:
-    """Return every term and the smallest m that its GLSL supports, keyed by the term's names,
-    such as "ward exact"."""
+def _terms(lines: dict[str, int]) -> dict[str, Any]:
+    """Return every term, keyed by its names, such as "ward exact", as its function call and the
+    indices of its lines in ``lines``. Adds its lines, without the #version line, to ``lines``."""
     lobes: dict[str, AnyLobe] = {**{name: name for name in LOBES}, "g-power": _G_POWER}
     terms = {}
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):
@@ -266,7 +244,9 @@ def _terms() -> dict[str, tuple[Term, float]]:
         for (fresnel, masking), (suffix, smallest) in product(factors, slopes.items()):
             words = filter(None, [model.name, name, fresnel, masking, suffix])
             term = Term(model.name, lobe, fresnel or Term.fresnel, masking or Term.masking)
-            terms[" ".join(words)] = (term, smallest)
+            text = term_source(term, smallest, "330").rstrip("\n").split("\n")[1:]
+            numbers = [lines.setdefault(line, len(lines)) for line in text]
+            terms[" ".join(words)] = {"lines": numbers, "call": call(term)}
     return terms
 
 
@@ -275,51 +255,39 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
 
     The data of a point light include the light's distance from the centre, in the renderer's space.
     """
-    azimuth, elevation, distance = light.azimuth, light.elevation, None
-    if light.position is not None:
-        x, y, z = mesh.normalised(light.position)
-        distance = float(np.linalg.norm((x, y, z)))
-        azimuth = float(np.degrees(np.arctan2(x, z)))
-        elevation = float(np.degrees(np.arcsin(y / max(distance, 1e-30))))
-    return {
-        "azimuth": azimuth,
-        "elevation": elevation,
-        "irradiance": light.irradiance,
-        "radius": light.radius,
-        "distance": distance,
-    }
+    values = {"irradiance": light.irradiance, "radius": light.radius}
+    if light.position is None:
+        return values | {"azimuth": light.azimuth, "elevation": light.elevation, "distance": None}
+    x, y, z = mesh.normalised(light.position)
+    distance = float(np.linalg.norm((x, y, z)))
+    azimuth, elevation = np.degrees((np.arctan2(x, z), np.arcsin(y / max(distance, 1e-30))))
+    return values | {"azimuth": azimuth, "elevation": elevation, "distance": distance}
 
 
 def _words(job: Job) -> dict[str, Any]:
     """Return the mesh's files as command-line arguments, and material and pose as TOML."""
-    file = job.mesh
-    files = ("albedo", "normal_map", "specular_map", "roughness_map")
-    maps = {name: value for name in files if (value := getattr(file, name)) is not None}
-    names = ("flip_v", "allow_outside", "as_is", "double_sided", "occlusion")
-    green = (
-        {} if file.normal_map_y == MeshFile.normal_map_y else {"normal_map_y": file.normal_map_y}
-    )
-    parts = {"parts": file.parts, "hide": file.hide}
-    selected = {name: ",".join(values) for name, values in parts.items() if values}
-    path = [file.path] if file.path else []
 
-    def options(values: Mapping[str, str]) -> dict[str, str]:
-        return {
-            name: f"--{name.replace('_', '-')} {shlex.quote(value)}"
-            for name, value in values.items()
-        }
+    def options(*names: str) -> dict[str, str]:
+        """Return the options of the mesh file's fields that differ from their defaults."""
+        words = {}
+        for name in names:
+            value, option = getattr(job.mesh, name), f"--{name.replace('_', '-')}"
+            if value is True:
+                words[name] = option
+            elif value != getattr(MeshFile, name):
+                text = value if isinstance(value, str) else ",".join(value)
+                words[name] = f"{option} {shlex.quote(text)}"
+        return words
 
-    flags = [f"--{name.replace('_', '-')}" for name in names if getattr(file, name)]
-    pose = {
-        name: value for name, value in asdict(job.pose).items() if value != getattr(Pose(), name)
-    }
-    factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *_UNDRAWN)}
+    path = [shlex.quote(job.mesh.path)] if job.mesh.path else []
+    flags = ("flip_v", "allow_outside", "as_is", "double_sided", "occlusion")
+    files = options(*flags, "normal_map_y", "parts", "hide").values()
     materials = [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
+    factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *UNDRAWN)}
+    pose = {n: value for n, value in asdict(job.pose).items() if value != getattr(Pose(), n)}
     return {
-        "shell": " ".join(
-            [*map(shlex.quote, path), *flags, *options(green | selected).values(), *materials]
-        ),
-        "maps": options(maps),
+        "shell": " ".join([*path, *files, *materials]),
+        "maps": options("albedo", "normal_map", "specular_map", "roughness_map"),
         "material": toml_text([("", factors)]).strip().splitlines(),
         "pose": toml_text([("[pose]", pose)]) if pose else "",
     }
@@ -329,10 +297,5 @@ def _text(name: str) -> str:
     return (_BROWSER / name).read_text(encoding="utf-8")
 
 
-def _json(name: str, value: Any) -> str:
-    text = json.dumps(value, separators=(",", ":")).replace("</", "<\\/")
-    return f'<script type="application/json" id="{escape(name)}">{text}</script>\n'
-
-
-def _bytes(name: str, content: bytes) -> str:
-    return f'<script type="text/plain" id="{escape(name)}">{b64encode(content).decode()}</script>\n'
+def _script(kind: str, name: str, content: str) -> str:
+    return f'<script type="{kind}" id="{name}">{content}</script>\n'

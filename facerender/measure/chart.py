@@ -109,10 +109,8 @@ def _point(row: Row, x: float, y: float, low: float, high: float) -> str:
 
 def _boxes(places: Sequence[Box], front: Sequence[tuple[float, float]]) -> list[Box]:
     """Return the boxes of points, of intervals and of the line, which names do not overlap."""
-    boxes = []
-    for x, y, low, high in places:
-        boxes.append((x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS))
-        boxes.append((low - 2.0, y - 3.0, high + 2.0, y + 3.0))
+    boxes = [(x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS) for x, y, *_ in places]
+    boxes += [(low - 2.0, y - 3.0, high + 2.0, y + 3.0) for _, y, low, high in places]
     for (x, y), (next_x, next_y) in pairwise(front):
         boxes += [(x, y - 1.0, next_x, y + 1.0), (next_x - 1.0, y, next_x + 1.0, next_y)]
     return boxes
@@ -127,22 +125,20 @@ def _names(rows: Sequence[Row], places: Sequence[Box], boxes: list[Box]) -> list
     pairs = zip(rows, places, strict=True)
     for row, (x, y, *_) in sorted(pairs, key=lambda pair: pair[0].dominated):
         # Without free space, the name of a variant on the line overlaps no other name.
-        for obstacles in [[*boxes, *names]] + [names] * (not row.dominated):
-            free = (
-                place
-                for place in product(_DISTANCES, _DIRECTIONS)
-                if not _overlaps(box := _box(row.variant.name, x, y, *place), obstacles)
-                and (place[0] > _DISTANCES[1] or _nearest(box, points) == (x, y))
-            )
-            place = next(free, None)
-            if place:
-                break
-        else:
+        free = (
+            (place, box)
+            for obstacles in [[*boxes, *names]] + [names] * (not row.dominated)
+            for place in product(_DISTANCES, _DIRECTIONS)
+            if not _overlaps(box := _box(row.variant.name, x, y, *place), obstacles)
+            and (place[0] > _DISTANCES[1] or _nearest(box, points) == (x, y))
+        )
+        found = next(free, None)
+        if found is None:
             continue
-        distance, (right, up) = place
-        names.append(_box(row.variant.name, x, y, *place))
+        (distance, (right, up)), box = found
+        names.append(box)
         anchor = ("middle", "start", "end")[right]
-        left, bottom = x + distance * right, names[-1][3] - 0.25 * _FONT
+        left, bottom = x + distance * right, box[3] - 0.25 * _FONT
         if distance > _DISTANCES[1]:
             end = f"{x + 0.9 * distance * right:.1f} {y - 0.9 * distance * up:.1f}"
             lines.append(f'<path class="{_kind(row)}" d="M{x:.1f} {y:.1f}L{end}"/>')
@@ -160,9 +156,7 @@ def _box(name: str, x: float, y: float, distance: float, direction: tuple[int, i
 
 def _nearest(box: Box, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Return the point that is nearest to a box."""
-    corners = np.reshape(box, (2, 2))
-    gaps = np.maximum(0.0, np.maximum(corners[0] - points, points - corners[1]))
-    return points[int(np.hypot(*gaps.T).argmin())]
+    return min(points, key=lambda point: math.dist(point, np.clip(point, box[:2], box[2:])))
 
 
 def _overlaps(box: Box, obstacles: Sequence[Box]) -> bool:

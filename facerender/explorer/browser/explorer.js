@@ -1,18 +1,18 @@
-// The page: drawing, pointer and keyboard input, and the URL fragment.
+// The page: drawing, errors, pointer and keyboard input, and the URL fragment.
 const SETTLED = 180;  // Milliseconds without a change before errors, command and URL are updated.
-
 const HANDLE = 32;    // Size of a light's handle with its outline, in CSS pixels.
+const WITHIN = 0.999;  // Percentile of the errors, as a fraction of the covered pixels.
 
-let state = firstState();
-let drawing = null;  // Null before the start and after a failure.
-let pixels = null;   // Errors at the pixels of the current image.
-let statisticsNow = null;
+let isReady = false;  // False before the start and after a failure.
+let statisticsNow = null;  // Errors of the current image, once they are measured.
 let awaited = [];    // Promises for the errors of the current image.
 let [frame, timer, version] = [0, 0, 0];
-const canvas = byId("canvas");
+let fittedGain = 1;  // Gain at which the largest error of the last measured image is white.
+let pointed = null;  // Pixel under the resting pointer, or null.
+let commandSide = "b";
 const viewport = byId("image");
-const still = () => state;
-const isDrawing = () => drawing && !drawing.gl.isContextLost();
+const gainNow = () => state.gain ?? fittedGain;
+const isDrawing = () => isReady && !gl.isContextLost();
 
 function showMessage(text) {
   byId("message").textContent = text;
@@ -38,9 +38,6 @@ function showOld(old) {
   byId("against").textContent = old ? "computing …" : "B against A";
 }
 
-let fittedGain = 1;   // Gain at which the largest error of the last measured image is white.
-const gainNow = () => state.gain ?? fittedGain;
-
 // Aligns the image with device pixels, and returns its size in pixels: one per device pixel, or two
 // per CSS pixel on finer screens. The edges are also whole CSS pixels if a multiple of up to four is
 // whole in both, because browsers that emulate a screen align boxes with CSS pixels.
@@ -55,26 +52,25 @@ function fitImage() {
   for (const [name, length] of Object.entries({left, top, width, height})) {
     viewport.style[name] = `${length}px`;
   }
-  const scale = Math.min(devicePixelRatio, 2);
-  return [width, height].map(side => Math.round(side * scale));
+  return [width, height].map(side => Math.round(side * Math.min(devicePixelRatio, 2)));
 }
 
 function paint() {
   frame = 0;
   if (!isDrawing()) return;
   try {
-    drawing.resize(...fitImage());
-    drawing.draw("a", state);
-    drawing.draw("b", state);
-    drawing.show(state, gainNow());
+    resize(fitImage());
+    draw("a");
+    draw("b");
+    show(gainNow());
   } catch (error) {
     fail(error);
   }
-  place();
+  placeOverlays();
 }
 
 async function settle() {
-  history.replaceState(null, "", `#${fragmentOf(state)}`);
+  history.replaceState(null, "", `#${fragmentOf()}`);
   writeCommand();
   if (!isDrawing()) return;
   if (frame) {
@@ -82,16 +78,16 @@ async function settle() {
     paint();
   }
   const now = version;
-  const found = await drawing.measure(state);
-  if (now !== version || !found) return;
-  pixels = found;
-  statisticsNow = statistics(found, drawing.size[0]);
+  drawErrors(targets.error.buffer, sources.page["error.frag"]);
+  const pixels = await read(targets.error);
+  if (now !== version || !pixels) return;
+  statisticsNow = statistics(pixels);
   const {largest} = statisticsNow.display;
   fittedGain = largest > 0 ? clamp(255 / largest, 1, MOST_GAIN) : 1;
   if (state.gain === null) {
     refresh();
-    drawing.show(state, fittedGain);
-    place();
+    show(fittedGain);
+    placeOverlays();
   }
   showOld(false);
   readout();
@@ -99,28 +95,49 @@ async function settle() {
   awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
 }
 
+// Returns the largest error, the 99.9th percentile, the mean, and the pixel of the largest error for
+// each kind of error, and the fraction of the covered pixels whose display error exceeds the budget.
+// pixels: (N, 4), as error.glsl returns them.
+function statistics(pixels) {
+  const covered = [];
+  for (let i = 0; i < pixels.length; i += 4) if (pixels[i + 3] > 0) covered.push(i);
+  const count = covered.length;
+  const measures = mapped({linear: 0, display: 1, relative: 2}, channel => {
+    const values = Float32Array.from(covered, start => pixels[start + channel]);
+    const sorted = values.slice().sort();  // NaN is the largest value.
+    const largest = sorted[count - 1] ?? 0;
+    const worst = covered[values.findIndex(value => Object.is(value, largest))] / 4;
+    return {
+      largest, most: sorted[Math.ceil(WITHIN * count) - 1] ?? 0,
+      mean: count ? values.reduce((sum, value) => sum + value, 0) / count : 0,
+      at: count ? [worst % size[0], Math.floor(worst / size[0])] : null,
+    };
+  });
+  const over = covered.filter(start => !(pixels[start + 1] <= (state.budget ?? Infinity))).length;
+  return {covered: count, over: count ? over / count : 0, ...measures};
+}
+
 // Places the overlays of the image: handles of lights, split line, names and legend.
-function place() {
+function placeOverlays() {
   const [width, height] = [viewport.clientWidth, viewport.clientHeight];
-  const view = viewOf(state.camera, width / height);
+  const view = viewOf(state.camera, [width, height]);
   const reach = 0.9 * Math.max(...facts.profile.map(each => Math.hypot(...each)));
-  [...byId("handles").children].forEach((handle, i) => {
-    const light = state.lights[i];
-    const at = projected(view, fromTarget(scaledBy(directionTo(light), reach)));
+  [...byId("handles").children].slice(0, state.lights.length).forEach((handle, i) => {
+    const at = projected(view, fromTarget(scaledBy(directionTo(state.lights[i]), reach)));
     const inside = (fraction, side) =>  // the whole handle stays visible
       `${clamp(fraction * side, HANDLE / 2, Math.max(side - HANDLE / 2, HANDLE / 2))}px`;
     handle.style.left = inside(at.x, width);
     handle.style.top = inside(at.y, height);
     handle.classList.toggle("behind", at.z > 0);
   });
-  const wipe = state.show === "wipe";
-  byId("cut").hidden = !wipe;
+  const isSplit = state.show === "wipe";
+  byId("cut").hidden = !isSplit;
   byId("cut").style.left = `${100 * state.cut}%`;
   byId("cut").setAttribute("aria-valuenow", Math.round(100 * state.cut));
-  byId("tag-a").hidden = !wipe && state.show !== "a";
-  byId("tag-b").hidden = !wipe && state.show !== "b";
   for (const which of ["a", "b"]) {
-    byId(`tag-${which}`).replaceChildren(element("b", {}, SWATCH[which]), ` ${lobeName(state[which])}`);
+    const tag = byId(`tag-${which}`);
+    tag.hidden = !isSplit && state.show !== which;
+    tag.replaceChildren(element("b", {}, SWATCH[which]), ` ${lobeName(state[which])}`);
   }
   byId("legend").hidden = state.show !== "difference";
   byId("legend-middle").textContent = figure(255 / gainNow() / 4);
@@ -128,92 +145,25 @@ function place() {
 }
 
 function readout() {
-  for (const row of document.querySelectorAll("#readout tr[data-measure]")) {
-    const {measure} = row.dataset;
-    const scale = {display: 1, relative: 100, linear: 255}[measure];
-    const found = statisticsNow[measure];
-    [found.largest, found.most, found.mean].forEach((value, i) => {
-      row.cells[i + 1].textContent = figure(scale * value);
+  for (const [measure, factor] of [["display", 1], ["relative", 100], ["linear", 255]]) {
+    const {largest, most, mean} = statisticsNow[measure];
+    document.querySelectorAll(`[data-measure=${measure}] td`).forEach((cell, i) => {
+      cell.textContent = figure(factor * [largest, most, mean][i]);
     });
   }
-  const {at} = statisticsNow.display;
-  const [width, height] = drawing.size;
-  const some = at !== null && statisticsNow.display.largest > 0;
-  byId("mark").hidden = !some;
-  if (some) {
-    byId("mark").style.left = `${100 * (at[0] + 0.5) / width}%`;
-    byId("mark").style.top = `${100 * (at[1] + 0.5) / height}%`;
+  const {covered, over, display: {at, largest}} = statisticsNow;
+  const differs = at !== null && largest > 0;
+  byId("mark").hidden = !differs;
+  if (differs) {
+    byId("mark").style.left = `${100 * (at[0] + 0.5) / size[0]}%`;
+    byId("mark").style.top = `${100 * (at[1] + 0.5) / size[1]}%`;
   }
-  const many = x => x.toLocaleString("en");
-  const samples = drawing.samples > 1 ? `${drawing.samples} samples` : "1 sample";
+  const [many, width, height] = [covered, ...size].map(x => x.toLocaleString("en"));
   byId("where").textContent
-    = (some ? `Largest error at ${at[0]}, ${at[1]} (ring). ` : "A and B are identical. ")
-    + `${many(statisticsNow.covered)} of ${many(width)} × ${many(height)} pixels covered, ${samples}.`;
+    = (differs ? `Largest error at ${at[0]}, ${at[1]} (ring). ` : "A and B are identical. ")
+    + `${many} of ${width} × ${height} pixels covered, ${samples > 1 ? `${samples} samples` : "1 sample"}.`;
   byId("over").textContent = state.budget === null ? ""
-    : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of these.`;
-}
-
-// Pixel under the pointer, or null. The plotted lobes use m of this pixel. If it is null, they use
-// m of the pixel with the largest error.
-let pointed = null;
-let scale = "linear";
-let lobes = null;
-
-function plotHere() {
-  const at = pointed ?? statisticsNow?.display.at;
-  if (!drawing || !at) return;
-  const [found] = drawing.probe(state, [at]);
-  if (found.a.part < 0) return;
-  const {position} = viewOf(state.camera, drawing.size[0] / drawing.size[1]);
-  const here = geometryAt(found.a, position, state.lights);
-  const slopeOf = which => state[which].constant ?? found[which].m;
-  const angles = here.lights.filter(light => light.lit).map(light => light.angle);
-  lobes = Object.fromEntries(["a", "b"].map(which => {
-    const m = slopeOf(which);
-    return [which, {m, angles, values: lobeValues(drawing, state[which], m)}];
-  }));
-  plotLobes(byId("lobes"), lobes, scale);
-  const slopes = slopeOf("a") === slopeOf("b") ? `m = ${figure(slopeOf("a"))}`
-    : `m = ${figure(slopeOf("a"))} in A, ${figure(slopeOf("b"))} in B`;
-  const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
-  byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
-    + `N.V = ${figure(here.facing)}, ${cosines ? `N.L = ${cosines}` : "no lights"}.`;
-}
-
-let cost = null;  // The last measurement of costs.
-let costOf = "";  // Key of the measured image.
-const imageKey = ({a, b, camera, lights, ambient, only}) =>
-  JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
-const showCostMessage = text => { byId("cost-message").textContent = text; };
-
-async function measureCost() {
-  if (!isDrawing()) return;
-  const began = version;
-  byId("cost").disabled = true;
-  byId("save").hidden = true;
-  showCostMessage("warming up");
-  try {
-    costOf = imageKey(state);
-    cost = await measuredCost(drawing, state, showCostMessage,
-      () => version !== began || !isDrawing());
-    if (!cost) showCostMessage("Stopped: the image changed.");
-    byId("save").hidden = !cost;
-  } finally {
-    byId("cost").disabled = false;
-  }
-  refresh();
-  if (began === version) drawing.show(state, gainNow());
-}
-
-// Updates the table of costs: a measurement is valid for one image only.
-function writeCosts({write}) {
-  const same = cost !== null && costOf === imageKey(state);
-  write(same ? cost : null);
-  if (!cost || byId("cost").disabled) return;
-  const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
-  showCostMessage(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels per round, timed with `
-    + `${cost.method === "fence" ? "a fence" : "the GPU's clock"}.`
-    : "The cost was measured for another image; you can still save it.");
+    : `Over ${short(state.budget)}/255: ${figure(100 * over)} % of these.`;
 }
 
 function saveFile(name, text) {
@@ -223,57 +173,23 @@ function saveFile(name, text) {
 }
 
 // Returns the position of an event in the image, as fractions of its width and height.
-function placeOf(event) {
+function positionOf(event) {
   const box = viewport.getBoundingClientRect();
   return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
 }
 
-// Selects the pixel under a resting pointer.
-function watchPointer() {
-  let rest = 0;
-  canvas.addEventListener("pointermove", event => {
-    clearTimeout(rest);
-    if (event.buttons) return;
-    rest = setTimeout(() => {
-      if (!isDrawing()) return;
-      pointed = placeOf(event).map((each, i) =>
-        clamp(Math.floor(each * drawing.size[i]), 0, drawing.size[i] - 1));
-      plotHere();
-    }, 120);
-  });
-  canvas.addEventListener("pointerleave", () => {
-    clearTimeout(rest);
-    pointed = null;
-    plotHere();
-  });
-}
-
-let commandSide = "b";
-const sizeNow = () => drawing?.size ?? [1024, 1024];
-
 function writeCommand() {
   byId("outside").textContent = ["a", "b"].map(which => [SWATCH[which], outsideDomain(state[which])])
-    .filter(([, words]) => words).map(([name, words]) => `${name}: ${words}.`).join(" ");
-  byId("command").textContent = commandLine(state, commandSide, sizeNow());
-}
-
-// Returns a note of the features that the page omits, or "".
-function omissions() {
-  const {mesh, scene} = facts.omitted;
-  const list = names => names.join(", ");
-  if (!mesh.length && !scene.length) return "";
-  return `This page omits ${list([...mesh, ...scene])}.`
-    + (scene.length ? ` Its command omits ${list(scene)}.` : "");
+    .filter(([, reason]) => reason).map(([name, reason]) => `${name}: ${reason}.`).join(" ");
+  byId("command").textContent = commandLine(commandSide);
 }
 
 function buildControls() {
-  byId("omitted").textContent = omissions();
-  const set = name => value => {
-    state[name] = value;
-    changed();
-  };
-  choice("show", Object.entries(SHOWS), () => state.show, set("show"));
-  choice("only", Object.entries(ONLY), () => state.only, set("only"));
+  const field = name => fieldOf(() => state, name);
+  const [, setGain] = field("gain");
+  byId("omitted").textContent = facts.note;
+  choice("show", Object.entries(SHOWS), ...field("show"));
+  choice("only", Object.entries(ONLY), ...field("only"));
   const {cameras} = facts;
   choice("cameras", Object.keys(cameras).map(name => [name, name]), () => {
     const {azimuth, elevation} = state.camera;
@@ -282,38 +198,29 @@ function buildControls() {
     Object.assign(state.camera, {azimuth: cameras[name], elevation: 0});
     changed();
   });
-  const fit = button("fit", "Fit the gain to the largest error", () => set("gain")(null));
-  refreshers.push(() => fit.setAttribute("aria-pressed", state.gain === null));
-  const budget = number("budget in 1/255", [0, 255], () => state.budget, set("budget"), {empty: "none"});
+  const fit = button("fit", "Fit the gain to the largest error", () => setGain(null));
+  refreshers.push(() => fit.setAttribute("aria-pressed", state.gain === null), writeCosts);
   byId("sliders").append(
     slider("gain", {low: 0, high: Math.log2(MOST_GAIN), step: 0.5}, () => Math.log2(gainNow()),
-      value => set("gain")(+short(2 ** value)), () => `× ${figure(gainNow())}`),
+      value => setGain(rounded(2 ** value)), () => `× ${figure(gainNow())}`),
     fit,
-    slider("exposure", {low: -4, high: 4, step: 0.25}, () => state.exposure, set("exposure"),
+    slider("exposure", {low: -4, high: 4, step: 0.25}, ...field("exposure"),
       value => `${value > 0 ? "+" : ""}${value}`),
-    element("label", {className: "budget"}, element("span", {}, "red above"), budget, "/255"),
+    element("label", {className: "budget"}, element("span", {}, "red above"),
+      number("budget in 1/255", [0, 255], ...field("budget"), {empty: "none"}), "/255"),
   );
-  byId("terms").append(termTable(still, changed));
-  byId("lights").append(lightTable(still, changed));
-  refreshers.push(() => {
-    const handles = byId("handles");
-    while (handles.children.length > state.lights.length) handles.lastChild.remove();
-    while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
-  });
-  const costs = costTable();
-  byId("costs").append(costs.table);
-  refreshers.push(() => writeCosts(costs));
-  choice("scale", SCALES, () => scale, value => {
+  buildTerms();
+  buildLights();
+  choice("scale", ["linear", "log", "polar"].map(name => [name, name]), () => scale, value => {
     scale = value;
-    if (lobes) plotLobes(byId("lobes"), lobes, scale);
+    if (lobes) plotLobes();
   });
   choice("command-of", Object.entries(SWATCH), () => commandSide, value => {
     commandSide = value;
     writeCommand();
   });
-  byId("save-scene").addEventListener("click", () =>
-    saveFile(`${commandSide}.toml`, sceneFile(state, commandSide, sizeNow())));
-  byId("copy").addEventListener("click", async () => {
+  byId("save-scene").onclick = () => saveFile(`${commandSide}.toml`, sceneFile(commandSide));
+  byId("copy").onclick = async () => {
     try {
       await navigator.clipboard.writeText(byId("command").textContent);
       byId("copy").textContent = "copied";
@@ -322,20 +229,7 @@ function buildControls() {
       byId("copy").textContent = "selected";
     }
     setTimeout(() => { byId("copy").textContent = "copy"; }, 1500);
-  });
-}
-
-// Returns a handle to move a light.
-function handleOf(i) {
-  const label = `Light ${i + 1}: drag it, or use the arrow keys`;
-  const handle = button(String(i + 1), label, () => {});
-  handle.className = "handle";
-  dragged(handle, (dx, dy) => {
-    const behind = handle.classList.contains("behind") ? -1 : 1;
-    turn(state.lights[i], 0.45 * behind * dx, -0.45 * dy);
-  });
-  onKeys(handle, (right, down) => turn(state.lights[i], 5 * right, -5 * down));
-  return handle;
+  };
 }
 
 // Turns a light or the camera by angles in degrees.
@@ -397,8 +291,8 @@ function cutAt(fraction) {
 
 function listen() {
   dragged(canvas, (dx, dy) => {
-    const degrees = 0.4 / Math.sqrt(state.camera.zoom);
-    turn(state.camera, -degrees * dx, degrees * dy);
+    const angle = 0.4 / Math.sqrt(state.camera.zoom);
+    turn(state.camera, -angle * dx, angle * dy);
   }, zoom);
   canvas.addEventListener("wheel", event => {
     event.preventDefault();
@@ -406,38 +300,50 @@ function listen() {
   }, {passive: false});
   onKeys(canvas, (right, down) => turn(state.camera, -5 * right, 5 * down), {
     "+": () => zoom(1.1), "=": () => zoom(1.1), "-": () => zoom(1 / 1.1), "0": () => {
-      state.camera = {...facts.camera};
+      state.camera = firstState().camera;
       changed();
     }});
-  dragged(byId("cut"), (dx, dy, event) => cutAt(placeOf(event)[0]));
+  dragged(byId("cut"), (dx, dy, event) => cutAt(positionOf(event)[0]));
   onKeys(byId("cut"), right => cutAt(state.cut + 0.02 * right), {Home: () => cutAt(0), End: () => cutAt(1)});
   canvas.addEventListener("webglcontextlost", event => {
     event.preventDefault();  // Allows the browser to restore the context.
     showMessage("The graphics driver lost the image. The page draws it again when the driver is back.");
   });
   canvas.addEventListener("webglcontextrestored", () => attempt(() => {
-    drawing.start();
+    startDrawing();
     showMessage("");
     changed();
   }));
-  watchPointer();
-  byId("cost").addEventListener("click", () => attempt(measureCost));
-  byId("save").addEventListener("click", () =>
-    saveFile("explorer-cost.json", JSON.stringify(cost, null, 2)));
+  let rest = 0;  // Timer that selects the pixel under a resting pointer.
+  canvas.addEventListener("pointermove", event => {
+    clearTimeout(rest);
+    if (event.buttons) return;
+    rest = setTimeout(() => {
+      pointed = positionOf(event).map((each, i) => clamp(Math.floor(each * size[i]), 0, size[i] - 1));
+      plotHere();
+    }, 120);
+  });
+  canvas.addEventListener("pointerleave", () => {
+    clearTimeout(rest);
+    pointed = null;
+    plotHere();
+  });
+  byId("cost").onclick = () => attempt(measureCost);
+  byId("save").onclick = () => saveFile("explorer-cost.json", JSON.stringify(cost, null, 2));
   addEventListener("hashchange", () => restore(location.hash));
   new ResizeObserver(changed).observe(byId("viewport"));
 }
 
 function restore(fragment) {
-  const {state: found, unknown} = stateOf(fragment);
-  state = found;
-  byId("notes").textContent = unknown.length
-    ? `These parts of the URL are invalid and were ignored: ${unknown.join(", ")}.` : "";
+  const found = stateOf(fragment);
+  state = found.state;
+  byId("notes").textContent = found.unknown.length
+    ? `These parts of the URL are invalid and were ignored: ${found.unknown.join(", ")}.` : "";
   changed();
 }
 
 function fail(error) {
-  drawing = null;
+  isReady = false;
   awaited.splice(0).forEach(({reject}) => reject(error));
   showMessage(error instanceof Unable ? error.message : `Internal error: ${error.message}`);
   if (!(error instanceof Unable)) throw error;
@@ -454,15 +360,12 @@ async function attempt(action) {
 // For tests and for the browser's console, for example explorer.probe([[x, y]]).
 window.explorer = {
   get state() { return state; },
-  get size() { return drawing.size; },
-  get samples() { return drawing.samples; },
+  get size() { return size; },
   // error statistics of the current image, or a promise of these statistics
   errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
-  probe: places => drawing.probe(state, places),
-  pixels: which => drawing.read(drawing.targets[which]),
+  pixels: which => read(targets[which]),
   lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),
-  command: which => commandLine(state, which, drawing.size),
-  scene: which => sceneFile(state, which, drawing.size),
+  probe, command: commandLine, scene: sceneFile,
 };
 
 attempt(async () => {
@@ -475,10 +378,10 @@ attempt(async () => {
     throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): use Chrome 80, "
       + "Firefox 113, Safari 16.4 or later.");
   }
-  openContext(document.createElement("canvas"));  // Throws if a WebGL feature is missing.
-  const [parts, images, texts] = await held;
-  sources = texts;
-  drawing = new Drawing(canvas, parts, images);
+  openContext();  // Throws if a WebGL feature is missing.
+  [parts, images, sources] = await held;
+  startDrawing();
+  isReady = true;
   listen();
   showMessage("");
   changed();

@@ -1,62 +1,67 @@
-// The state of the page. The URL fragment stores the differences from the initial state as text.
+// The state of the page, the URL fragment that stores its differences from the first state, and the
+// command line and the scene file that draw the page's image.
+const facts = JSON.parse(document.getElementById("facts").textContent);  // explorer/page.py writes it.
+const {registry, ranges} = facts;
+
+const mapped = (table, value) =>
+  Object.fromEntries(Object.entries(table).map(([name, each]) => [name, value(each, name)]));
+
+const radians = degrees => degrees * Math.PI / 180;
+const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
+const isWithin = (value, [low, high]) => value >= low && value <= high;
+
+// Returns a number with six significant digits, and as text without trailing zeros.
+const rounded = x => +x.toPrecision(6);
+const short = x => String(rounded(x));
+
+// Returns a number as text of at most seven characters for an input, with two or more digits.
+function narrow(x) {
+  const texts = [6, 5, 4, 3, 2].map(digits => String(+x.toPrecision(digits)));
+  return texts.find(text => text.length <= 7) ?? texts.at(-1);
+}
+
+// Returns a number as text with three significant digits for display, never with an exponent.
+function figure(x) {
+  if (!Number.isFinite(x)) return "not finite";
+  if (x === 0) return "0";
+  if (Math.abs(x) < 0.001) return "< 0.001";
+  const digits = clamp(2 - Math.floor(Math.log10(Math.abs(x))), 0, 4);
+  return x.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits});
+}
+
+// Returns a literal of a float: GLSL ES does not convert integers to floats.
+const literal = x => /[.e]/.test(x) ? String(x) : `${x}.0`;
+
 const SHOWS = {wipe: "A | B", a: "A", b: "B", difference: "|A − B|"};
 const ONLY = {all: "all terms", specular: "specular"};
 const SWATCH = {a: "A", b: "B"};
 const MOST_GAIN = 4096;
-const {ranges} = facts;
+const POWER = ["g", "factor", "offset"];  // numbers that only the lobe g-power has
 
-const [firstModel] = Object.keys(registry.models);
-const [firstFresnel] = registry.fresnel;
-const [firstMasking] = registry.masking;
+const modelOf = term => registry.models[term.model];
+const isPower = term => term.lobe === "g-power";
+const lobeOf = term => registry.lobes[term.lobe];
+const lobeName = term => isPower(term)
+  ? `g-power ${term.g}, factor ${short(term.factor)}, offset ${short(term.offset)}` : term.lobe;
+// Returns a term with the factors for a part: m, f0 and ks of the term apply only to skin, a constant
+// m of the term to every part.
+const termOf = (part, term) => ({
+  ...term, ...!part.skin && {m: null, f0: null, ks: null},
+  ...term.constant !== null && {m: term.constant},
+});
 
-// m, f0, ks: null selects the value of the mesh file. constant: m of a plan for all parts, or null.
-const termWith = own =>
-  ({g: 8, factor: 0.25, offset: 0.5, m: null, f0: null, ks: null, constant: null, ...own});
-
-const isWithin = (value, [low, high]) => value >= low && value <= high;
-const within = range => text => {
-  const value = Number(text);
-  return text.trim() !== "" && isWithin(value, range) ? value : undefined;
-};
-const allWithin = table => Object.fromEntries(
-  Object.entries(table).map(([name, range]) => [name, within(range)]));
-const oneOf = names => text => names.includes(text) ? text : undefined;
+// A term's m, f0 and ks: null selects the value of the mesh file. constant: m of a plan for all parts,
+// or null. gain: null fits the gain to the largest error.
+const firstState = () => structuredClone({
+  ...facts.first, show: "wipe", only: "all", cut: 0.5, gain: null, budget: null, exposure: 0,
+});
+let state = firstState();
 
 // Parsers of the fields; they return undefined for invalid text.
-const TERM_FIELDS = {
-  model: oneOf(Object.keys(registry.models)),
-  lobe: oneOf([...Object.keys(registry.lobes), "g-power"]),
-  fresnel: oneOf(registry.fresnel),
-  masking: oneOf(registry.masking),
-  ...allWithin(ranges.term),
-  constant: text => text === "" ? null : within(ranges.term.m)(text),
-  g: text => Number.isInteger(Number(text)) ? within(ranges.term.g)(text) : undefined,
-};
-const CAMERA_FIELDS = allWithin(ranges.camera);
-const FIELDS = {
-  show: oneOf(Object.keys(SHOWS)),
-  only: oneOf(Object.keys(ONLY)),
-  cut: within([0, 1]),
-  gain: text => text === "" ? null : within([1, MOST_GAIN])(text),
-  budget: text => text === "" ? null : within([0, 255])(text),
-  exposure: within(ranges.exposure),
-};
-
-function firstState() {
-  return {
-    a: termWith(facts.shadings.a), b: termWith(facts.shadings.b),
-    show: "wipe", only: "all", cut: 0.5, gain: null, budget: null, exposure: 0,
-    camera: {...facts.camera},
-    lights: facts.lights.map(light => ({...light})),
-    ambient: [...facts.ambient],
-  };
-}
-
-const lightWords = ({azimuth, elevation, irradiance, radius, distance}) =>
-  [azimuth, elevation, ...irradiance, ...radius || distance !== null ? [radius] : [],
-    ...distance !== null ? [distance] : []].map(short).join(",");
-const lightsWords = lights => lights.map(lightWords).join(";") || "none";
-
+const oneOf = names => text => names.includes(text) ? text : undefined;
+const within = range => text =>
+  text.trim() !== "" && isWithin(Number(text), range) ? Number(text) : undefined;
+const optional = parse => text => text === "" ? null : parse(text);
 const isColour = values =>
   values.length === 3 && values.every(value => isWithin(value, ranges.light.irradiance));
 
@@ -69,69 +74,157 @@ function lightOf(text) {
   return good ? light : undefined;
 }
 
-const word = value => typeof value === "number" ? short(value) : value ?? "";
+const TERM_FIELDS = {
+  model: oneOf(Object.keys(registry.models)),
+  lobe: oneOf(Object.keys(registry.lobes)),
+  fresnel: oneOf(registry.fresnel),
+  masking: oneOf(registry.masking),
+  ...mapped(ranges.term, (range, name) => POWER.includes(name) ? within(range) : optional(within(range))),
+  g: text => Number.isInteger(Number(text)) ? within(ranges.term.g)(text) : undefined,
+};
+const TABLES = {a: TERM_FIELDS, b: TERM_FIELDS, camera: mapped(ranges.camera, within)};
+const FIELDS = {
+  lights(text) {
+    const lights = text === "none" ? [] : text.split(";").map(lightOf);
+    return lights.includes(undefined) || lights.length > facts.most_lights ? undefined : lights;
+  },
+  ambient(text) {
+    const ambient = text.split(",").map(Number);
+    return isColour(ambient) ? ambient : undefined;
+  },
+  show: oneOf(Object.keys(SHOWS)),
+  only: oneOf(Object.keys(ONLY)),
+  cut: within([0, 1]),
+  gain: optional(within([1, MOST_GAIN])),
+  budget: optional(within([0, 255])),
+  exposure: within(ranges.image.exposure),
+};
 
-function fragmentOf(state) {
+// Returns a value as text, which the parsers above read.
+function textOf(value) {
+  if (typeof value === "number") return short(value);
+  if (!Array.isArray(value)) return value ?? "";
+  if (typeof value[0] === "number") return value.map(short).join(",");
+  return value.map(({azimuth, elevation, irradiance, radius, distance}) => textOf([
+    azimuth, elevation, ...irradiance, ...radius || distance !== null ? [radius] : [],
+    ...distance !== null ? [distance] : [],
+  ])).join(";") || "none";
+}
+
+function fragmentOf() {
   const first = firstState();
-  const changes = (table, own) => Object.keys(table)
-    .filter(name => own[name] !== table[name])
-    .map(name => `${name}:${word(own[name])}`);
-  const words = [];
-  for (const which of ["a", "b"]) {
-    const own = changes(first[which], state[which])
-      .filter(word => state[which].lobe === "g-power" || !/^(g|factor|offset):/.test(word));
-    if (own.length) words.push(`${which}=${own.join(";")}`);
-  }
-  const camera = changes(first.camera, state.camera);
-  if (camera.length) words.push(`camera=${camera.join(";")}`);
-  const lists = ({lights, ambient}) =>
-    ({lights: lightsWords(lights), ambient: ambient.map(short).join(",")});
-  for (const [name, text] of Object.entries(lists(state))) {
-    if (text !== lists(first)[name]) words.push(`${name}=${text}`);
-  }
-  for (const name of Object.keys(FIELDS)) {
-    if (state[name] !== first[name]) words.push(`${name}=${word(state[name])}`);
-  }
-  return words.join("&");
+  const changes = (fields, now, before, sign) => Object.keys(fields)
+    .filter(name => textOf(now[name]) !== textOf(before[name]))
+    .map(name => `${name}${sign}${textOf(now[name])}`);
+  const words = Object.entries(TABLES).map(([table, fields]) => {
+    const used = changes(fields, state[table], first[table], ":")
+      .filter(word => isPower(state[table]) || !POWER.includes(word.split(":")[0]));
+    return used.length ? `${table}=${used.join(";")}` : "";
+  });
+  return [...words.filter(Boolean), ...changes(FIELDS, state, first, "=")].join("&");
 }
 
 // Returns the state of a URL fragment, and the invalid parts of the fragment.
 function stateOf(fragment) {
-  const state = firstState();
+  const result = firstState();
   const unknown = [];
   const assign = (into, fields, [name, text = ""], words) => {
     const value = Object.hasOwn(fields, name) ? fields[name](text) : undefined;
     if (value === undefined) unknown.push(words);
     else into[name] = value;
   };
-  const lists = {
-    lights(text) {
-      const lights = text === "none" ? [] : text.split(";").map(lightOf);
-      return lights.includes(undefined) || lights.length > facts.most_lights ? undefined : lights;
-    },
-    ambient(text) {
-      const ambient = text.split(",").map(Number);
-      return isColour(ambient) ? ambient : undefined;
-    },
-  };
   for (const pair of decodeURIComponent(fragment.replace(/^#/, "")).split("&").filter(Boolean)) {
     const [name, text = ""] = pair.split("=");
-    const table = {a: TERM_FIELDS, b: TERM_FIELDS, camera: CAMERA_FIELDS}[name];
-    if (!table) assign(state, {...FIELDS, ...lists}, [name, text], pair);
+    if (!TABLES[name]) assign(result, FIELDS, [name, text], pair);
     else for (const each of text.split(";")) {
-      assign(state[name], table, each.split(":"), `${SWATCH[name] ?? name} ${each}`);
+      assign(result[name], TABLES[name], each.split(":"), `${SWATCH[name] ?? name} ${each}`);
     }
   }
-  return {state, unknown};
+  return {state: result, unknown};
 }
 
 // Returns the reason why facerender render refuses m of a term; "" if m is in the domain of the lobe.
 function outsideDomain(term) {
   const highest = Math.max(...facts.parts.map(part => termOf(part, term).m ?? part.slopes[1]));
   const {k} = modelOf(term);
-  const lobe = lobeOf(term);
-  const end = lobe.ends[k];
-  const inside = lobe.open.includes(k) ? highest < end : highest <= end * (1 + 1e-6);
+  const {ends: {[k]: end}, open} = lobeOf(term);
+  const inside = open.includes(k) ? highest < end : highest <= end * (1 + 1e-6);
   return inside ? "" : `m reaches ${figure(highest)}, but ${lobeName(term)} is valid only up to `
     + `${figure(end)} with this model: facerender render needs --outside exact`;
+}
+
+const fieldsOf = (term, names, isSet) =>
+  Object.fromEntries(names.filter(name => isSet(term[name], name)).map(name => [name, term[name]]));
+const materialFields = term =>
+  mapped(fieldsOf(term, ["m", "f0", "ks"], value => value !== null), rounded);
+
+// Returns the fields of the shading that differ from their defaults, keyed by their names in TOML.
+const shadingFields = term => ({
+  ...term.constant !== null && {m: rounded(term.constant)},
+  ...fieldsOf(term, ["model", "lobe", ...modelOf(term).factors ? ["fresnel", "masking"] : []],
+    (value, name) => value !== registry.defaults[name]),
+});
+
+// Returns the arguments of an image that a scene file does not contain.
+const imageWords = which => [
+  ...state.exposure ? [`--exposure ${short(state.exposure)}`] : [],
+  ...state.only === "all" ? [] : [`--only ${state.only}`],
+  `--size ${size.join("x")}`, `-o ${which}.png`,
+];
+
+// Returns the position of a point light in the mesh file's space.
+const pointOf = light => scaledBy(directionTo(light), light.distance * facts.radius)
+  .map((x, i) => rounded(x + facts.center[i]));
+
+// Returns the command-line arguments of the mesh, without the roughness map if the term sets m.
+function meshWords(term) {
+  const {roughness_map: roughness, ...others} = facts.mesh.maps;
+  return [facts.mesh.shell, ...Object.values(others), term.m === null && roughness].filter(Boolean);
+}
+
+// The page draws no shadows, so its command and its scene file turn them off.
+function commandLine(which) {
+  const term = state[which];
+  const {azimuth, elevation, zoom, fov} = state.camera;
+  const options = table => Object.entries(table).map(([name, value]) => `--${name} ${value}`);
+  // Some values have no option: the command needs the scene file.
+  const needsFile = isPower(term) || term.constant !== null || !state.lights.length
+    || facts.mesh.pose !== "" || facts.mesh.material.length > 0;
+  return [
+    "facerender render", ...meshWords(term),
+    ...needsFile ? [`--scene ${which}.toml`] : options(shadingFields(term)),
+    ...options(materialFields(term)),
+    ...state.lights.map(light => {
+      const place = light.distance === null
+        ? `${short(light.azimuth)},${short(light.elevation)}` : `point:${pointOf(light)}`;
+      const radius = light.radius ? `,radius=${short(light.radius)}` : "";
+      return `--light ${place},${light.irradiance.map(short)}${radius},no-shadow`;
+    }),
+    `--ambient ${state.ambient.map(short)}`, `--background ${facts.background.map(short)}`,
+    `--camera ${[azimuth, elevation, zoom].map(short)}`, `--fov ${short(fov)}`,
+    ...options(facts.aim), ...imageWords(which),
+  ].join(" \\\n    ");
+}
+
+function sceneFile(which) {
+  const term = state[which];
+  const toml = value => Array.isArray(value) ? `[${value.join(", ")}]` : JSON.stringify(value);
+  const lines = table => Object.entries(table).map(([name, value]) => `${name} = ${toml(value)}`);
+  const section = (name, words) => words.length ? ["", `[${name}]`, ...words] : [];
+  const lights = state.lights.map(light => `    { ${lines({
+    ...light.distance === null ? {azimuth: rounded(light.azimuth), elevation: rounded(light.elevation)}
+      : {position: pointOf(light)},
+    irradiance: light.irradiance.map(rounded), ...light.radius && {radius: rounded(light.radius)},
+    shadow: false,
+  }).join(", ")} },\n`);
+  const power = `{ g = ${term.g}, factor = ${literal(term.factor)}, offset = ${literal(term.offset)} }`;
+  return [
+    `# ${["facerender render", ...meshWords(term), `--scene ${which}.toml`, ...imageWords(which)].join(" ")}`,
+    ...lines({ambient: state.ambient.map(rounded), background: facts.background.map(rounded)}),
+    lights.length ? `lights = [\n${lights.join("")}]` : "lights = []",
+    ...section("camera", lines({...mapped(state.camera, rounded), ...facts.aim})),
+    ...section("material", [...facts.mesh.material, ...lines(materialFields(term))]),
+    ...section("shading", lines(shadingFields(term))).map(line => line.replace('"g-power"', power)),
+    ...facts.mesh.pose ? ["", facts.mesh.pose.trimEnd()] : [],
+  ].join("\n") + "\n";
 }
