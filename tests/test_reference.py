@@ -15,9 +15,12 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing import reference
 from facerender.drawing.context import Backend
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.program import Program
 from facerender.drawing.resolve import resolve
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
+from facerender.scenes.view import view_of
 from tests.verification.lights import PLAIN_THREE
 
 
@@ -79,6 +82,12 @@ def compared(
     np.testing.assert_array_equal(shadowed == 1.0, [not light.shadow for light in scene.lights])
     expected = reference.shade(gbuffer, scene, shading)[covered]
     return gbuffer, expected, np.abs(linear[covered][:, :3] - expected) / expected.clip(0.01)
+
+
+def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
+    """Return the programs that the renderer compiles for a scene."""
+    drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
+    return [draw.program for draw in drawn.draws]
 
 
 @pytest.fixture(scope="module")
@@ -304,6 +313,8 @@ def test_disabled_feature_equals_a_scene_without_it(floats, head, material, chan
     plain = fr.Scene(head, fr.Camera(zoom=2.5), PLAIN_THREE)
     scene = replace(plain, mesh=head.with_material(**material), **changes)
     full, without, none = fr.Shading(), fr.Shading(**off), floats.render(plain).linear
+    assert programs_of(scene, without) == programs_of(plain, full)
+    assert programs_of(scene, full) != programs_of(plain, full) or "scattering" in material
     np.testing.assert_array_equal(floats.render(scene, without).linear, none)
     assert np.abs(floats.render(scene, full).linear - none).mean() > least
 

@@ -125,6 +125,10 @@ def test_published_forms_agree_where_they_are_valid(evaluate, model, file, call,
     np.testing.assert_allclose(result[sound], expected[sound], rtol=2e-3, atol=1e-5)
 
 
+def functions(code: str) -> list[str]:
+    return re.findall(r"^\w+ (\w+)\([^;]*\)\s*\{", code, re.MULTILINE)
+
+
 def test_every_reference_function_exists_in_glsl():
     source = "".join(path.read_text() for path in FILES)
     host_only = {"check_slope", "in_domain", "max_slope"}
