@@ -220,6 +220,10 @@ def write_stl(path: Path, head: Head) -> Path:
 
 # --- glTF ----------------------------------------------------------------------------------------
 
+KINDS = {"|i1": 5120, "<i1": 5120, "|u1": 5121, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125}
+KINDS["<f4"] = 5126
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
 
 def gltf(
     head: Head,
@@ -299,6 +303,90 @@ def join_glb(document: Mapping[str, Any], binary: bytes) -> bytes:
 def split_glb(data: bytes) -> tuple[dict[str, Any], bytes]:
     (length,) = struct.unpack_from("<I", data, 12)
     return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+class Glb:
+    """A glTF document and its buffer, to which accessors, clips and meshes can be added."""
+
+    def __init__(self, *nodes: dict[str, Any]) -> None:
+        self.binary = b""
+        lists: dict[str, Any] = {"meshes": [], "accessors": [], "bufferViews": []}
+        self.document: dict[str, Any] = {
+            "asset": {"version": "2.0"},
+            "scenes": [{"nodes": [0]}],
+            "nodes": list(nodes),
+            "buffers": [{"byteLength": 0}],
+            **lists,
+        }
+
+    def view(self, values: Any, **more: Any) -> int:
+        """Add a buffer view of bytes or of an array."""
+        content = values if isinstance(values, bytes) else np.ascontiguousarray(values).tobytes()
+        self.binary += bytes(-len(self.binary) % 4)
+        self.document["bufferViews"].append(
+            {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content), **more}
+        )
+        self.binary += content
+        self.document["buffers"][0]["byteLength"] = len(self.binary)
+        return len(self.document["bufferViews"]) - 1
+
+    def add(self, values: Any, kind: str = "<f4", sparse: bool = False, **more: Any) -> int:
+        """Add an accessor of the values, or only of the rows that are not 0."""
+        values = np.asarray(values, kind)
+        values = values.reshape(len(values), -1)
+        names = {width: name for name, width in WIDTHS.items()}
+        entry = {"componentType": KINDS[kind], "count": len(values), **more}
+        entry["type"] = names[values.shape[1]]
+        if sparse:
+            rows = np.flatnonzero(values.any(axis=1))
+            entry["sparse"] = {
+                "count": len(rows),
+                "indices": {"bufferView": self.view(rows.astype("<u2")), "componentType": 5123},
+                "values": {"bufferView": self.view(values[rows])},
+            }
+        elif "bufferView" not in more:
+            entry["bufferView"] = self.view(values)
+        self.document["accessors"].append(entry)
+        return len(self.document["accessors"]) - 1
+
+    def mesh(self, *primitives: dict[str, Any], **more: Any) -> int:
+        self.document["meshes"].append({"primitives": list(primitives), **more})
+        return len(self.document["meshes"]) - 1
+
+    def primitive(
+        self, positions: Any, faces: Any, normals: Any = None, **attributes: int
+    ) -> dict[str, Any]:
+        own = {"POSITION": self.add(positions)}
+        if normals is not None:
+            own["NORMAL"] = self.add(normals)
+        return {"attributes": {**own, **attributes}, "indices": self.add(np.ravel(faces), "<u2")}
+
+    def skin(self, joints: Sequence[int], inverse: Any = None) -> None:
+        """Add a skin; ``inverse`` (N, 4, 4) are its inverse bind matrices, by columns."""
+        more = {} if inverse is None else {"inverseBindMatrices": self.add(inverse)}
+        self.document.setdefault("skins", []).append({"joints": [*joints], **more})
+
+    def clip(self, *channels: Any, **more: Any) -> dict[str, Any]:
+        """Add an animation; a channel is (node, path, times, values, interpolation)."""
+        animation: dict[str, Any] = {"channels": [], "samplers": [], **more}
+        for node, path, times, values, *interpolation in channels:
+            rows = np.ravel(values) if path == "weights" else values
+            sampler = {"input": self.add(times), "output": self.add(rows)}
+            if interpolation:
+                sampler["interpolation"] = interpolation[0]
+            number = len(animation["samplers"])
+            animation["samplers"].append(sampler)
+            animation["channels"].append(
+                {"sampler": number, "target": {"node": node, "path": path}}
+            )
+        self.document.setdefault("animations", []).append(animation)
+        return animation
+
+    def content(self) -> bytes:
+        return join_glb(self.document, self.binary + bytes(-len(self.binary) % 4))
+
+    def load(self) -> fr.Mesh:
+        return fr.load_mesh(self.content(), kind="glb")
 
 
 def write_glb(path: Path, head: Head, *args: Any, **options: Any) -> Path:
