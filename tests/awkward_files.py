@@ -48,27 +48,6 @@ class Head:
         heights = self.positions[self.faces].mean(axis=1)[:, 1]
         return np.asarray(heights > np.median(heights))
 
-    def flat(self) -> Head:
-        """Return the head with three vertices and one normal for every face."""
-        corners = self.positions[self.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        return Head(
-            positions=corners.reshape(-1, 3),
-            normals=np.repeat(normals, 3, axis=0),
-            uv=self.uv[self.faces].reshape(-1, 2),
-            faces=np.arange(self.faces.size).reshape(-1, 3),
-            skin=self.skin,
-        )
-
-    def z_up(self) -> Head:
-        """Return the head with z up, for a file whose node rotates it by Z_UP."""
-        return replace(
-            self,
-            positions=self.positions[:, [0, 2, 1]] * (1, -1, 1),
-            normals=self.normals[:, [0, 2, 1]] * (1, -1, 1),
-        )
-
     def with_faces(self, faces: Ints) -> Head:
         return replace(self, faces=faces)
 
