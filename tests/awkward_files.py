@@ -413,6 +413,17 @@ def write_draco(path: Path, head: Head) -> Path:
 # --- images --------------------------------------------------------------------------------------
 
 
+def flat(*color: int) -> Image.Image:
+    """Return an image of 4 x 4 pixels of one colour."""
+    mode = {1: "L", 3: "RGB", 4: "RGBA"}[len(color)]
+    return Image.new(mode, (4, 4), color if len(color) > 1 else color[0])
+
+
+def texels(texture: fr.Texture | None) -> Ints:
+    assert texture is not None
+    return np.asarray(texture.rgb()).astype(int)
+
+
 def write_png16(path: Path, texels: NDArray[np.uint16]) -> Path:
     """Write a 16-bit RGB PNG file, which Pillow cannot write."""
     height, width, _ = texels.shape

@@ -16,7 +16,7 @@ from PIL import Image
 import facerender as fr
 from facerender.loading.gltf_features import EXTENSIONS, FEATURES
 from tests import awkward_files as files
-from tests.awkward_files import mini_head
+from tests.awkward_files import flat, mini_head, texels
 from tests.test_hostile_mesh import loaded, refused
 
 Case = Callable[[Path], None]
@@ -71,16 +71,6 @@ class File(files.Glb):
 
 def plain():
     return fr.load_mesh(files.MINI_HEAD)
-
-
-def flat(*color):
-    mode = {1: "L", 3: "RGB", 4: "RGBA"}[len(color)]
-    return Image.new(mode, (4, 4), color if len(color) > 1 else color[0])
-
-
-def texels(texture):
-    assert texture is not None
-    return np.asarray(texture.rgb())
 
 
 def same_shape(mesh, other, tolerance=1e-06):

@@ -12,9 +12,8 @@ from PIL import Image
 
 import facerender as fr
 from facerender.loading.mtl import DEPTH
-from facerender.scenes.material import SKIN_ALBEDO
 from tests import awkward_files as files
-from tests.awkward_files import mini_head
+from tests.awkward_files import flat, mini_head, texels
 from tests.test_hostile_mesh import loaded
 from tests.verification.fuzz.seeds import octahedron
 
@@ -34,12 +33,7 @@ def material(folder, mtl, **images):
     return mesh.materials[0]
 
 
-@pytest.mark.parametrize(
-    ("encoding", "name"),
-    [
-        *(("utf-8-sig", "größe"), ("cp1252", "größe…")),
-    ],
-)
+@pytest.mark.parametrize(("encoding", "name"), [("utf-8-sig", "größe"), ("cp1252", "größe…")])
 def test_names_beyond_ascii(encoding, name, tmp_path):
     """Neither OBJ nor MTL files state their encoding."""
     Image.new("RGB", (2, 2), "red").save(tmp_path / f"{name}.png")
@@ -50,17 +44,6 @@ def test_names_beyond_ascii(encoding, name, tmp_path):
     mesh, messages = loaded(path)
     assert messages == []
     assert (texels(mesh.materials[0].albedo_map) == (255, 0, 0)).all()
-
-
-def texels(texture):
-    assert texture is not None
-    return np.asarray(texture.rgb()).astype(int)
-
-
-def flat(*color):
-    return Image.new(
-        {1: "L", 3: "RGB", 4: "RGBA"}[len(color)], (4, 4), color[0] if len(color) == 1 else color
-    )
 
 
 def test_factors(tmp_path):
@@ -176,24 +159,6 @@ def test_a_bump_map_may_be_a_normal_map(tmp_path):
     np.testing.assert_array_equal(texels(found.normal_map), np.asarray(image)[::-1])
 
 
-def test_bump_map_is_visible(tmp_path, renderer):
-    """With an MTL file as MakeHuman writes it, the bump map increases the image's contrast."""
-    mtl = "Ka 1 1 1\nKd 0.8 0.6 0.5\nKs 0.5 0.5 0.5\nNs 20\nd 1\nillum 2\n"
-    texture = np.random.default_rng(0).random((64, 64))
-    bumps = Image.fromarray((255 * texture).astype(np.uint8)).resize((512, 512), Image.BICUBIC)
-    plain = material(tmp_path, mtl)
-    mesh, messages = load(tmp_path, mtl + "map_Bump pores.png", mini_head(), pores=bumps)
-    assert messages == []
-    assert plain.normal_map is None
-
-    def roughness(mesh):
-        picture = renderer.render(fr.Scene(mesh, background=(0, 0, 0))).linear[..., 1]
-        return float(np.abs(np.diff(picture, axis=1)).mean())
-
-    without = roughness(mesh.with_material(normal_map=None))
-    assert roughness(mesh) > 1.25 * without
-
-
 def test_a_udim_tile_on_several_tiles_causes_a_warning(tmp_path):
     head = mini_head()
     Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "skin.1001.png")
@@ -226,10 +191,7 @@ def test_damaged_bump_map_is_refused(tmp_path):
 
 
 def test_hostile_statements(tmp_path):
-    """Invalid statements cause no exception, and a missing map causes a warning."""
+    """Invalid statements cause no exception."""
     for mtl in ("map_Kd", "map_Kd -s", "bump -bm", "Ns inf", "Ke 1e308 0 0", "d 1e400", "Ks -1"):
         mesh, _ = load(tmp_path, mtl)
         assert math.isfinite(mesh.materials[0].m)
-    mesh, messages = load(tmp_path, "map_Kd nowhere.png")
-    assert len(messages) == 1
-    assert mesh.materials[0].albedo == SKIN_ALBEDO
