@@ -129,16 +129,6 @@ def test_vertices_are_finite_and_faces_look_outwards(head: fr.Mesh):
     assert 0.004 < volume < 0.009, "m^3; a head and neck hold 5 to 8 litres"
 
 
-def test_rims_of_the_ears_are_round(head: fr.Mesh):
-    """Normals must not turn much along an edge, or the silhouette shows notches."""
-    skin = part_of(head)
-    edges = skin.faces[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
-    outer = np.abs(skin.positions[edges].mean(1)[:, 0]) > 0.078
-    start, end = np.moveaxis(skin.normals[edges[outer]], 1, 0)
-    turn = np.degrees(np.arccos(np.clip((start * end).sum(1), -1, 1)))
-    assert (turn > 45).mean() < 0.01
-
-
 def test_head_is_in_metres_and_faces_z(head: fr.Mesh):
     lowest, highest = (0.14, 0.25, 0.18), (0.24, 0.32, 0.24)  # width, height, depth
     places = part_of(head).positions
@@ -239,19 +229,6 @@ def eye_distance(eye: MeasuredEye, points: np.ndarray) -> np.ndarray:
     return np.minimum(sclera, np.linalg.norm(points - (0, 0, apex - 7.8), axis=-1) - 7.8)
 
 
-def test_lids_are_open_naturally(eye: MeasuredEye):
-    """In mm. The edge of the lids is the foremost skin of each column of the opening."""
-    skin = eye.vertices("head")
-    shell = np.linalg.norm(skin, axis=1)
-    middle = skin[(np.abs(skin[:, 0]) < 1.5) & (shell < 15) & (skin[:, 2] > 9)]
-    upper = middle[middle[:, 1] > 0][:, 1].min()
-    lower = middle[middle[:, 1] < 0][:, 1].max()
-    assert 3.6 < upper < 4.4, "the upper lid covers the top of the iris, whose radius is 6 mm"
-    assert -6.0 < lower < -5.0, "the inner edge of the lower margin"
-    edge = lower - 0.55  # front edge
-    assert 9.5 < upper - edge < 11.0
-
-
 def visible(
     mesh: fr.Mesh, azimuth: float, elevation: float, middle: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -320,24 +297,6 @@ def test_shapes_are_named_and_stored_sparsely(head: fr.Mesh, description: dict[s
             assert accessor["min"] == pytest.approx(moves.min(0).tolist(), abs=1e-8)
             assert accessor["max"] == pytest.approx(moves.max(0).tolist(), abs=1e-8)
             assert 0.003 < np.abs(moves).max() < 0.03, "m"
-
-
-@pytest.mark.parametrize(
-    ("part", "left", "right"),
-    [*(("head", *pair) for pair in (BLINKS, SMILES, FROWNS)), ("lash-strands", *BLINKS)],
-)
-def test_left_and_right_shapes_are_mirrored(head: fr.Mesh, part: str, left: str, right: str):
-    from scipy.spatial import cKDTree
-
-    vertices = part_of(head, part).positions
-    moves, others = (moves_of(head, name, part) for name in (left, right))
-    at = moves.any(1)
-    assert np.average(vertices[:, 0], weights=np.linalg.norm(moves, axis=1)) > 0.015, "its own left"
-    distance, nearest = cKDTree(vertices * (-1, 1, 1)).query(vertices[at])
-    # The head is asymmetric by up to 1.5 mm, and so are the right eye's lids.
-    assert np.median(distance) < 0.0012
-    difference = np.linalg.norm(moves[at] - others[nearest] * (-1, 1, 1), axis=1)
-    assert np.percentile(difference, 90) < 0.25 * np.linalg.norm(moves, axis=1).max()
 
 
 @pytest.mark.first_case
@@ -443,31 +402,6 @@ def test_mouth_is_closed_at_rest_and_has_a_lining(head: fr.Mesh):
             assert count > 300 if weight else count <= 3, view
 
 
-def test_smile_lifts_the_corner_of_the_mouth(head: fr.Mesh):
-    upper, _ = lips(head)
-    vertices = part_of(head).positions
-    for name, corner, side in zip(SMILES, upper[[-1, 0]], (1, -1), strict=True):
-        moves = moves_of(head, name)
-        out, up, ahead = moves[corner] * (side, 1, 1)
-        assert 0.003 < out < 0.008
-        assert 0.003 < up < 0.008
-        assert -0.006 < ahead < -0.002
-        cheek = np.linalg.norm(vertices - (side * 0.036, -0.036, 0.08), axis=1) < 0.015
-        assert moves[cheek].mean(0)[1:].min() > 0.001, "the cheek moves up and forward"
-        both = np.abs(moves[upper[np.abs(vertices[upper, 0]) < 0.003]])
-        assert both.max() < 0.002, "the middle of the lips stays"
-
-
-def test_inner_brows_go_up(head: fr.Mesh):
-    vertices, moves = part_of(head).positions, moves_of(head, "browInnerUp")
-    at_brow = (np.abs(vertices[:, 1] - 0.0165) < 0.003) & (vertices[:, 2] > 0.06)
-    side = np.abs(vertices[:, 0])
-    assert moves[at_brow & (np.abs(side - 0.012) < 0.003), 1].mean() > 0.004
-    assert np.abs(moves[side > 0.045]).max() < 0.001
-    for name in FROWNS:
-        assert moves_of(head, name)[at_brow, 1].min() < -0.003
-
-
 @pytest.mark.first_case
 @pytest.mark.parametrize("name", SHAPES["head"])
 def test_shapes_do_not_fold_the_skin(head: fr.Mesh, name: str):
@@ -498,27 +432,21 @@ def one_sided_distance(points: np.ndarray, others: np.ndarray) -> float:
     return float(cKDTree(others).query(points)[0].max())
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, fr.Mesh]:
-    """Heads that the generator makes now; with textures of 512 texels, which take seconds."""
+@pytest.mark.slow
+def test_generator_still_makes_the_committed_head(head: fr.Mesh, tmp_path: Path):
+    """The textures have 512 texels, which take seconds."""
     require_module("skimage")
     from tools.head.__main__ import write_head
     from tools.head.surface import build_mesh
 
-    folder = tmp_path_factory.mktemp("heads")
     closed = build_mesh()
-    for name in ("open", "again", "closed"):
-        path = folder / f"{name}.glb"
-        write_head(path, closed, open_eyes=name != "closed", texture_size=512, seed=7)
-    assert (folder / "open.glb").read_bytes() == (folder / "again.glb").read_bytes()
-    return {name: fr.load_mesh(folder / f"{name}.glb") for name in ("open", "closed")}
-
-
-@pytest.mark.slow
-def test_generator_still_makes_the_committed_head(head: fr.Mesh, made: dict[str, fr.Mesh]):
+    first, again = tmp_path / "first.glb", tmp_path / "again.glb"
+    for path in (first, again):
+        write_head(path, closed, open_eyes=True, texture_size=512, seed=7)
+    assert first.read_bytes() == again.read_bytes()
     # Other library versions may place vertices elsewhere on the same surface, at most half an edge
     # (1 to 4 mm) away.
-    opened = made["open"]
+    opened = fr.load_mesh(first)
     assert tuple(part.name for part in opened.parts) == PARTS
     for name in PARTS:
         vertices, committed = (part_of(mesh, name).positions for mesh in (opened, head))
@@ -527,24 +455,3 @@ def test_generator_still_makes_the_committed_head(head: fr.Mesh, made: dict[str,
     for name in MAPS:
         mean, committed = (texels(mesh, name).mean((0, 1)) for mesh in (opened, head))
         assert mean == pytest.approx(committed, abs=2.0), f"{name}, of 255"
-
-
-@pytest.mark.slow
-def test_eyes_change_nothing_else(made: dict[str, fr.Mesh]):
-    opened, closed = made["open"], made["closed"]
-    assert [part.name for part in closed.parts] == ["head"]
-
-    def rows(mesh: fr.Mesh) -> np.ndarray:
-        """Vertices with their texture coordinates outside the eyes, sorted."""
-        x, y, z = part_of(mesh).positions.T
-        outside = (np.hypot((np.abs(x) - 0.032) / 0.026, y / 0.018) > 1) | (z < 0.03)
-        found = np.column_stack([x, y, z, part_of(mesh).uv])[outside]
-        return found[np.lexsort(found.T)]
-
-    np.testing.assert_array_equal(rows(opened), rows(closed))
-    for name in MAPS:
-        changed = (np.abs(texels(opened, name) - texels(closed, name)) > 12).any(2)
-        assert 0.002 < changed.mean() < 0.05, f"{name}: the eyes, and no other texels"
-        lines, columns = np.nonzero(changed)
-        assert np.ptp(lines) < 0.15 * len(changed), f"{name}: at the height of the eyes"
-        assert np.ptp(columns) < 0.45 * len(changed)

@@ -13,7 +13,6 @@ import re
 import struct
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -39,6 +38,10 @@ PLY = (
     "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
     "property float z\nelement face {count}\nproperty list uchar int vertex_indices\nend_header\n"
     "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+)
+
+WITH_UV = re.sub(r"^([01] [01] [01])$", r"\1 0.5 0.5", PLY.format(count=2), flags=re.M).replace(
+    "float z\n", "float z\nproperty float s\nproperty float t\n"
 )
 
 
@@ -124,8 +127,6 @@ DAMAGED = [
     ({"bufferViews": [7]}, r"bufferViews\[0\] = 7 is not an object"),
     ({"bufferViews.0.byteOffset": "x"}, r"\[0\]\.byteOffset = 'x' is not an integer >= 0"),
     ({"bufferViews.0.byteOffset": -4}, "= -4 is not an integer >= 0"),
-    ({"bufferViews.0.byteOffset": 1e300}, "not an integer >= 0"),
-    ({"meshes.0.primitives.0": 3}, r"primitives\[0\] = 3 is not an object"),
     ({f"{PBR}.metallicRoughnessTexture": 5}, "metallicRoughnessTexture = 5 is not an object"),
     ({"materials.0.normalTexture": {"index": 1}}, r"normalTexture\.index = 1 is not an index"),
     ({"textures.0.source": 9}, "source = 9 is not an index"),
@@ -143,7 +144,6 @@ DAMAGED = [
     ({"meshes.0.primitives.0.attributes.POSITION": 2}, "POSITION has the wrong type"),
     ({"accessors.1.count": 7}, "NORMAL has 7 entries, POSITION has 3444"),
     ({"nodes.0.children": [0]}, r"nodes\[0\] has two parents, or is its own ancestor"),
-    ({"scenes.0.nodes": [0, 0]}, r"nodes\[0\] has two parents, or is its own ancestor"),
     ({"scene": 1}, "scene = 1 is not an index into the 1 scenes"),
     ({"nodes.0.scale": [1, 1]}, r"scale = \[1, 1\] is not 3 numbers"),
     ({"nodes.0.translation": [float("nan"), 0, 0]}, r"translation\[0\] = nan is not a number"),
@@ -240,11 +240,7 @@ def test_sizes_of_large_maps_are_named(write_mesh, tmp_path):
         path.write_bytes(path.read_bytes() + b"f 1/1 2/1 3/1\n")
     else:
         comment = "comment TextureFile wide.png\nelement vertex"
-        text = PLY.format(count=1).replace("element vertex", comment)
-        text = text.replace("float z\n", "float z\nproperty float s\nproperty float t\n")
-        for row in ("0 0 0", "1 0 0", "0 1 0", "0 0 1"):
-            text = text.replace(f"\n{row}\n", f"\n{row} 0 1\n")
-        write(path, text + "3 0 1 2\n")
+        write(path, WITH_UV.replace("element vertex", comment) + "3 0 1 2\n3 0 1 3\n")
     Image.new("1", (20000, 4)).save(tmp_path / "wide.png")
     text = refused(path)
     assert f"wide.png (named by a.{write_mesh}) is 20000 x 4 pixels of 4 bytes: at most 16" in text
@@ -411,9 +407,6 @@ def binary_ply(kind, faces):
 
 
 VERTEX = "element vertex 3\nproperty float x\n"
-WITH_UV = re.sub(r"^([01] [01] [01])$", r"\1 0.5 0.5", PLY.format(count=2), flags=re.M).replace(
-    "float z\n", "float z\nproperty float s\nproperty float t\n"
-)
 STL = files.stl(mini_head())
 REFUSED = [
     ("a.ply", ply(VERTEX.replace("3", "99999999999")), "declares at least 199999999998 bytes"),
@@ -480,13 +473,6 @@ def test_bytes_after_the_triangles_of_an_stl(tmp_path, header):
     mesh, messages = loaded(write(tmp_path / "a.stl", data + b"xyz"))
     assert messages == ["a.stl has 3 bytes after its 6722 triangles: ignored"]
     assert len(mesh.parts[0].faces) == 6722
-
-
-@pytest.mark.parametrize("line", [b"f 1 2 " + b"9" * 400, b"v " + b"1" * 400 + b" x 0", b"\0" * 99])
-def test_invalid_lines_of_obj(line, tmp_path):
-    path = write(tmp_path / "a.obj", TRIANGLE + line + b"\nf 1 2 3\n")
-    with suppress(fr.InputError):
-        loaded(path)
 
 
 # --- other file types ----------------------------------------------------------------------------

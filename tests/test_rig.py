@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -126,19 +125,6 @@ def targets_of(file, count, vertices, seed, normals=True, sparse=False):
     return found
 
 
-def animated_morph_cube():
-    file = Glb({"mesh": 0, "rotation": [HALF, 0, 0, HALF], "scale": [100, 100, 100]})
-    primitive = file.primitive(*cube(0.02))
-    primitive["targets"] = targets_of(file, 2, 24, 1)
-    for target in primitive["targets"]:
-        file.document["accessors"][target["POSITION"]]["componentType"] = 5126
-    file.mesh(primitive, extras={"targetNames": ["thin", "angle"]}, weights=[0, 0])
-    rng = np.random.default_rng(2)
-    values = 0.02 * rng.random((7, 3, 2))
-    file.clip((0, "weights", np.arange(7) / 3.0, values, "CUBICSPLINE"), name="Square")
-    return file
-
-
 def morph_stress():
     """Eight named targets on two primitives, three clips, and stored weights."""
     names = [f"Key {i}" for i in range(1, 9)]
@@ -150,8 +136,9 @@ def morph_stress():
         primitives[-1]["targets"] = targets_of(file, 8, len(places), seed)
     file.mesh(*primitives, extras={"targetNames": names}, weights=[1.0] * 8)
     rng = np.random.default_rng(5)
-    for name in ("Individuals", "TheWave", "Pulse"):
+    for name in ("Individuals", "TheWave"):
         file.clip((0, "weights", [0, 0.5, 2], rng.random((3, 8))), name=name)
+    file.clip((0, "weights", [0, 0.5, 2], rng.random((3, 3, 8)), "CUBICSPLINE"), name="Pulse")
     return file
 
 
@@ -303,7 +290,6 @@ SAMPLES = [
     animated_cube,
     box_animated,
     interpolation_test,
-    animated_morph_cube,
     morph_stress,
     rigged_simple,
     recursive_skeletons,
@@ -752,21 +738,15 @@ def of_a_matrix(file, _):
 DAMAGED = {
     "backwards": (with_keys([1, 0]), "the times run backwards"),
     "nan time": (with_keys([0, math.nan]), "has a value that is not finite"),
-    "infinite time": (with_keys([0, math.inf]), "has a value that is not finite"),
     "negative time": (with_keys([-1, 0]), "the first time is below 0"),
-    "nan value": (
-        with_keys(values=[(0, 0, 0), (0, math.nan, 0)]),
-        "has a value that is not finite",
-    ),
+    "nan value": (with_keys(values=[(0, 0, 0), (0, math.nan, 0)]), "a value that is not finite"),
     "few values": (with_keys([0, 1, 2]), "the values have the shape (2, 3) for 3 keys"),
     "cubic": (with_keys(interpolation="CUBICSPLINE"), "the values have the shape (2, 3) for 2"),
     "no times": (with_keys(np.zeros((2, 3))), "the times have the shape (2, 3)"),
-    "wide": (with_keys(values=np.ones((2, 4))), "the values have the shape (2, 4) for 2 keys"),
     "kind": (with_keys(interpolation="SLOW"), "interpolation 'SLOW' is unknown"),
     "node": (with_keys(node=2), "node = 2 is not an index into the 2 nodes"),
     "path": (with_keys(path="visible"), "target.path = 'visible' is unknown"),
     "targets": (with_keys(path="weights"), "nodes[0], which has no morph targets"),
-    "no mesh": (with_keys(path="weights", node=1), "nodes[1], which has no morph targets"),
     "beyond": (with_accessor(count=1000), "needs 12000 bytes of bufferViews"),
     "far beyond": (with_accessor(count=10**9), "the file has too many animated values"),
     "no view": (without_view, "has no bufferView"),
@@ -848,19 +828,6 @@ def test_pointers_are_ignored_with_a_warning():
     np.testing.assert_allclose(step, np.tile((1.0, 0.0, 0.0), (24, 1)), atol=1e-6)
 
 
-def test_a_million_keys():
-    file = Glb({"mesh": 0})
-    file.mesh(file.primitive(*cube()))
-    times = np.linspace(0, 1000, 10**6).astype("<f4")
-    file.clip((0, "translation", times, np.stack([times, 0 * times, 0 * times], axis=1)))
-    mesh = file.load()
-    start = time.perf_counter()
-    for at in np.linspace(0, 1000, 100):
-        place = mesh.with_pose(time=at).parts[0].positions.mean(axis=0)
-        np.testing.assert_allclose(place, (at, 0, 0), atol=1e-3)
-    assert time.perf_counter() - start < 2.0  # 20 ms each; reading all keys takes longer
-
-
 def test_unused_vertices_do_not_move():
     """The loader moves them into the bounds; a pose must not move them out again."""
     places, faces, normals = cube()
@@ -918,39 +885,6 @@ def test_a_skinned_node_does_not_place_a_mesh_without_joints():
 
 
 # --- storage -------------------------------------------------------------------------------------
-
-
-def arrays_of(value):
-    """Yield all arrays of a rig."""
-    if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, list | tuple):
-        for each in value:
-            yield from arrays_of(each)
-    elif hasattr(value, "__dataclass_fields__"):
-        for name in value.__dataclass_fields__:
-            yield from arrays_of(getattr(value, name))
-
-
-@pytest.mark.parametrize("sample", SAMPLES)
-def test_rigs_do_not_keep_the_content_of_the_file(sample):
-    for part in sample().load().parts:
-        for each in arrays_of(part.rig):
-            while isinstance(each.base, np.ndarray):
-                each = each.base
-            assert each.base is None
-
-
-def test_parts_that_do_not_move_have_no_rig():
-    file = Glb({"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [3, 0, 0]})
-    file.mesh(file.primitive(*cube()))
-    assert [part.rig for part in file.load().parts] == [None, None]
-    file.clip((2, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)]))
-    mesh = file.load()
-    assert [part.rig is None for part in mesh.parts] == [True, False]
-    pose = mesh.with_pose(time=1.0)
-    assert_equal(pose.parts[0].positions, mesh.parts[0].positions, "part without rig")
-    assert fr.load_mesh(files.MINI_HEAD).parts[0].rig is None
 
 
 @pytest.mark.first_case
