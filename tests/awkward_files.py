@@ -48,27 +48,6 @@ class Head:
         heights = self.positions[self.faces].mean(axis=1)[:, 1]
         return np.asarray(heights > np.median(heights))
 
-    def flat(self) -> Head:
-        """Return the head with three vertices and one normal for every face."""
-        corners = self.positions[self.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        return Head(
-            positions=corners.reshape(-1, 3),
-            normals=np.repeat(normals, 3, axis=0),
-            uv=self.uv[self.faces].reshape(-1, 2),
-            faces=np.arange(self.faces.size).reshape(-1, 3),
-            skin=self.skin,
-        )
-
-    def z_up(self) -> Head:
-        """Return the head with z up, for a file whose node rotates it by Z_UP."""
-        return replace(
-            self,
-            positions=self.positions[:, [0, 2, 1]] * (1, -1, 1),
-            normals=self.normals[:, [0, 2, 1]] * (1, -1, 1),
-        )
-
     def with_faces(self, faces: Ints) -> Head:
         return replace(self, faces=faces)
 
@@ -220,6 +199,10 @@ def write_stl(path: Path, head: Head) -> Path:
 
 # --- glTF ----------------------------------------------------------------------------------------
 
+KINDS = {"|i1": 5120, "<i1": 5120, "|u1": 5121, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125}
+KINDS["<f4"] = 5126
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
 
 def gltf(
     head: Head,
@@ -301,6 +284,90 @@ def split_glb(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[20 : 20 + length]), data[28 + length :]
 
 
+class Glb:
+    """A glTF document and its buffer, to which accessors, clips and meshes can be added."""
+
+    def __init__(self, *nodes: dict[str, Any]) -> None:
+        self.binary = b""
+        lists: dict[str, Any] = {"meshes": [], "accessors": [], "bufferViews": []}
+        self.document: dict[str, Any] = {
+            "asset": {"version": "2.0"},
+            "scenes": [{"nodes": [0]}],
+            "nodes": list(nodes),
+            "buffers": [{"byteLength": 0}],
+            **lists,
+        }
+
+    def view(self, values: Any, **more: Any) -> int:
+        """Add a buffer view of bytes or of an array."""
+        content = values if isinstance(values, bytes) else np.ascontiguousarray(values).tobytes()
+        self.binary += bytes(-len(self.binary) % 4)
+        self.document["bufferViews"].append(
+            {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content), **more}
+        )
+        self.binary += content
+        self.document["buffers"][0]["byteLength"] = len(self.binary)
+        return len(self.document["bufferViews"]) - 1
+
+    def add(self, values: Any, kind: str = "<f4", sparse: bool = False, **more: Any) -> int:
+        """Add an accessor of the values, or only of the rows that are not 0."""
+        values = np.asarray(values, kind)
+        values = values.reshape(len(values), -1)
+        names = {width: name for name, width in WIDTHS.items()}
+        entry = {"componentType": KINDS[kind], "count": len(values), **more}
+        entry["type"] = names[values.shape[1]]
+        if sparse:
+            rows = np.flatnonzero(values.any(axis=1))
+            entry["sparse"] = {
+                "count": len(rows),
+                "indices": {"bufferView": self.view(rows.astype("<u2")), "componentType": 5123},
+                "values": {"bufferView": self.view(values[rows])},
+            }
+        elif "bufferView" not in more:
+            entry["bufferView"] = self.view(values)
+        self.document["accessors"].append(entry)
+        return len(self.document["accessors"]) - 1
+
+    def mesh(self, *primitives: dict[str, Any], **more: Any) -> int:
+        self.document["meshes"].append({"primitives": list(primitives), **more})
+        return len(self.document["meshes"]) - 1
+
+    def primitive(
+        self, positions: Any, faces: Any, normals: Any = None, **attributes: int
+    ) -> dict[str, Any]:
+        own = {"POSITION": self.add(positions)}
+        if normals is not None:
+            own["NORMAL"] = self.add(normals)
+        return {"attributes": {**own, **attributes}, "indices": self.add(np.ravel(faces), "<u2")}
+
+    def skin(self, joints: Sequence[int], inverse: Any = None) -> None:
+        """Add a skin; ``inverse`` (N, 4, 4) are its inverse bind matrices, by columns."""
+        more = {} if inverse is None else {"inverseBindMatrices": self.add(inverse)}
+        self.document.setdefault("skins", []).append({"joints": [*joints], **more})
+
+    def clip(self, *channels: Any, **more: Any) -> dict[str, Any]:
+        """Add an animation; a channel is (node, path, times, values, interpolation)."""
+        animation: dict[str, Any] = {"channels": [], "samplers": [], **more}
+        for node, path, times, values, *interpolation in channels:
+            rows = np.ravel(values) if path == "weights" else values
+            sampler = {"input": self.add(times), "output": self.add(rows)}
+            if interpolation:
+                sampler["interpolation"] = interpolation[0]
+            number = len(animation["samplers"])
+            animation["samplers"].append(sampler)
+            animation["channels"].append(
+                {"sampler": number, "target": {"node": node, "path": path}}
+            )
+        self.document.setdefault("animations", []).append(animation)
+        return animation
+
+    def content(self) -> bytes:
+        return join_glb(self.document, self.binary + bytes(-len(self.binary) % 4))
+
+    def load(self) -> fr.Mesh:
+        return fr.load_mesh(self.content(), kind="glb")
+
+
 def write_glb(path: Path, head: Head, *args: Any, **options: Any) -> Path:
     """Write a GLB file; see :func:`gltf` for the parameters."""
     path.write_bytes(join_glb(*gltf(head, *args, **options)))
@@ -344,6 +411,17 @@ def write_draco(path: Path, head: Head) -> Path:
 
 
 # --- images --------------------------------------------------------------------------------------
+
+
+def flat(*color: int) -> Image.Image:
+    """Return an image of 4 x 4 pixels of one colour."""
+    mode = {1: "L", 3: "RGB", 4: "RGBA"}[len(color)]
+    return Image.new(mode, (4, 4), color if len(color) > 1 else color[0])
+
+
+def texels(texture: fr.Texture | None) -> Ints:
+    assert texture is not None
+    return np.asarray(texture.rgb()).astype(int)
 
 
 def write_png16(path: Path, texels: NDArray[np.uint16]) -> Path:

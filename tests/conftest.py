@@ -132,15 +132,6 @@ def scan() -> Path:
 
 
 @pytest.fixture(scope="session")
-def awkward() -> Path:
-    """The folder of difficult and broken mesh files."""
-    folder = TEST_DATA / "awkward"
-    if not folder.is_dir():
-        missing(f"no awkward files in {TEST_DATA}: set FACERENDER_TEST_DATA")
-    return folder
-
-
-@pytest.fixture(scope="session")
 def scan_mesh(scan: Path) -> fr.Mesh:
     return load_scan(scan)
 

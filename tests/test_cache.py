@@ -4,7 +4,6 @@ and robust against damage, concurrent writers and folders that are full or not w
 from __future__ import annotations
 
 import os
-import pickle
 import re
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from facerender.system import cache
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
 from tests.test_cli import assert_error
+from tests.test_gltf_features import File
 from tests.verification.cache import wait_for_cache
 
 SMALL = ("--size", "48", "--samples", "1", "--light", "key,radius=0,no-shadow")
@@ -92,32 +92,37 @@ def textures_of_files(folder):
     return made
 
 
+def colored(folder):
+    colors = np.random.default_rng(1).integers(0, 256, (len(mini_head().positions), 4))
+    return files.write_ply(folder / "head.ply", mini_head(), colors.astype(np.uint8))
+
+
+def second_uv(folder):
+    """Write a .glb file with second texture coordinates, and factors in most fields."""
+    file = File()
+    file.attributes["TEXCOORD_1"] = file.accessor((0.5 * mini_head().uv).astype("<f4"))
+    occlusion = {**file.texture(files.flat(128)), "texCoord": 1, "strength": 0.25}
+    file.material |= {"alphaMode": "BLEND", "occlusionTexture": occlusion, "doubleSided": True}
+    file.material["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, 0.5]
+    return file.write(folder)
+
+
+CASES = {
+    "head": lambda folder: (None, {}),
+    "obj": lambda folder: (textured(folder / "in"), {}),
+    "gltf": lambda folder: (files.write_gltf(folder / "head.gltf", mini_head()), {}),
+    "second uv": lambda folder: (second_uv(folder), {}),
+    "ply": lambda folder: (colored(folder), {}),
+    "stl": lambda folder: (files.write_stl(folder / "head.stl", mini_head()), {}),
+    "maps": lambda folder: (MINI_HEAD, textures_of_files(folder)),
+    "flipped": lambda folder: (MINI_HEAD, {"flip_v": True}),
+}
+
+
 @pytest.mark.first_case
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param("head", marks=pytest.mark.slow),
-        *("obj", "gltf", "ply", "stl", "maps", "flipped"),
-    ],
-)
+@pytest.mark.parametrize("case", CASES)
 def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
-    options = {}
-    path = MINI_HEAD
-    if case == "head":
-        path = None
-    elif case == "obj":
-        path = textured(tmp_path / "in")
-    elif case == "gltf":
-        path = files.write_gltf(tmp_path / "head.gltf", mini_head())
-    elif case == "ply":
-        colors = np.random.default_rng(1).integers(0, 256, (len(mini_head().positions), 4))
-        path = files.write_ply(tmp_path / "head.ply", mini_head(), colors.astype(np.uint8))
-    elif case == "stl":
-        path = files.write_stl(tmp_path / "head.stl", mini_head())
-    elif case == "maps":
-        options = textures_of_files(tmp_path)
-    else:
-        options = {"flip_v": True}
+    path, options = CASES[case](tmp_path)
     plain = fr.load_mesh(path, **options)
     first = load(path, **options)
     assert len(entries(place)) == 1
@@ -156,27 +161,6 @@ def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(
     assert images[0] == images[1] == images[2]
     assert imported[1] == "PIL"  # reading glTF does not need trimesh
     assert imported[2] == ""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "options",
-    [
-        (),  # the built-in head
-        (str(MINI_HEAD), "--m", "0.2"),
-        (str(MINI_HEAD), "--float-albedo"),
-        (str(MINI_HEAD), "--only", "specular"),
-    ],
-    ids=lambda options: " ".join(options[1:]),
-)
-def test_options_apply_to_cached_meshes(options, tmp_path, egl, reads):
-    images = []
-    for uncached in (["--no-cache"], [], []):
-        assert main(["render", *options, "-o", str(tmp_path / "o.exr"), *SMALL, *uncached]) == 0
-        wait_for_cache()
-        images.append((tmp_path / "o.exr").read_bytes())
-    assert len(reads) == 2
-    assert images[0] == images[1] == images[2]
 
 
 def test_cached_meshes_repeat_warnings(tmp_path, reads):
@@ -232,14 +216,6 @@ def test_a_changed_map_is_read_anew(tmp_path, reads):
         mesh = load(MINI_HEAD, roughness_map=tmp_path / "rough.png")
         assert mesh.materials[0].slopes[1] == pytest.approx((level / 255) ** 2)
     assert len(reads) == 2
-
-
-@pytest.mark.slow
-def test_equal_files_with_different_textures_are_distinct(tmp_path):
-    paths = [textured(tmp_path / name) for name in ("a", "b")]
-    Image.new("RGB", (4, 4), (10, 10, 200)).save(next((tmp_path / "b").glob("*.jpg")), "PNG")
-    for path in [*paths, *paths]:
-        assert_same(load(path), fr.load_mesh(path))
 
 
 def test_file_that_changes_while_it_is_read_is_not_cached(tmp_path, monkeypatch, place):
@@ -400,15 +376,6 @@ def test_render_without_a_usable_cache(option, tmp_path, egl, monkeypatch, place
     assert printed.out == f"{png}\n"
     assert "warning" not in printed.err
     assert not place.is_dir()
-
-
-def test_cached_mesh_can_be_pickled(egl, tmp_path):
-    load(MINI_HEAD)
-    scene = fr.Scene(load(MINI_HEAD))
-    with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
-        expected = renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD))).linear
-        for each in (scene, pickle.loads(pickle.dumps(scene))):
-            np.testing.assert_array_equal(renderer.render(each).linear, expected)
 
 
 def test_mesh_is_cached_before_the_process_ends(place):

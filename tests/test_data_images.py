@@ -16,9 +16,9 @@ from PIL import Image
 
 import facerender as fr
 from facerender.images.read import read_image
-from facerender.scenes.mesh import Part
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
+from tests.test_alpha import quad
 from tests.test_cli import Capture, Cli
 
 DATA = ("mask", "depth", "normal", "parts", "albedo", "cosines")
@@ -36,24 +36,12 @@ def renderer(egl):
         yield renderer
 
 
-def sheet(z: float, size: float = 1.0, name: str = "") -> Part:
-    """Return a square that faces +z at the height z."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * size + (0, 0, z)
-    return Part(
-        corners.astype(float),
-        np.tile((0.0, 0.0, 1.0), (4, 1)),
-        np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
-        np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
-        name=name,
-    )
-
-
 def two_sheets(**front: Any) -> fr.Mesh:
     """Return a small sheet before a large one; ``front``: values of the small one's material."""
     material = fr.Material(double_sided=False)
     return fr.Mesh.of(
         "two.glb",
-        [sheet(0.0, 2.0, "back"), sheet(1.0, 1.0, "veil")],
+        [quad(0.0, 2.0, name="back"), quad(1.0, 1.0, name="veil")],
         [material, replace(material, **front)],
     )
 
@@ -200,33 +188,18 @@ def test_a_batch_names_parts_below_the_threshold(cli):
 @pytest.mark.parametrize(
     ("front", "camera", "only", "message"),
     [
-        (
-            {"alpha": "blend", "opacity": 0.3},
-            FACING,
-            "mask",
-            "is at most 0.3; give a lower --alpha-",
-        ),
+        ({"alpha": "blend", "opacity": 0.3}, FACING, "mask", "0.3; give a lower --alpha-"),
         ({"alpha": "mask", "opacity": 0.4}, FACING, None, "is at most 0.4; give --part '*,alpha="),
         ({"alpha": "blend", "opacity": 0.0}, FACING, None, "is at most 0; give --part"),
-        (
-            {"double_sided": False},
-            fr.Camera(180.0),
-            "depth",
-            "shows only back faces; give --double",
-        ),
-        ({"double_sided": False}, fr.Camera(180.0), None, "shows only back faces"),
+        ({}, fr.Camera(180.0), "depth", "shows only back faces; give --double"),
+        ({}, fr.Camera(180.0), None, "shows only back faces"),
         ({"transmission": 1.0}, FACING, "mask", "transmits light, and data images omit such parts"),
         ({}, fr.Camera(zoom=0.01), "mask", "pixels large; move the camera nearer"),
     ],
 )
 def test_the_cause_of_an_empty_image_is_named(renderer, front, camera, only, message):
-    mesh = fr.Mesh.of(
-        "one.glb",
-        [sheet(0.0)],
-        [fr.Material(double_sided=False, **front)][:1]
-        if "double_sided" not in front
-        else [fr.Material(**front)],
-    )
+    material = fr.Material(**{"double_sided": False, **front})
+    mesh = fr.Mesh.of("one.glb", [quad()], [material])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", fr.FacerenderWarning)
         renderer.render(fr.Scene(mesh, camera), only=only)
@@ -236,21 +209,6 @@ def test_the_cause_of_an_empty_image_is_named(renderer, front, camera, only, mes
 
 
 # --- presets -------------------------------------------------------------------------------------
-
-
-def test_info_lists_presets_only_where_one_was_applied(cli):
-    dull = {"name": "Shirt", "extensions": {"KHR_materials_specular": {"specularFactor": 0}}}
-    matt = files.write_glb(cli.folder / "a.glb", mini_head(), material=dull)
-    described = json.loads(cli.run("info", matt, "--json")[1])["parts"][0]
-    assert (described["preset"], described["material"]["ks"]) == (None, 0.0)
-    assert "ks 0" in cli.run("info", matt)[1]
-    named = files.write_glb(cli.folder / "b.glb", mini_head(), material={"name": "Iris"})
-    assert json.loads(cli.run("info", named, "--json")[1])["parts"][0]["preset"] == "iris"
-    as_is = json.loads(cli.run("info", named, "--json", "--as-is")[1])
-    assert as_is["parts"][0]["preset"] is None
-    with pytest.warns(fr.FacerenderWarning, match="presets by name"):
-        mesh = fr.load_mesh(named)
-    assert mesh.parts[0].preset == "iris"
 
 
 # --- backgrounds and metadata --------------------------------------------------------------------
@@ -274,12 +232,8 @@ def test_metadata_name_the_term_and_its_range(only, cli):
     metadata = read_image(cli.png).metadata
     assert metadata["only"] == only
     assert metadata["range"]
-    assert "only" not in read_image_of(cli)
-
-
-def read_image_of(cli: Cli) -> dict[str, str]:
     cli.render()
-    return dict(read_image(cli.png).metadata)
+    assert "only" not in read_image(cli.png).metadata
 
 
 def test_an_8_bit_depth_image_states_its_scale(cli):
@@ -364,34 +318,6 @@ def test_layers_have_no_background(cli):
 
 
 # --- cameras -------------------------------------------------------------------------------------
-
-
-def test_cameras_of_a_batch_are_read_again(cli):
-    rows = [
-        {
-            "mesh": str(MINI_HEAD),
-            "image.size": 40,
-            "camera.azimuth": azimuth,
-            "background": [0, 1, 0],
-        }
-        for azimuth in (0, 50)
-    ]
-    (cli.folder / "jobs.jsonl").write_text("\n".join(map(json.dumps, rows)))
-    out = cli.folder / "out"
-    options = ("-o", out, "--workers", "1", "--transforms")
-    assert cli.run("batch", cli.folder / "jobs.jsonl", *options)[0] == 0
-    cameras = fr.load_cameras(out / "transforms.json")
-    assert len(cameras) == 2
-    for record, camera in zip(
-        map(json.loads, (out / "jobs.jsonl").read_text().splitlines()),
-        cameras.values(),
-        strict=True,
-    ):
-        expected = np.asarray(Image.open(out / record["files"]["image.png"]["path"]))
-        scene = fr.Scene(fr.load_mesh(MINI_HEAD), camera, background=(0, 1, 0))
-        with fr.Renderer(40) as renderer:
-            found = renderer.render(scene).srgb8()
-        assert np.abs(found.astype(int) - expected).max() <= 1
 
 
 def test_transforms_with_shared_intrinsics(tmp_path):

@@ -14,15 +14,13 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.loading.gltf_document import COMPONENTS
 from facerender.loading.gltf_features import EXTENSIONS, FEATURES
 from tests import awkward_files as files
-from tests.awkward_files import mini_head
+from tests.awkward_files import flat, mini_head, texels
 from tests.test_hostile_mesh import loaded, refused
 
 Case = Callable[[Path], None]
 CASES: dict[str, Case] = {}
-TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 def case(*names):
@@ -33,33 +31,19 @@ def case(*names):
     return register
 
 
-class File:
+class File(files.Glb):
     """The small head as an editable glTF document, to which accessors and images can be added."""
 
     def __init__(self, **options):
         self.document, self.binary = files.gltf(mini_head(), **options)
-        self.primitive: dict[str, Any] = self.document["meshes"][0]["primitives"][0]
-        self.attributes: dict[str, int] = self.primitive["attributes"]
+        self.primitives: list[dict[str, Any]] = self.document["meshes"][0]["primitives"]
+        self.attributes: dict[str, int] = self.primitives[0]["attributes"]
         self.material: dict[str, Any] = self.document["materials"][0]
         self.node: dict[str, Any] = self.document["nodes"][0]
 
-    def view(self, content, **more):
-        self.binary += bytes(-len(self.binary) % 4)
-        self.document["bufferViews"].append(
-            {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content), **more}
-        )
-        self.binary += content
-        self.document["buffers"][0]["byteLength"] = len(self.binary)
-        return len(self.document["bufferViews"]) - 1
-
     def accessor(self, values, **more):
-        kind = next(key for key, kind in COMPONENTS.items() if np.dtype(kind) == values.dtype)
-        entry = {"componentType": kind, "count": len(values)}
-        entry["type"] = TYPES[values[0].size]  # type: ignore[assignment]
-        if "bufferView" not in more:
-            entry["bufferView"] = self.view(values.tobytes())
-        self.document["accessors"].append(entry | more)
-        return len(self.document["accessors"]) - 1
+        """Add an accessor of the type of the values."""
+        return self.add(values, values.dtype.str, **more)
 
     def texture(self, image, **more):
         """Add a texture; return a textureInfo object that refers to it."""
@@ -72,31 +56,21 @@ class File:
 
     def write(self, folder):
         path = folder / "a.glb"
-        path.write_bytes(files.join_glb(self.document, self.binary))
+        path.write_bytes(self.content())
         return path
 
-    def load(self, folder, **options):
+    def read(self, folder, **options):
         return loaded(self.write(folder), **options)
 
     def quiet(self, folder, **options):
         """Load without a warning."""
-        mesh, messages = self.load(folder, **options)
+        mesh, messages = self.read(folder, **options)
         assert messages == []
         return mesh
 
 
 def plain():
     return fr.load_mesh(files.MINI_HEAD)
-
-
-def flat(*color):
-    mode = {1: "L", 3: "RGB", 4: "RGBA"}[len(color)]
-    return Image.new(mode, (4, 4), color if len(color) > 1 else color[0])
-
-
-def texels(texture):
-    assert texture is not None
-    return np.asarray(texture.rgb())
 
 
 def same_shape(mesh, other, tolerance=1e-06):
@@ -121,8 +95,8 @@ def _(folder):
 @case("primitive.mode")
 def _(folder):
     file = File()
-    file.document["meshes"][0]["primitives"].append({**file.primitive, "mode": 1})
-    mesh, messages = file.load(folder)
+    file.primitives.append({**file.primitives[0], "mode": 1})
+    mesh, messages = file.read(folder)
     assert len(mesh.parts) == 1
     assert messages == ["a.glb has points, lines or vertices without positions: not drawn"]
 
@@ -141,78 +115,47 @@ def _(folder):
 
 @case("sparse accessors")
 def _(folder):
-    file = File()
-    values = np.array([[0.0, 0.2, 0.0]], "<f4")
-    sparse = {
-        "count": 1,
-        "indices": {"bufferView": file.view(np.array([5], "<u4").tobytes()), "componentType": 5125},
-        "values": {"bufferView": file.view(values.tobytes())},
-    }
-    file.document["accessors"][file.attributes["POSITION"]]["sparse"] = sparse
-    np.testing.assert_array_equal(file.quiet(folder).parts[0].positions[5], values[0])
+    """The indices and the values may lie in one buffer view."""
+    row = np.array([0.0, 0.2, 0.0], "<f4")
+    for one_view in (False, True):
+        file = File()
+        view = file.view(np.array([5], "<u4").tobytes() + row.tobytes())
+        values = {"bufferView": view, "byteOffset": 4}
+        if not one_view:
+            values = {"bufferView": file.view(row)}
+        indices = {"bufferView": view, "componentType": 5125}
+        sparse = {"count": 1, "indices": indices, "values": values}
+        file.document["accessors"][file.attributes["POSITION"]]["sparse"] = sparse
+        np.testing.assert_array_equal(file.quiet(folder).parts[0].positions[5], row)
 
 
 @case("morph targets")
 def _(folder):
-    """Node weights override mesh weights; a sparse target may have no base values."""
-    head, file = mini_head(), File()
-    count = len(head.positions)
-    moves = np.tile(np.array([[0.0, 0.0, 2.0]], "<f4"), (count, 1))
-    one = {
-        "count": 1,
-        "indices": {"bufferView": file.view(np.array([3], "<u4").tobytes()), "componentType": 5125},
-        "values": {"bufferView": file.view(np.array([4, 0, 0], "<f4").tobytes())},
-    }
-    sparse = {"componentType": 5126, "count": count, "type": "VEC3", "sparse": one}
-    file.document["accessors"].append(sparse)
-    zeros = len(file.document["accessors"]) - 1
-    turned = file.accessor(np.tile(np.array([[0.0, 0.0, 0.5]], "<f4"), (count, 1)))
-    file.primitive["targets"] = [
-        {"POSITION": file.accessor(moves), "NORMAL": turned},
-        {"POSITION": zeros},
-    ]
-    file.document["meshes"][0]["weights"] = [0.25, 0.5]
-    expected = head.positions.astype("<f4") + [0, 0, 0.5]
-    expected[3, 0] += 2.0
-    mesh = file.quiet(folder)
-    np.testing.assert_allclose(mesh.parts[0].positions, expected, atol=1e-5)
-    file.node["weights"] = [0.0, 0.0]
+    """test_rig.py compares targets and skins with the text of the specification."""
+    file = File()
+    step = np.array([[0.0, 0.0, 2.0]], "<f4").repeat(len(mini_head().positions), axis=0)
+    file.primitives[0]["targets"] = [{"POSITION": file.accessor(step)}]
+    file.document["meshes"][0]["weights"] = [0.25]
+    expected = mini_head().positions + [0, 0, 0.5]
+    np.testing.assert_allclose(file.quiet(folder).parts[0].positions, expected, atol=1e-5)
+    file.node["weights"] = [0.0]  # overrides the weights of the mesh
     same_shape(file.quiet(folder), plain())
-    file.node["weights"] = [1.0, 0.0]
-    normals = head.normals + [0, 0, 0.5]
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    np.testing.assert_allclose(file.quiet(folder).parts[0].normals, normals, atol=1e-5)
 
 
 @case("skins")
 def _(folder):
-    """One of two joints turns its half of the vertices; the mesh node's transform is ignored."""
-    head, file = mini_head(), File(nodes=({"translation": [50, 0, 0], "skin": 0},))
-    half = (head.positions[:, 1] > np.median(head.positions[:, 1])).astype("<u1")
-    joints = np.zeros((len(half), 4), "<u1")
-    joints[:, 0] = half
-    weights = np.tile(np.array([[255, 0, 0, 0]], "<u1"), (len(half), 1))
-    file.attributes["JOINTS_0"] = file.accessor(joints)
-    file.attributes["WEIGHTS_0"] = file.accessor(weights, normalized=True)
-    file.document["nodes"] += [
-        {"children": [2], "translation": [1, 0, 0]},
-        {"rotation": [0, 0, math.sqrt(0.5), math.sqrt(0.5)], "translation": [0, 2, 0]},
-    ]
+    """The mesh node's transform is ignored."""
+    count = len(mini_head().positions)
+    file = File(nodes=({"translation": [50, 0, 0], "skin": 0},))
+    file.attributes["JOINTS_0"] = file.accessor(np.zeros((count, 4), "<u1"))
+    file.attributes["WEIGHTS_0"] = file.add(np.eye(4)[[0] * count])
+    file.document["nodes"].append({"translation": [1, 0, 0]})
     file.document["scenes"][0]["nodes"] = [0, 1]
-    inverse = np.stack([np.eye(4), np.eye(4)]).astype("<f4")
-    inverse[:, 3, 0] = -1.0  # column-major: the joints were at x = 1
-    skin = {"joints": [1, 2], "inverseBindMatrices": file.accessor(inverse)}
-    file.document["skins"] = [skin]
-    part = file.load(folder)[0].parts[0]  # not quiet(): faces at the neck become distorted
-    x, y, z = head.positions.T
-    turned = np.stack([1.0 - y, 2.0 + x - 1.0, z], axis=1)
-    expected = np.where(half[:, None] > 0, turned, head.positions)
-    np.testing.assert_allclose(part.positions, expected, atol=1e-5)
-    n = head.normals
-    normals = np.where(half[:, None] > 0, np.stack([-n[:, 1], n[:, 0], n[:, 2]], axis=1), n)
-    np.testing.assert_allclose(part.normals, normals, atol=1e-5)
+    file.skin([1])
+    expected = mini_head().positions + [1, 0, 0]
+    np.testing.assert_allclose(file.quiet(folder).parts[0].positions, expected, atol=1e-5)
     file.document["scenes"][0]["nodes"] = [0]
-    assert file.load(folder)[1][:1] == [
+    assert file.read(folder)[1][:1] == [
         "a.glb has a skin whose joints are not in its scene: skin ignored"
     ]
 
@@ -248,7 +191,7 @@ def _(folder):
     assert part.colors is not None
     np.testing.assert_allclose(part.colors[0], [0.2, 0.4, 1.0], atol=1e-6)
     file.material["alphaMode"] = "BLEND"
-    assert file.load(folder)[1] == ["a.glb has alpha in its vertex colours: ignored"]
+    assert file.read(folder)[1] == ["a.glb has alpha in its vertex colours: ignored"]
 
 
 @case("TEXCOORD_n")
@@ -265,7 +208,7 @@ def _(folder):
     np.testing.assert_allclose(part.uv, head.uv, atol=1e-6)
     np.testing.assert_allclose(part.uv2, other * (1, -1) + (0, 1), atol=1e-6)
     file.material["normalTexture"] = {**file.texture(flat(128, 128, 255)), "texCoord": 2}
-    mesh, messages = file.load(folder)
+    mesh, messages = file.read(folder)
     assert messages == [
         "the occlusion map of a.glb needs a third set or transform of texture coordinates: "
         "ignored, because a material can have only two",
@@ -315,6 +258,12 @@ def _(folder):
     assert material.albedo == (0.5, 0.25, 0.75)
     assert (material.alpha, material.opacity, material.opacity_map) == ("opaque", 1.0, None)
     assert texels(material.albedo_map).shape[2] == 3
+    file.material["pbrMetallicRoughness"]["baseColorFactor"] = [3, 0.5, -1, 1]
+    mesh, messages = file.read(folder)
+    assert mesh.materials[0].albedo == (1.0, 0.5, 0.0)
+    assert messages == [
+        f"the albedo factor {value} of a.glb is outside [0, 1]: clamped" for value in (3, -1)
+    ]
 
 
 @case("alphaMode")
@@ -342,16 +291,16 @@ def _(folder):
     expected_warning = ["a.glb has metallic materials: drawn as dielectrics, like skin"]
     file = File()
     base = file.material["pbrMetallicRoughness"]
-    assert file.load(folder)[1] == []  # no warning by default
+    assert file.read(folder)[1] == []  # no warning by default
     base["metallicFactor"] = 1.0
-    assert file.load(folder)[1] == expected_warning
+    assert file.read(folder)[1] == expected_warning
     base["metallicRoughnessTexture"] = file.texture(flat(0, 128, 5))
-    assert file.load(folder)[1] == []  # nearly 0, as JPEG errors leave it
+    assert file.read(folder)[1] == []  # nearly 0, as JPEG errors leave it
     base["metallicRoughnessTexture"] = file.texture(flat(0, 128, 255))
     del base["metallicFactor"]
-    assert file.load(folder)[1] == expected_warning
+    assert file.read(folder)[1] == expected_warning
     base["metallicFactor"] = 0.0
-    assert file.load(folder)[1] == []
+    assert file.read(folder)[1] == []
 
 
 @case("roughness")
@@ -370,7 +319,7 @@ def _(folder):
     file.material["normalTexture"] = {**file.texture(flat(128, 128, 255)), "scale": 2.5}
     assert file.quiet(folder).materials[0].normal_strength == 2.5
     file.material["normalTexture"]["scale"] = -1
-    assert file.load(folder)[1] == [
+    assert file.read(folder)[1] == [
         "the normalTexture.scale factor -1 of a.glb is outside [0, 100]: clamped"
     ]
 
@@ -458,47 +407,30 @@ PACKED_FACES = "e1f010007687566778a9866589689801690000"
 def _(folder):
     pytest.importorskip("meshoptimizer")
     vertices = np.arange(24, dtype="<f4").reshape(8, 3) ** 2
-    faces = np.array([[0, 1, 2], [2, 1, 3]])
     for key in ("EXT_meshopt_compression", "KHR_meshopt_compression"):
-        document: dict[str, Any] = {
-            "asset": {"version": "2.0"},
-            "extensionsRequired": [key],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-            "nodes": [{"mesh": 0}],
-            "accessors": [
-                {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"},
-                {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
-            ],
-            "bufferViews": [],
-            "buffers": [{"byteLength": 0}, {"byteLength": 108}],
-        }
-        binary, start = b"", 0
-        for packed, mode, size, count in (
-            (bytes.fromhex(PACKED_VERTICES), "ATTRIBUTES", 12, 8),
-            (bytes.fromhex(PACKED_FACES), "TRIANGLES", 2, 6),
-        ):
-            own = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(packed)}
-            own |= {"byteStride": size, "count": count, "mode": mode}
-            binary += packed
-            entry = {"buffer": 1, "byteOffset": start, "byteLength": size * count}
-            document["bufferViews"].append({**entry, "extensions": {key: own}})
-            start += size * count
-        document["buffers"][0]["byteLength"] = len(binary)
+        file = files.Glb({"mesh": 0})
+        file.mesh(file.primitive(vertices, [0, 1, 2, 2, 1, 3]))
+        whole, file.binary = len(file.binary), b""
+        file.document["extensionsRequired"] = [key]
+        packed = (PACKED_VERTICES, "ATTRIBUTES", 12), (PACKED_FACES, "TRIANGLES", 2)
+        for view, (digits, mode, size) in zip(file.document["bufferViews"], packed, strict=True):
+            content = bytes.fromhex(digits)
+            own = {"buffer": 0, "byteOffset": len(file.binary), "byteLength": len(content)}
+            own |= {"byteStride": size, "count": view["byteLength"] // size, "mode": mode}
+            view |= {"buffer": 1, "extensions": {key: own}}
+            file.binary += content
+        file.document["buffers"] = [{"byteLength": len(file.binary)}, {"byteLength": whole}]
         path = folder / "a.glb"
-        path.write_bytes(files.join_glb(document, binary))
+        path.write_bytes(file.content())
         part = loaded(path)[0].parts[0]
-        np.testing.assert_array_equal(part.positions, vertices[: len(part.positions)])
-        assert len(part.positions) == 4  # only vertices of faces stay
-        assert {tuple(sorted(face)) for face in part.faces.tolist()} == {
-            tuple(sorted(face)) for face in faces.tolist()
-        }
+        np.testing.assert_array_equal(part.positions, vertices[:4])  # only vertices of faces stay
+        assert sorted(map(sorted, part.faces.tolist())) == [[0, 1, 2], [1, 2, 3]]
         own["byteStride"] = 3
-        path.write_bytes(files.join_glb(document, binary))
+        path.write_bytes(file.content())
         assert "has an invalid mode, filter (NONE)" in refused(path)
         own["byteStride"] = 2
-        path.write_bytes(files.join_glb(document, binary[:-8] + bytes(8)))
-        document["bufferViews"][0]["extensions"][key]["count"] = 1 << 40
-        path.write_bytes(files.join_glb(document, binary))
+        file.document["bufferViews"][0]["extensions"][key]["count"] = 1 << 40
+        path.write_bytes(file.content())
         assert "damaged" in refused(path)
 
 
@@ -541,7 +473,7 @@ def _(folder):
     file.document["extensionsUsed"] = ["KHR_texture_basisu"]
     assert file.quiet(folder).materials[0].albedo_map is not None
     file.document["textures"][0] = {"extensions": other}
-    messages = file.load(folder)[1]
+    messages = file.read(folder)[1]
     assert messages == [
         "the albedo map of a.glb has no image in a supported format (KHR_texture_basisu): ignored"
     ]
@@ -570,7 +502,7 @@ def _(folder):
     assert (texels(material.specular_map) == 77).all()
     own["specularColorFactor"] = [1, 0, 0]
     file.material["extensions"] = {"KHR_materials_specular": own}
-    assert file.load(folder)[1] == [
+    assert file.read(folder)[1] == [
         "a.glb has a specular colour (KHR_materials_specular): drawn grey"
     ]
 
@@ -580,7 +512,7 @@ def _(folder):
     file = File()
     own = {"diffuseFactor": [0.5, 0.5, 0.5, 1], "specularFactor": [1, 1, 1]}
     file.material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": own}
-    mesh, messages = file.load(folder)
+    mesh, messages = file.read(folder)
     assert mesh.materials[0].albedo == (0.5, 0.5, 0.5)
     assert len(messages) == 1
     assert "pbrSpecularGlossiness" in messages[0]
@@ -611,7 +543,7 @@ def _(folder):
     own["KHR_materials_volume"] = {}
     assert file.quiet(folder).materials[0].refraction == 1.0
     own["KHR_materials_transmission"]["transmissionTexture"] = file.texture(flat(9))
-    material, messages = file.load(folder)[0].materials[0], file.load(folder)[1]
+    material, messages = file.read(folder)[0].materials[0], file.read(folder)[1]
     assert messages == ["a.glb has a transmission map: ignored, only the factor is used"]
     assert material.transmission == 0.75
 
@@ -622,10 +554,10 @@ def _(folder):
         file = File(nodes=({}, {"translation": [9, 0, 0]}))
         file.document["materials"].append({"extensions": {key: own}})  # two materials, one warning
         file.material["extensions"] = {key: own}
-        file.document["meshes"].append({"primitives": [{**file.primitive, "material": 1}]})
+        file.document["meshes"].append({"primitives": [{**file.primitives[0], "material": 1}]})
         file.document["nodes"][1]["mesh"] = 1
         file.document["extensionsRequired"] = [key]
-        assert file.load(folder)[1] == [
+        assert file.read(folder)[1] == [
             f"a.glb has {key}, which is not supported: {EXTENSIONS[key].how}"
         ]
         if own:
@@ -645,14 +577,14 @@ def _(folder):
     file.document["extensionsUsed"] = ["KHR_lights_punctual"]
     file.quiet(folder)  # no node uses the light
     file.node["extensions"] = {"KHR_lights_punctual": {"light": 0}}
-    assert file.load(folder)[1] == ["a.glb has lights (KHR_lights_punctual): ignored; use --light"]
+    assert file.read(folder)[1] == ["a.glb has lights (KHR_lights_punctual): ignored; use --light"]
 
 
 @case("any other extension")
 def _(folder):
     file = File()
     file.document["extensionsUsed"] = ["ACME_glow"]
-    assert file.load(folder)[1] == ["a.glb uses ACME_glow, which is not supported: ignored"]
+    assert file.read(folder)[1] == ["a.glb uses ACME_glow, which is not supported: ignored"]
     file.document["extensionsRequired"] = ["ACME_glow"]
     assert "requires the extension ACME_glow" in refused(file.write(folder))
 

@@ -153,10 +153,14 @@ def test_built_in_head_and_scan_give_no_hint(scan):
     assert "give --flip-v" in (hints.upside_down(wrong, True) or "")
 
 
+def dull(folder):
+    """Write the head with a material without a visible highlight."""
+    (folder / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")
+    return write_obj(folder / "a.obj", mini_head(), mtl="a.mtl")
+
+
 def test_faint_highlights(tmp_path):
-    path = write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl")
-    (tmp_path / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")
-    mesh = fr.load_mesh(path)
+    mesh = fr.load_mesh(dull(tmp_path))
     assert hints.faint(mesh) == (
         "a.obj has no visible highlight with ks 0.03 and m 0.3: give --ks 1 for skin"
     )
@@ -234,9 +238,7 @@ def test_renderer_warns_once_for_each_mesh(renderer):
 @pytest.mark.slow
 def test_highlights_that_a_user_sets_give_no_warning(renderer, tmp_path):
     renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD).with_material(ks=0.01, m=1.5)))
-    path = write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl")
-    (tmp_path / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")
-    mesh = fr.load_mesh(path)
+    mesh = fr.load_mesh(dull(tmp_path))
     renderer.render(fr.Scene(mesh.with_material(ks=1.0)))
     with pytest.warns(fr.FacerenderWarning, match="no visible highlight"):
         renderer.render(fr.Scene(mesh))
@@ -250,9 +252,7 @@ def test_render_and_info_print_hints(tmp_path, capsys, monkeypatch):
         assert main(["render", "--flip-v", "--size", "64", "-o", str(tmp_path / "a.png")]) == 0
         wait_for_cache()
         assert capsys.readouterr().err.count("probably upside down") == 1
-    path = tmp_path / "a.obj"
-    write_obj(path, mini_head(), mtl="a.mtl")
-    (tmp_path / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")
+    path = dull(tmp_path)
     assert main(["info", str(path), "--json"]) == 0
     assert "--ks 1" in json.loads(capsys.readouterr().out)["hints"][0]
 
@@ -273,8 +273,7 @@ def test_shadows_without_lights(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_every_record_of_a_batch_has_the_hints_of_its_mesh(table, draw, tmp_path):  # noqa: F811
-    path = write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl")
-    (tmp_path / "a.mtl").write_text("newmtl skin\nKs 0.03 0.03 0.03\n")
+    path = dull(tmp_path)
     result = draw(table(rows(3, mesh=str(path))), "out")
     assert (result["status"], result["err"]) == (0, "")
     records = [json.loads(line) for line in (tmp_path / "out/jobs.jsonl").read_text().splitlines()]

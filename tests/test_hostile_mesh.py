@@ -13,7 +13,6 @@ import re
 import struct
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -39,6 +38,10 @@ PLY = (
     "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
     "property float z\nelement face {count}\nproperty list uchar int vertex_indices\nend_header\n"
     "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+)
+
+WITH_UV = re.sub(r"^([01] [01] [01])$", r"\1 0.5 0.5", PLY.format(count=2), flags=re.M).replace(
+    "float z\n", "float z\nproperty float s\nproperty float t\n"
 )
 
 
@@ -105,45 +108,33 @@ def changing(changes):
     return change
 
 
+PBR = "materials.0.pbrMetallicRoughness"
 SPARSE = {
     "count": 1,
     "indices": {"bufferView": 3, "componentType": 5125},
     "values": {"bufferView": 0},
 }
+VAST = {"bufferView": GONE, "count": 300_000_000, "sparse": SPARSE}
+
+
+def instances(count):
+    return {"nodes": [{"mesh": 0}] * count, "scenes.0.nodes": list(range(count))}
+
+
 DAMAGED = [
-    (
-        {"accessors.0.bufferView": 99},
-        r"accessors\[0\]\.bufferView = 99 is not an index into the 5 bufferViews",
-    ),
+    ({"accessors.0.bufferView": 99}, r"accessors\[0\]\.bufferView = 99 is not an index"),
     ({"accessors.0.bufferView": GONE}, r"accessors\[0\] has no bufferView"),
     ({"bufferViews": [7]}, r"bufferViews\[0\] = 7 is not an object"),
-    (
-        {"bufferViews.0.byteOffset": "x"},
-        r"bufferViews\[0\]\.byteOffset = 'x' is not an integer >= 0",
-    ),
+    ({"bufferViews.0.byteOffset": "x"}, r"\[0\]\.byteOffset = 'x' is not an integer >= 0"),
     ({"bufferViews.0.byteOffset": -4}, "= -4 is not an integer >= 0"),
-    ({"meshes.0.primitives.0": 3}, r"primitives\[0\] = 3 is not an object"),
-    (
-        {"materials.0.pbrMetallicRoughness.metallicRoughnessTexture": 5},
-        r"metallicRoughnessTexture = 5 is not an object",
-    ),
-    (
-        {"materials.0.normalTexture": {"index": 1}},
-        r"normalTexture\.index = 1 is not an index into the 1 textures",
-    ),
+    ({f"{PBR}.metallicRoughnessTexture": 5}, "metallicRoughnessTexture = 5 is not an object"),
+    ({"materials.0.normalTexture": {"index": 1}}, r"normalTexture\.index = 1 is not an index"),
     ({"textures.0.source": 9}, "source = 9 is not an index"),
     ({"buffers.0.byteLength": 10**9}, r"buffers\[0\] should have 1000000000 bytes, but has \d+"),
     ({"bufferViews.1.byteLength": 10**9}, r"bufferViews\[1\] ends at byte \d+ of buffers\[0\]"),
+    ({"accessors.0.count": 300_000_000}, r"accessors\[0\] needs 3600000000 bytes"),
     (
-        {"accessors.0.count": 300_000_000},
-        r"accessors\[0\] needs 3600000000 bytes of bufferViews\[0\]",
-    ),
-    (
-        {
-            "accessors.0.bufferView": GONE,
-            "accessors.0.count": 300_000_000,
-            "accessors.0.sparse": SPARSE,
-        },
+        {f"accessors.0.{key}": value for key, value in VAST.items()},
         r"accessors\[0\]\.count = 300000000 is too large without a bufferView",
     ),
     ({"accessors.0.sparse": SPARSE, "accessors.0.sparse.count": 6722}, r"bufferViews\[0\]"),
@@ -153,29 +144,21 @@ DAMAGED = [
     ({"meshes.0.primitives.0.attributes.POSITION": 2}, "POSITION has the wrong type"),
     ({"accessors.1.count": 7}, "NORMAL has 7 entries, POSITION has 3444"),
     ({"nodes.0.children": [0]}, r"nodes\[0\] has two parents, or is its own ancestor"),
-    ({"scenes.0.nodes": [0, 0]}, r"nodes\[0\] has two parents, or is its own ancestor"),
     ({"scene": 1}, "scene = 1 is not an index into the 1 scenes"),
     ({"nodes.0.scale": [1, 1]}, r"scale = \[1, 1\] is not 3 numbers"),
     ({"nodes.0.translation": [float("nan"), 0, 0]}, r"translation\[0\] = nan is not a number"),
-    (
-        {"nodes.0.translation": [10**400, 0, 0]},
-        r"translation\[0\] = 1000\d*\.\.\.\d* is not a number",
-    ),
-    ({"bufferViews.0.byteOffset": 1e300}, "not an integer >= 0"),
+    ({"nodes.0.translation": [10**400, 0, 0]}, r"= 1000\d*\.\.\.\d* is not a number"),
     ({"buffers": []}, r"buffer = 0 is not an index into the 0 buffers"),
     ({"buffers.0.uri": "data:;base64,A"}, "is damaged"),
-    ({"nodes": [{"mesh": 0}] * 1025, "scenes.0.nodes": list(range(1025))}, "more than 1024 parts"),
-    (
-        {"nodes": [{"mesh": 0}] * 600, "scenes.0.nodes": list(range(600))},
-        "draws its geometry more than 8 times",
-    ),
+    (instances(1025), "more than 1024 parts"),
+    (instances(600), "draws its geometry more than 8 times"),
     ({"nodes": [{}] * 140_000}, "has 140000 nodes, but the limit is 131072"),
     ({"materials.0.alphaCutoff": "half"}, "alphaCutoff = 'half' is not a number"),
-    ({"materials.0.emissiveFactor": [1, 1]}, r"emissiveFactor = \[1, 1\] is not 3 numbers"),
     ({"nodes.0.skin": 3}, r"skin = 3 is not an index into the 0 skins"),
     ({"meshes.0.weights": [None]}, r"weights\[0\] = None is not a number"),
     ({"meshes.0.primitives.0.targets": [{"POSITION": 99}]}, "targets.*= 99 is not an index into"),
     ({"samplers": [{"wrapS": -1}]}, r"samplers\[0\].wrapS = -1 is not an integer >= 0"),
+    ({"materials.0.doubleSided": "no"}, "doubleSided|double_sided"),
 ]
 
 
@@ -231,64 +214,14 @@ def test_unused_properties_may_have_any_value(tmp_path):
     np.testing.assert_allclose(mesh.bounds, fr.load_mesh(MINI_HEAD).bounds, atol=1e-7)
 
 
-def test_gltf_is_detected_by_content(tmp_path):
-    """A GLB file may be named .gltf, and a glTF file .glb."""
-    expected = fr.load_mesh(MINI_HEAD).bounds
-    assert (loaded(write(tmp_path / "a.gltf", MINI_HEAD.read_bytes()))[0].bounds == expected).all()
-    path = files.write_gltf(tmp_path / "b.gltf", mini_head())
-    np.testing.assert_allclose(loaded(path.rename(tmp_path / "b.glb"))[0].bounds, expected)
-
-
-@pytest.mark.parametrize("shared", [False, True], ids=["two views", "one view"])
-def test_sparse_accessor(tmp_path, shared):
-    """Sparse entries of the accessor replace values of the buffer view."""
-    document, binary = files.gltf(mini_head())
-    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": 20}
-    binary += struct.pack("<II3f", 7, 5, 1.0, 2.0, 3.0)
-    document["buffers"][0]["byteLength"] = len(binary)
-    indices, values = {"bufferView": 5, "byteOffset": 4}, {"bufferView": 5, "byteOffset": 8}
-    views = [view]
-    if not shared:
-        views = [view | {"byteOffset": view["byteOffset"] + at} for at in (4, 8)]
-        views = [views[0] | {"byteLength": 4}, views[1] | {"byteLength": 12}]
-        indices, values = {"bufferView": 5}, {"bufferView": 6}
-    document["bufferViews"] += views
-    sparse = {"count": 1, "indices": {**indices, "componentType": 5125}, "values": values}
-    document["accessors"][0]["sparse"] = sparse
-    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
-    expected = mini_head().positions.copy()
-    expected[5] = 1.0, 2.0, 3.0
-    np.testing.assert_allclose(mesh.parts[0].positions, expected)
-
-
-def test_normalised_integers_and_strides(tmp_path):
-    """Positions are 16-bit integers with a stride of 8 bytes, as in KHR_mesh_quantization."""
-    head = mini_head()
-    steps = np.round(head.positions * 4 * 32767).astype("<i2")
-    padded = np.insert(steps, 3, 0, axis=1).astype("<i2")
-    document, binary = files.gltf(head)
-    document["bufferViews"].append(
-        {"buffer": 0, "byteOffset": len(binary), "byteLength": padded.nbytes, "byteStride": 8}
-    )
-    document["accessors"][0] |= {"bufferView": 5, "componentType": 5122, "normalized": True}
-    binary += padded.tobytes()
-    document["buffers"][0]["byteLength"] = len(binary)
-    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
-    np.testing.assert_allclose(mesh.parts[0].positions, head.positions * 4, atol=2e-5)
-
-
 @pytest.mark.parametrize("mode", [5, 6])
 def test_strips_and_fans(mode, tmp_path):
     """The corners of a square are in fan order or in strip order."""
     around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
     positions = around[[0, 1, 3, 2]] if mode == 5 else around
-    head = files.Head(positions, positions, positions[:, :2], np.array([[0, 1, 2]]), b"")
-    document, binary = files.gltf(head, normals=False, image={"uri": "none.png"})
-    document["materials"] = [{}]
-    primitive = document["meshes"][0]["primitives"][0] | {"mode": mode}
-    del primitive["indices"]
-    document["meshes"][0]["primitives"] = [primitive]
-    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
+    file = files.Glb({"mesh": 0})
+    file.mesh({"attributes": {"POSITION": file.add(positions)}, "mode": mode})
+    mesh, _ = loaded(write(tmp_path / "a.glb", file.content()))
     (part,) = mesh.parts
     corners = part.positions[part.faces]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -296,44 +229,8 @@ def test_strips_and_fans(mode, tmp_path):
     assert areas[0, 2] == areas[1, 2]
 
 
-def test_primitives_with_shared_vertices_get_their_own(tmp_path):
-    document, binary = files.gltf(mini_head())
-    count = document["accessors"][3]["count"]
-    document["accessors"][3]["count"] = 300
-    document["accessors"].append(
-        {**document["accessors"][3], "byteOffset": 1200, "count": count - 300}
-    )
-    first = document["meshes"][0]["primitives"][0]
-    document["meshes"][0]["primitives"].append({**first, "indices": 4})
-    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
-    assert sum(len(part.faces) for part in mesh.parts) == len(mini_head().faces)
-    assert len(mesh.parts[0].positions) <= 300
-    corners = np.concatenate([part.positions[part.faces] for part in mesh.parts])
-    (whole,) = fr.load_mesh(MINI_HEAD).parts
-    np.testing.assert_array_equal(corners, whole.positions[whole.faces])
-
-
-def test_factors_outside_their_domain(tmp_path):
-    material = {"pbrMetallicRoughness": {"baseColorFactor": [3, 0.5, -1, 1]}}
-    mesh, messages = loaded(files.write_glb(tmp_path / "a.glb", mini_head(), material=material))
-    assert mesh.materials[0].albedo == (1.0, 0.5, 0.0)
-    assert messages == [
-        f"the albedo factor {value} of a.glb is outside [0, 1]: clamped" for value in (3, -1)
-    ]
-
-
 @pytest.mark.parametrize("write_mesh", ["glb", "obj", "ply"])
-@pytest.mark.parametrize(
-    ("size", "message"),
-    [
-        ((20000, 4), "is 20000 x 4 pixels of 4 bytes: at most 16384 a side, "),
-        pytest.param(
-            *((40000, 40000), "has 1600000000 pixels: at most 16384 a side and "),
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_sizes_of_large_maps_are_named(write_mesh, size, message, tmp_path):
+def test_sizes_of_large_maps_are_named(write_mesh, tmp_path):
     path = tmp_path / f"a.{write_mesh}"
     if write_mesh == "glb":
         files.write_glb(path, mini_head(), image={"uri": "wide.png"})
@@ -343,14 +240,10 @@ def test_sizes_of_large_maps_are_named(write_mesh, size, message, tmp_path):
         path.write_bytes(path.read_bytes() + b"f 1/1 2/1 3/1\n")
     else:
         comment = "comment TextureFile wide.png\nelement vertex"
-        text = PLY.format(count=1).replace("element vertex", comment)
-        text = text.replace("float z\n", "float z\nproperty float s\nproperty float t\n")
-        for row in ("0 0 0", "1 0 0", "0 1 0", "0 0 1"):
-            text = text.replace(f"\n{row}\n", f"\n{row} 0 1\n")
-        write(path, text + "3 0 1 2\n")
-    Image.new("1", size).save(tmp_path / "wide.png")
+        write(path, WITH_UV.replace("element vertex", comment) + "3 0 1 2\n3 0 1 3\n")
+    Image.new("1", (20000, 4)).save(tmp_path / "wide.png")
     text = refused(path)
-    assert f"wide.png (named by a.{write_mesh}) {message}" in text
+    assert f"wide.png (named by a.{write_mesh}) is 20000 x 4 pixels of 4 bytes: at most 16" in text
     assert "; make it smaller, or pass --albedo FILE" in text
 
 
@@ -367,26 +260,18 @@ CONVERTED = {
 def test_files_converted_as_text_are_named(how, tmp_path):
     """Random vertices: a compressed or random file holds CRLF once in 65536 bytes."""
     positions = np.random.default_rng(3).random((40_000, 3), dtype=np.float32)
-    binary = positions.tobytes()
-    entry = {"bufferView": 0, "componentType": 5126, "count": len(positions), "type": "VEC3"}
-    document = {
-        "asset": {"version": "2.0"},
-        "buffers": [{"byteLength": len(binary)}],
-        "bufferViews": [{"buffer": 0, "byteLength": len(binary)}],
-        "accessors": [entry],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "nodes": [{"mesh": 0}],
-    }
-    convert, whole = CONVERTED[how], files.join_glb(document, binary)
+    file = files.Glb({"mesh": 0})
+    file.mesh({"attributes": {"POSITION": file.add(positions)}})
+    convert = CONVERTED[how]
     why = f"is damaged, because it was converted as text ({how}): transfer it again as binary"
-    for data in (whole, HEAD.read_bytes()):
+    for data in (file.content(), HEAD.read_bytes()):
         text = refused(write(tmp_path / "a.glb", convert(data)))
         assert text.startswith(f"a.glb {why}")
         assert text.endswith("in Git, add '*.glb binary' to .gitattributes")
     if how != "to Unicode":
-        document["buffers"][0]["uri"] = "a.bin"
-        write(tmp_path / "a.bin", convert(binary))
-        text = refused(write(tmp_path / "a.gltf", json.dumps(document)))
+        file.document["buffers"][0]["uri"] = "a.bin"
+        write(tmp_path / "a.bin", convert(file.binary))
+        text = refused(write(tmp_path / "a.gltf", json.dumps(file.document)))
         assert text.startswith(f"a.bin {why}")
         assert text.endswith("in Git, add '*.bin binary' to .gitattributes")
 
@@ -412,13 +297,6 @@ def test_damaged_map_is_refused_or_warned_of(kind, tmp_path):
     mesh, messages = loaded(path, albedo=tmp_path / "skin.jpg")
     assert messages == ["page.png (named by a.glb) is not an image that can be read: ignored"]
     assert mesh.materials[0].albedo_map is not None
-
-
-def test_texture_without_a_supported_image(tmp_path):
-    path = changed(tmp_path / "a.glb", changing({"textures": [{"extensions": {"KHR_basisu": {}}}]}))
-    mesh, messages = loaded(path)
-    assert messages == ["the albedo map of a.glb has no image in a supported format: ignored"]
-    assert mesh.materials[0].albedo == fr.Material().albedo
 
 
 def test_damaged_draco(tmp_path):
@@ -529,9 +407,6 @@ def binary_ply(kind, faces):
 
 
 VERTEX = "element vertex 3\nproperty float x\n"
-WITH_UV = re.sub(r"^([01] [01] [01])$", r"\1 0.5 0.5", PLY.format(count=2), flags=re.M).replace(
-    "float z\n", "float z\nproperty float s\nproperty float t\n"
-)
 STL = files.stl(mini_head())
 REFUSED = [
     ("a.ply", ply(VERTEX.replace("3", "99999999999")), "declares at least 199999999998 bytes"),
@@ -598,13 +473,6 @@ def test_bytes_after_the_triangles_of_an_stl(tmp_path, header):
     mesh, messages = loaded(write(tmp_path / "a.stl", data + b"xyz"))
     assert messages == ["a.stl has 3 bytes after its 6722 triangles: ignored"]
     assert len(mesh.parts[0].faces) == 6722
-
-
-@pytest.mark.parametrize("line", [b"f 1 2 " + b"9" * 400, b"v " + b"1" * 400 + b" x 0", b"\0" * 99])
-def test_invalid_lines_of_obj(line, tmp_path):
-    path = write(tmp_path / "a.obj", TRIANGLE + line + b"\nf 1 2 3\n")
-    with suppress(fr.InputError):
-        loaded(path)
 
 
 # --- other file types ----------------------------------------------------------------------------

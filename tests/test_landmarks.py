@@ -51,21 +51,6 @@ def test_a_file_lists_or_names_landmarks(tmp_path):
     np.testing.assert_allclose(found.positions(tetrahedron()), expected, atol=1e-15)
 
 
-def test_embedded_landmarks_as_of_flame(skull, tmp_path):
-    """FLAME has an array of triangles and an array of barycentric coordinates."""
-    part = skull.parts[0]
-    rng = np.random.default_rng(0)
-    lmk_faces_idx = rng.integers(0, len(part.faces), 51)
-    lmk_b_coords = rng.dirichlet(np.ones(3), 51).astype(np.float32)
-    vertices = part.faces[lmk_faces_idx]
-    exact = np.einsum("nij,ni->nj", part.positions[vertices], lmk_b_coords)
-    given = fr.Landmarks(tuple(map(str, range(51))), vertices, lmk_b_coords)
-    np.testing.assert_allclose(given.positions(skull), exact, atol=1e-7)
-    rows = zip(vertices.tolist(), lmk_b_coords.tolist(), strict=True)
-    path = written(tmp_path, [{"vertices": v, "weights": w} for v, w in rows])
-    np.testing.assert_allclose(fr.load_landmarks(path).positions(skull), exact, atol=1e-7)
-
-
 def test_rounded_weights_are_scaled(tmp_path):
     third = {"vertices": [0, 1, 2], "weights": [0.33, 0.33, 0.33]}
     found = fr.load_landmarks(written(tmp_path, [third]))
@@ -133,30 +118,18 @@ HOSTILE = {
     "text": ('"nose"', "content = 'nose': give a list of landmarks, or a table by name"),
     "number": ("3", "content = 3: give a list"),
     "none": ("[]", "0 landmarks: give 1 to 100000"),
-    "no table": ("{}", "0 landmarks: give 1 to 100000"),
     "many": (f"[{'1,' * 1_000_000}1]", "1000001 landmarks: give 1 to 100000"),
     "deep": ("[" * 100_000, "its JSON cannot be read"),
     "nested": (f"[{'[' * 500}{']' * 500}]", "landmark '0': vertices = .*: give one to three"),
-    "bytes": ("\udcff", "its JSON cannot be read"),
     "null": ("[null]", "landmark '0': vertices = None: give one to three vertex numbers"),
-    "bool": ("[true]", "landmark '0': vertices = True"),
-    "float": ("[1.5]", "landmark '0': vertices = 1.5"),
     "negative": ("[-1]", "landmark '0': vertices = -1"),
-    "huge": (f"[{10**30}]", "landmark '0': vertices = 1000"),
     "digits": (f"[{'9' * 5000}]", "its JSON cannot be read"),
-    "list": ("[[1, 2, 3]]", r"landmark '0': vertices = \[1, 2, 3\]"),
-    "missing": ('[{"weights": [1]}]', "landmark '0': vertices = None"),
     "four": ('[{"vertices": [1, 2, 3, 4], "weights": [1, 0, 0, 0]}]', "landmark '0': vertices"),
-    "no vertex": ('[{"vertices": []}]', r"landmark '0': vertices = \[\]"),
     "weights": ('[{"vertices": [1, 2]}]', r"weights = None: give 2 numbers in \[0, 1\]"),
-    "count": ('[{"vertices": [1, 2], "weights": [1]}]', r"weights = \[1\]: give 2 numbers"),
     "nan": ('[{"vertices": [1, 2], "weights": [NaN, 1]}]', r"weights = \[nan, 1\]: give 2 num"),
-    "infinite": ('[{"vertices": 1, "weights": [Infinity]}]', r"weights = \[inf\]: give 1 number"),
-    "text weight": ('[{"vertices": 1, "weights": ["1"]}]', r"weights = \['1'\]: give 1 number"),
     "sum": ('[{"vertices": [1, 2], "weights": [0.5, 0.6]}]', "have the sum 1.1: give weights in"),
     "sign": ('[{"vertices": [1, 2], "weights": [1.5, -0.5]}]', "have the sum 1: give weights in"),
     "key": ('{"a": {"vertex": 1}}', "landmark 'a': unknown key 'vertex'; known: vertices, weig"),
-    "named twice": ('{"a": {"name": "b", "vertices": 1}}', "landmark 'a': unknown key 'name'"),
     "name": ('[{"name": 1, "vertices": 1}]', "landmark '0': name = 1: give text"),
     "part": ('[{"part": ["a"], "vertices": 1}]', r"landmark '0': part = \['a'\]: give text"),
     "same": ('[1, {"name": "0", "vertices": 1}]', "two landmarks are called '0': give different"),
@@ -174,10 +147,6 @@ def test_hostile_files_are_refused(tmp_path, name):
 
 
 def test_other_files_are_refused(tmp_path):
-    with pytest.raises(fr.InputError, match=r"cannot read .*missing.json: no such file"):
-        fr.load_landmarks(tmp_path / "missing.json")
-    with pytest.raises(fr.InputError, match="is a directory; give a JSON file with landmarks"):
-        fr.load_landmarks(tmp_path)
     large = tmp_path / "large.json"
     large.write_bytes(b" " * (1 << 24) + b"[1]")
     with pytest.raises(fr.InputError, match="bytes, but the limit is"):

@@ -14,7 +14,7 @@ from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced
 from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.mips import CHAIN, coarse_base, coarse_chain
-from facerender.scenes.texture import Texture, pack
+from facerender.scenes.texture import Texture
 from facerender.scenes.view import levels_to_spare, view_of
 
 SIZE = (256, 256)
@@ -69,24 +69,6 @@ def test_images_of_all_modes_can_be_coarse(tmp_path, mode):
         np.testing.assert_array_equal(own, level)
 
 
-def test_textures_of_textures_can_be_coarse():
-    one, two = (Texture(lambda seed=seed: noise(64, 64, seed), str(seed)) for seed in (1, 2))
-    made = pack(one.channel(2, "red"), None, two.channel(0, "blue").sampled(("clamp", "mirror")))
-    coarse = made.coarser(2)
-    assert coarse.coarse
-    assert coarse.size == (16, 16)
-    assert coarse.sampling == made.sampling
-    assert coarse is made.coarser(2)
-    finest = coarse.levels("data").result()[0]
-    for band, source, index in ((0, one, 2), (2, two, 0)):
-        np.testing.assert_array_equal(
-            finest[..., band], source.levels("data").result()[2][..., index]
-        )
-    assert one.coarser(1).coarser(1) is one.coarser(2)
-    coarse.forget()
-    np.testing.assert_array_equal(coarse.levels("data").result()[0], finest)
-
-
 @pytest.mark.first_case
 @pytest.mark.parametrize(("camera", "texels"), [*zip(VIEWS, (512, 2048, 512), strict=True)])
 def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels):
@@ -104,25 +86,6 @@ def test_computed_level_is_the_finest_that_the_driver_reads(head, camera, texels
     assert np.quantile(seen, 1e-3) >= level - 0.05  # no finer level is read
     # And this level is read. Drivers approximate the level; NVIDIA reads up to 0.2 coarser ones.
     assert np.quantile(seen, 1e-2) < level + 1.2
-
-
-@pytest.mark.slow
-def test_hidden_triangles_do_not_require_finer_levels():
-    """A plane with few texels per pixel requires level 0 unless another plane hides it."""
-    grid = np.linspace(-1.0, 1.0, 129)
-    x, y = (each.ravel() for each in np.meshgrid(grid, grid))
-    corner = (np.arange(128)[:, None] * 129 + np.arange(128)).reshape(-1, 1)
-    quads = np.concatenate([corner + (0, 1, 130), corner + (0, 130, 129)])
-    near, far = (np.stack([x, y, np.full_like(x, z)], axis=1) for z in (0.1, 0.0))
-    uv = np.stack([x, y], axis=1) * 0.5 + 0.5
-    for behind, expected in ((far * 0.9, 2), (far * (1.2, 1.0, 1.0), 0)):
-        mesh = fr.Mesh.from_arrays(
-            np.concatenate([near, behind]),
-            np.concatenate([quads, quads + len(x)]),
-            uv=np.concatenate([uv, uv * 0.01]),
-        )
-        part, view = mesh.parts[0], view_of(fr.Scene(mesh), 1.0)
-        assert levels_to_spare(mesh, part, part.uv, (1024, 1024), view, SIZE) == expected
 
 
 @pytest.mark.slow
@@ -171,20 +134,6 @@ def test_anisotropy_keeps_finer_levels(detailed):
 def test_maps_of_usual_sizes_are_not_reduced():
     scene = fr.Scene(fr.load_mesh(), fr.Camera(zoom=0.2))
     assert reduced(scene, view_of(scene, 1.0), (64, 64), 1.0) is scene
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("small_is_large")
-def test_reference_uses_the_reduced_maps(detailed):
-    from facerender.drawing.reference import shade
-
-    scene, shading = fr.Scene(detailed, fr.Camera(zoom=0.5)), fr.Shading()
-    with fr.Renderer(SIZE, samples=1) as renderer:
-        drawn = renderer.render(scene, shading).linear[..., :3]
-        gbuffer = renderer.gbuffer(scene, shading)
-    expected = shade(gbuffer, scene, shading)
-    inside = gbuffer.part >= 0
-    np.testing.assert_allclose(drawn[inside], expected[inside], rtol=1e-4, atol=1e-5)
 
 
 def test_memory_limit_is_checked_before_drawing():

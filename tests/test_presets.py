@@ -1,9 +1,9 @@
-"""Tests presets, the materials of parts, and presets of parts with known names."""
+"""Tests presets, the materials of parts, and which parts are skin, to which factors and maps of the
+whole mesh apply. Command line, scene files, jobs and Python agree."""
 
 from __future__ import annotations
 
 import json
-import warnings
 from argparse import Namespace
 from dataclasses import replace
 
@@ -12,17 +12,20 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender.commands import main
 from facerender.commands.common import part_materials
+from facerender.drawing.renderer import Renderer
 from facerender.images.read import read_image
-from facerender.loading.conventions import _eye_map, _lash_map, preset_for
+from facerender.loading.conventions import _eye_map, _lash_map, mark_skin, preset_for
+from facerender.scenes import hints
 from facerender.scenes.file import parse_part, part_text, scene_toml
 from facerender.scenes.material import SKIN_ALBEDO, Material
 from facerender.scenes.presets import PRESETS, changed
-from tests.awkward_files import mini_head, write_glb
-from tests.conftest import missing
+from facerender.scenes.repair import Piece
+from tests.awkward_files import gltf, join_glb, mini_head, write_glb
+from tests.conftest import require_module
 from tests.test_parts import FACES, VERTICES, names, row, run
 from tests.verification.cache import wait_for_cache
-from tests.verification.scan import TEST_DATA
 
 KNOWN = {
     "skin": "M_Face M_BackHead Wolf3D_Head Wolf3D_Skin Std_Skin_Head Std_Skin_Leg head_lod0_mesh",
@@ -286,72 +289,6 @@ def test_the_built_in_head_has_no_presets(head):
 # --- ICT-FaceKit ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def faces():
-    folder = TEST_DATA / "faces"
-    if not (folder / "ICT-FaceKit").is_dir():
-        missing(f"no ICT-FaceKit in {folder}: set FACERENDER_TEST_DATA")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def ict(faces):
-    return load_ict(faces)
-
-
-def load_ict(faces, **maps):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        mesh = fr.load_mesh(faces / "ICT-FaceKit/generic_neutral_mesh.obj", **maps)
-    assert sum("presets by name" in str(each.message) for each in caught) == 1
-    return mesh
-
-
-@pytest.mark.slow
-def test_presets_of_ict_facekit(ict):
-    found = dict(zip(names(ict), map(preset_of, ict.materials), strict=True))
-    assert found["M_Face"] == "skin"
-    assert found["M_ScleraLeft"] == found["M_ScleraRight"] == "cornea"
-    assert found["M_IrisLeft"] == found["M_IrisRight"] == "iris"
-    assert found["M_EyeBlend"] == found["M_LacrimalFluid"] == "tear"
-    assert (found["M_EyeLashes"], found["M_EyeOcclusion"]) == ("lashes", "eye-occlusion")
-    assert None not in found.values()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("azimuth", [0.0, -35.0])
-def test_no_shell_hides_the_iris_and_no_card_is_black(ict, azimuth):
-    camera = fr.Camera(azimuth, frame="face", target=(3.2, 3.6, 9.4), zoom=6.0)
-    shells = "M_Sclera*,M_EyeBlend,M_EyeOcclusion,M_LacrimalFluid"
-    with fr.Renderer((256, 256)) as renderer:
-        scene = fr.Scene(ict, camera)
-        image = renderer.render(scene).linear[..., :3]
-        bare = fr.Scene(ict.select(hide=shells), camera)
-        without = renderer.render(bare).linear[..., :3]
-        part = renderer.gbuffer(bare, blended=False).part
-    iris = part == names(bare.mesh).index("M_IrisLeft")
-    assert iris.sum() > 4000
-    # The shells darken, and the cornea moves the iris by refraction, but the colours remain.
-    ratio = np.median(image[iris], axis=0) / np.median(without[iris], axis=0)
-    assert (ratio > 0.75).all(), ratio
-    assert (ratio < 1.05).all(), ratio
-    dark, warm = image[iris].max(axis=1) < 0.01, image[iris][:, 0] > 1.6 * image[iris][:, 2]
-    assert 0.01 < dark.mean() < 0.2  # the pupil
-    assert warm.mean() > 0.2  # the iris
-    skin = part == names(bare.mesh).index("M_Face")
-    assert (image[skin].max(axis=1) < 0.01).mean() < 0.05  # strands of the lashes
-
-
-@pytest.mark.slow
-def test_maps_of_the_caller_do_not_replace_painted_maps(faces):
-    texture = fr.Texture.from_array(np.full((2, 2, 3), 0.25))
-    mesh = load_ict(faces, albedo=texture)
-    maps = dict(zip(names(mesh), (each.albedo_map for each in mesh.materials), strict=True))
-    assert maps["M_Face"] is texture
-    assert maps["M_IrisLeft"] is not texture
-    assert maps["M_EyeLashes"] is None
-
-
 def test_painted_maps():
     eye = np.asarray(_eye_map().rgb())
     side = len(eye)
@@ -456,3 +393,219 @@ def test_info_lists_the_largest_of_many_different_parts(tmp_path, capsys):
     assert [line.split()[0] for line in lines[start + 1 : start + 21]] == names[:20]
     assert lines[start + 21] == "and 30 more parts with 120 triangles"
     assert len(lines) < 40
+
+
+# --- skin -----------------------------------------------------------------------------------------
+
+
+SKIN = "head Face M_Head body.001 eyelid EyeLid_L Eye_Socket skin_eyes part3 shirt Iris_Murdoch"
+OTHERS = (
+    "eyeballs lash-strands tear-line cornea Eye_L eyes M_Eye.002 Head.Eyes hair Hair_Long FaceHair "
+    "Eyelashes_Curler brows beard Upper_Teeth"
+)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """The built-in head with its eyes."""
+    return fr.load_mesh()
+
+
+def skin_of(*pairs):
+    """Return whether pieces are skin, given the names of each piece and its material."""
+    pieces = [
+        Piece(np.zeros((3, 3)), np.array([[0, 1, 2]]), None, None, None, fr.Material(), name=name)
+        for name, _ in pairs
+    ]
+    for piece, (_, material) in zip(pieces, pairs, strict=True):
+        piece.material_name = material
+    mark_skin(pieces)
+    return [piece.skin for piece in pieces]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        *((name, True) for name in [*SKIN.split(), ""]),
+        *((name, False) for name in OTHERS.split()),
+        *(
+            (name, preset in ("skin", "lips"))
+            for preset, text in KNOWN.items()
+            for name in text.split()
+        ),
+    ],
+)
+def test_names_define_the_skin(name, expected):
+    assert skin_of((name, "")) == [expected]
+    assert skin_of(("part1", name)) == [expected]
+    assert skin_of((name, "Material.001")) == [expected]
+
+
+def test_high_poly_is_an_eye_beside_teeth():
+    assert skin_of(("high-poly", ""), ("body", "")) == [True, True]
+    assert skin_of(("high-poly", ""), ("body", ""), ("teeth_base", "")) == [False, True, False]
+
+
+def test_clear_parts_are_not_skin_and_a_mesh_has_some_skin():
+    mesh = row("a", "b")
+    clear = mesh.with_material("b", transmission=0.5)
+    assert (mesh.skin, clear.skin) == ((0, 1), (0,))
+    assert clear.select("b").skin == (0,)
+    eyes = replace(mesh, parts=tuple(replace(each, skin=False) for each in mesh.parts))
+    assert eyes.skin == (0, 1)
+    assert [each.m for each in clear.with_skin(m=0.5).materials] == [0.5, 0.3]
+    assert [each.m for each in clear.with_material(m=0.5).materials] == [0.5, 0.5]
+
+
+def test_skin_of_the_built_in_head(whole):
+    assert [whole.parts[i].name for i in whole.skin] == ["head"]
+    assert fr.load_mesh(as_is=True).skin == whole.skin
+    require_module("meshoptimizer")
+    assert fr.simplified(whole, 20_000).skin == whole.skin
+
+
+# --- factors --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_every_interface_changes_the_skin_only(whole, tmp_path, capsys):
+    """The command line, a scene file, a job, a batch and Python draw the same image."""
+    expected = fr.Scene(whole.with_skin(m=0.15), fr.Camera(frame="face"))
+    changed = zip(expected.mesh.materials, whole.materials, strict=True)
+    assert [each != own for each, own in changed] == [True, False, False, False, False]
+    size = ("--size", "64", "--samples", "1", "--frame", "face")
+    with Renderer((64, 64), samples=1) as renderer:
+        image = renderer.render(expected).linear
+        job = fr.Job(material={"m": 0.15}, camera=fr.Camera(frame="face"))
+        np.testing.assert_array_equal(renderer.render(job.scene()).linear, image)
+    python = fr.render(m=0.15, camera=fr.Camera(frame="face"), size=(64, 64), samples=1)
+    np.testing.assert_array_equal(python.linear, image)
+    (tmp_path / "a.toml").write_text("[material]\nm = 0.15\n")
+    for words in (("--m", 0.15), ("--scene", tmp_path / "a.toml")):
+        out = tmp_path / "a.exr"
+        assert run(capsys, "render", *size, *words, "--no-cache", "-o", out) == (0, f"{out}\n", "")
+        np.testing.assert_array_equal(read_image(out).pixels, image)
+    jobs = tmp_path / "jobs.jsonl"
+    jobs.write_text(json.dumps({"id": "a", "material.m": 0.15, "camera.frame": "face"}))
+    words = ("batch", jobs, "-o", tmp_path / "out", "--size", "64", "--samples", "1")
+    assert main([*map(str, words)]) == 0
+    (png,) = (tmp_path / "out").rglob("*.png")
+    np.testing.assert_array_equal(read_image(png).pixels, read_image_of(python, tmp_path))
+
+
+def read_image_of(frame, folder):
+    frame.save(folder / "b.png")
+    return read_image(folder / "b.png").pixels
+
+
+@pytest.mark.slow
+def test_the_catchlight_stays(whole):
+    """Of the specular term, the eyes keep every pixel, and the skin changes."""
+    camera = fr.Camera(frame="face", zoom=2.0)
+    with Renderer((192, 192), samples=1) as renderer:
+        own, rough = (
+            renderer.render(fr.Scene(mesh, camera), only="specular").linear
+            for mesh in (whole, fr.Job(material={"m": 0.3, "ks": 0.5}).scene(whole).mesh)
+        )
+        part = renderer.gbuffer(fr.Scene(whole, camera), blended=False).part
+    cornea, skin = (part == names(whole).index(name) for name in ("cornea", "head"))
+    assert own[cornea][:, :3].max() > 0.3
+    assert np.abs(own - rough)[cornea].max() == 0.0
+    assert np.abs(own - rough)[skin].max() > 0.05
+
+
+# --- maps -----------------------------------------------------------------------------------------
+
+
+def image(path, color=(200, 150, 130)):
+    Image.new("RGB", (4, 4), color).save(path)
+    return path
+
+
+def test_maps_replace_the_maps_of_the_skin(tmp_path, recwarn):
+    path = image(tmp_path / "skin.png")
+    plain, mesh = fr.load_mesh(), fr.load_mesh(albedo=path, roughness_map=path, normal_map=path)
+    assert len(recwarn) == 0, [str(each.message) for each in recwarn]
+    assert {each.name for each in (mesh.materials[0].albedo_map, mesh.materials[0].normal_map)} == {
+        "skin.png"
+    }
+    for name in ("albedo_map", "roughness_map", "normal_map"):
+        own, given = (getattr(each.materials[1], name) for each in (plain, mesh))
+        assert (own and own.size, own and own.name) == (given and given.size, given and given.name)
+    assert mesh.materials[2:] == plain.materials[2:]
+
+
+def eyes_and_face(folder, kind):
+    """Write a file with a face and eyes that have albedo maps; the map of the face is missing."""
+    image(folder / "eye.png", (10, 20, 30))
+    path = folder / f"a.{kind}"
+    if kind == "obj":
+        uv = "vt 0 0\nvt 1 0\nvt 0 1\n"
+        faces = "f 1/1 3/2 2/3\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+        groups = "".join(f"usemtl {each}\n{faces}" for each in ("Face", "Eye_L"))
+        path.write_text(f"mtllib a.mtl\n{VERTICES}{uv}{groups}")
+        (folder / "a.mtl").write_text(
+            "newmtl Face\nmap_Kd gone.png\nnewmtl Eye_L\nmap_Kd eye.png\n"
+        )
+        return path
+    document, binary = gltf(mini_head(), [{"name": "Face"}, {"name": "Eye_L"}])
+    mesh = document["meshes"][0]
+    document["meshes"] = [
+        {"primitives": [{**mesh["primitives"][0], "material": i}]} for i in range(2)
+    ]
+    for i, node in enumerate(document["nodes"][-2:]):
+        node["mesh"] = i
+    document["images"] = [{"uri": "gone.png"}, {"uri": "eye.png"}]
+    document["textures"] = [{"source": 0}, {"source": 1}]
+    document["materials"] = [
+        {"pbrMetallicRoughness": {"baseColorTexture": {"index": i}}} for i in range(2)
+    ]
+    path.write_bytes(join_glb(document, binary))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["obj", "glb"])
+def test_eyes_keep_their_map_and_a_replaced_map_may_be_missing(kind, tmp_path, recwarn):
+    path = eyes_and_face(tmp_path, kind)
+    mesh = fr.load_mesh(path, albedo=image(tmp_path / "skin.png"))
+    assert len(recwarn) == 0, [str(each.message) for each in recwarn]
+    assert names(mesh) == ["Face", "Eye_L"]
+    texels = [tuple(each.albedo_map.rgb().getpixel((0, 0))) for each in mesh.materials]
+    assert texels == [(200, 150, 130), (10, 20, 30)]
+
+
+def test_maps_of_selected_eyes(tmp_path):
+    path, eyes = image(tmp_path / "eye.png"), {"parts": "eyeballs"}
+    for mesh in (fr.load_mesh(albedo=path, **eyes), fr.MeshFile(albedo=str(path), **eyes).load()):
+        assert names(mesh) == ["eyeballs"]
+        assert mesh.materials[0].albedo_map.name == "eye.png"
+    with pytest.raises(fr.InputError, match=r"no part of head.glb is called 'eye': its parts are"):
+        fr.load_mesh(parts="eye")
+    with pytest.raises(fr.InputError, match=r"head.glb has no texture coordinates, which eye.png"):
+        fr.load_mesh(albedo=path, parts="tear-line,lash*")
+
+
+@pytest.mark.parametrize("chosen", [{}, {"parts": ("Std_Eyelash",)}, {"hide": ("shirt",)}])
+def test_the_cache_keeps_the_skin(chosen, tmp_path, cache_folder):
+    faces = "".join(f"usemtl {each}\n{FACES}" for each in ("shirt", "Std_Eyelash", "M_Eye"))
+    (tmp_path / "a.obj").write_text(VERTICES + faces)
+    file = fr.MeshFile(str(tmp_path / "a.obj"), **chosen)
+    plain, stored = file.load(), file.load(cache=True)
+    wait_for_cache()
+    cached = file.cached()
+    assert cached is not None
+    for mesh in (stored, cached):
+        assert names(mesh) == names(plain)
+        assert mesh.skin == plain.skin
+        assert [part.skin for part in mesh.parts] == [part.skin for part in plain.parts]
+        assert mesh.materials == plain.materials
+
+
+# --- info, hints ----------------------------------------------------------------------------------
+
+
+def test_dull_hair_gives_no_hint_on_the_skin():
+    mesh = row("head", "hair", "hair.2").with_material("hair*", ks=0.03)
+    hair = tuple(replace(part, skin=part.name == "head") for part in mesh.parts)
+    assert hints.faint(mesh) is not None
+    assert hints.faint(replace(mesh, parts=hair)) is None

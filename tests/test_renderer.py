@@ -7,7 +7,6 @@ import ctypes
 import gc
 import os
 import resource
-import shutil
 import subprocess
 import sys
 import tracemalloc
@@ -26,20 +25,14 @@ from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.gl_state import CAPABILITIES, STATE
-from facerender.drawing.prepare import simplify
 from facerender.drawing.program import Program
-from facerender.drawing.resolve import LightGroup, resolve
-from facerender.glsl.code import prelude
+from facerender.drawing.resolve import LightGroup
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
-from facerender.images.srgb import srgb_to_linear
 from facerender.lobes import GPower
-from facerender.measure.error import block_error, point_error
-from facerender.scenes import mips
+from facerender.measure.error import block_error
 from facerender.scenes.environment import studio
 from facerender.scenes.material import MAPS
-from facerender.scenes.presets import changed
-from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
 from tests.test_reference import (
@@ -47,14 +40,13 @@ from tests.test_reference import (
     around,
     compared,
     lit,
-    mixed,
     programs_of,
-    ramp,
     shadows,
     skin,
 )
 from tests.verification.eye import CLEAR, eye
 from tests.verification.lights import PLAIN_THREE
+from tests.verification.parts_head import parts_head
 
 
 @pytest.fixture(scope="module")
@@ -63,72 +55,11 @@ def transparent(backend: Backend) -> Iterator[fr.Renderer]:
         yield renderer
 
 
-@pytest.mark.first_case
-@pytest.mark.parametrize("light", range(5))
-def test_specular_layers_agree_with_float64(renderer, head, light):
-    scene = mixed(head)
-    shading = fr.Shading(specular_lights=(light,))
-    layers = reference.layers(renderer.gbuffer(scene), scene, fr.Shading())
-    for only, expected in (
-        ("specular", layers.specular[light]),
-        ("diffuse", layers.ambient + layers.diffuse),
-    ):
-        linear = renderer.render(scene, shading, only).linear[..., :3]
-        np.testing.assert_allclose(linear, expected, rtol=1e-4, atol=1e-6)
-
-
 def test_shifted_scene_moves_right_and_down(transparent, coarse_head):
     scene, size = fr.Scene(coarse_head), transparent.size
     still, moved = (transparent.render(fr.shifted(scene, *by, size)) for by in ((0, 0), (3, 2)))
     assert compare(transparent.render(scene), still)
     assert compare(still.linear[:-2, :-3], moved.linear[2:, 3:])
-
-
-def test_disabled_features_are_not_compiled(head):
-    scene = mixed(head)
-    surface = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False)
-    (program,) = programs_of(scene, surface.replace(specular_lights=(0, 1, 2)))
-    left_out = {"NORMAL_MAP", "OCCLUSION_MAP", "ROUGHNESS_MAP", "SPECULAR_MAP", "AMBIENT"}
-    assert not left_out & set(program.features)
-    assert program.lights == (
-        *(LightGroup("directional", True, 2), LightGroup("directional", False, 1)),
-        *(LightGroup("point", True, 1), LightGroup("point", False, 1)),
-    )
-    assert program.call == (
-        "fr_cook_torrance_terms(n, l, v, 0.3, f0, FR_LOBE_EXACT, FR_FRESNEL_SCHLICK, "
-        "FR_MASKING_V_CAVITY)"
-    )
-
-
-def test_simplified_scenes_and_materials(head):
-    scene = lit(head.with_material(specular_map=head.materials[0].roughness_map))
-    reduced = simplify(scene, fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False))
-    (before,), (material,) = scene.mesh.materials, reduced.mesh.materials
-    none = dict.fromkeys(("roughness_map", "specular_map", "normal_map", "occlusion_map"))
-    assert None not in [getattr(before, name) for name in none]
-    assert material == replace(before, m=0.3, ks=0.5, **none)
-    assert reduced == replace(scene, mesh=reduced.mesh, ambient=0.0)
-    assert simplify(scene, fr.Shading("ward", "d8")) is scene
-
-
-@pytest.mark.slow
-def test_simplified_meshes_and_their_maps_are_cached(egl, monkeypatch):
-    make, made = mips._CHAINS["data"], []
-    monkeypatch.setitem(mips._CHAINS, "data", lambda image: made.append(image) or make(image))
-    scene = fr.Scene(fr.load_mesh(), SIDE)
-    shading = fr.Shading(m=0.3, ks=0.5)
-    with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
-        first = renderer.render(scene, shading)
-        decoded, uploaded = len(made), list(renderer._resources.textures.values())
-        assert decoded > 0, "occlusion without the roughness is a map of its own"
-        gc.collect()
-        again = renderer.render(scene, replace(shading))
-        assert len(made) == decoded
-        assert [*map(id, renderer._resources.textures.values())] == [*map(id, uploaded)]
-    np.testing.assert_array_equal(again.linear, first.linear)
-    assert simplify(scene, shading).mesh is simplify(scene, shading).mesh
-    other = shading.replace(m=0.2)
-    assert simplify(scene, shading).mesh is not simplify(scene, other).mesh
 
 
 def test_data_views_show_the_simplified_scene(renderer, head):
@@ -140,7 +71,7 @@ def test_data_views_show_the_simplified_scene(renderer, head):
 
 
 @pytest.mark.parametrize("name", ["specular_lights", "shadow_lights"])
-@pytest.mark.parametrize("lights", [(4,), (-1,), (0, 9)])
+@pytest.mark.parametrize("lights", [(-1,), (0, 9)])
 def test_missing_lights_are_refused(renderer, head, name, lights):
     scene = lit(head)
     shading = fr.Shading(**{name: lights})
@@ -167,53 +98,13 @@ def test_slopes_of_a_shading_must_be_in_the_domain(renderer, head):
     assert frame.metadata["lobe"] == "g-power 8 (0.25/m^2 - 1)"
 
 
-@pytest.mark.slow
-def test_exact_replaces_a_lobe_outside_its_domain(renderer, head):
-    shiny = head.with_material(m=0.3, roughness_map=None)
-    rough = head.with_material(m=0.75, roughness_map=None)
-    exact = renderer.render(fr.Scene(rough))
-    for lobe in ("fitted", "d16"):
-        chosen = fr.Shading(lobe=lobe, outside="exact")
-        frame = renderer.render(fr.Scene(rough), chosen)
-        np.testing.assert_array_equal(frame.linear, exact.linear)
-        assert frame.metadata["lobe of each part"] == "exact"
-        frame = renderer.render(fr.Scene(shiny), chosen)
-        np.testing.assert_array_equal(
-            frame.linear, renderer.render(fr.Scene(shiny), fr.Shading(lobe=lobe)).linear
-        )
-        assert "lobe of each part" not in frame.metadata
-    gbuffer = renderer.gbuffer(fr.Scene(rough))
-    np.testing.assert_array_equal(
-        reference.shade(gbuffer, fr.Scene(rough), chosen),
-        reference.shade(gbuffer, fr.Scene(rough), fr.Shading()),
-    )
-
-
-def layered(mesh: fr.Mesh) -> fr.Scene:
-    """Return a scene with a masked part, a part with baked occlusion, and a blended part."""
-    (part,), (material,) = mesh.parts, mesh.materials
-    step = np.array([0.3, 0.0, 0.1]) * mesh.radius
-    dim = np.linspace(0.0, 1.0, len(part.positions), dtype=np.float32)
-    parts = (
-        part,
-        replace(part, positions=part.positions + step, occlusion=dim),
-        replace(part, positions=part.positions - step),
-    )
-    materials = (
-        replace(material, alpha="mask", opacity_map=ramp()),
-        material,
-        replace(material, alpha="blend", opacity=0.6, emissive=0.2),
-    )
-    return fr.Scene(replace(mesh, parts=parts, materials=materials), SIDE)
-
-
 PASSES = {  # a scene, and whether it uses deferred shading
     "forward": (lambda mesh: fr.Scene(mesh, SIDE, background=None), False),
     "deferred": (lambda mesh: fr.Scene(mesh, SIDE), True),
     "shadow maps": (shadows, False),
     "environment": (around, True),
     "scattering": (lambda mesh: skin(replace(mesh, millimetres=1000.0)), False),
-    "layers": (layered, False),
+    "layers": (lambda _: fr.Scene(parts_head("mask"), SIDE), False),
 }
 
 
@@ -242,47 +133,13 @@ def test_osmesa_and_egl_draw_each_pass_equally(drivers, name, monkeypatch):
         np.testing.assert_array_equal(*(getattr(each, field) for each in surfaces))
 
 
-@pytest.mark.osmesa
-@pytest.mark.parametrize("samples", [1, 4])
-@pytest.mark.parametrize("scene_of", [lambda mesh: fr.Scene(mesh, SIDE, background=None), shadows])
-def test_egl_and_osmesa_draw_the_same_image(egl, scan_mesh, samples, scene_of):
-    osmesa = require_backend("osmesa")
-    scene = scene_of(scan_mesh)
-    frames = []
-    for name in (egl, osmesa):
-        with fr.Renderer((1024, 1024), samples=samples, backend=name) as renderer:
-            frames.append(renderer.render(scene).linear)
-    a, b = frames
-    np.testing.assert_array_equal(a, b)  # equal on one driver; others need the limits below
-    assert point_error(a[..., :3], b[..., :3]) <= 0.05
-    assert block_error(a[..., :3], b[..., :3], b[..., 3]) <= 1e-3
-
-
-def false_highlights(linear: np.ndarray, expected: np.ndarray) -> float:
-    return float((linear - expected).max() / expected.max())
-
-
-def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypatch, tmp_path):
+def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head):
     """Beyond 49 degrees, the base of D16 is negative at m = 0.2, and the power must be 0."""
     mesh = head.with_material(m=0.2, normal_map=None)
     scene = fr.Scene(mesh, lights=(fr.Light(110.0, 5.0),), ambient=0.0, background=None)
     exact = renderer.render(scene, fr.Shading(), only="specular").linear[..., :3]
-    d16 = fr.Shading(lobe="d16")
-    assert false_highlights(renderer.render(scene, d16, "specular").linear[..., :3], exact) < 0.02
-
-    # Without the clamp, the test must detect false highlights.
-    shaders = tmp_path / "shaders"
-    shutil.copytree(fr.shader_dir(), shaders)
-    file = shaders / "facerender/lobe/g_power.glsl"
-    text = file.read_text()
-    unclamped = text.replace("clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0)",
-                             "1.0 - steepness * (1.0 - c)")  # fmt: skip
-    assert unclamped != text
-    file.write_text(unclamped)
-    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
-    with fr.Renderer((256, 256), samples=1) as broken:
-        linear = broken.render(scene, d16, "specular").linear[..., :3]
-    assert false_highlights(linear, exact) > 1.0
+    d16 = renderer.render(scene, fr.Shading(lobe="d16"), "specular").linear[..., :3]
+    assert (d16 - exact).max() < 0.02 * exact.max()
 
 
 def test_only_what_the_scene_needs_is_compiled(head):
@@ -292,53 +149,13 @@ def test_only_what_the_scene_needs_is_compiled(head):
     assert full.lights == (LightGroup("directional", True, 3),)
     (default,) = programs_of(fr.Scene(head), fr.Shading())
     assert default.lights == (LightGroup("disc", True, 3, shadows=0),)
+    brighter = tuple(replace(light, irradiance=9.0, azimuth=5.0) for light in scene.lights)
+    assert programs_of(replace(scene, lights=brighter), fr.Shading()) == [full]
     plain = head.with_material(normal_map=None, roughness_map=None, occlusion_map=None, ks=0.0)
     dark = replace(scene, mesh=plain, ambient=0.0, lights=())
     assert programs_of(dark, fr.Shading()) == [
         Program("shade.frag", features=("ALBEDO_MAP", "UV", "DIFFUSE"), lights=())
     ]
-
-
-def test_programs_do_not_depend_on_light_values(head):
-    scene = fr.Scene(head)
-    brighter = tuple(replace(light, irradiance=9.0, azimuth=5.0) for light in scene.lights)
-    assert programs_of(scene, fr.Shading()) == programs_of(
-        replace(scene, lights=brighter), fr.Shading()
-    )
-
-
-def test_a_model_may_call_a_term_twice(egl, head, monkeypatch, tmp_path):
-    """The model has two lobes like skin, with slopes m and m/2."""
-    shaders = tmp_path / "shaders"
-    shutil.copytree(fr.shader_dir(), shaders)
-    (shaders / "facerender/two_lobes.glsl").write_text(
-        '#include "facerender/cook_torrance.glsl"\n'
-        "float two_lobes(vec3 n, vec3 l, vec3 v, float m, float f0, int lobe, int f, int g) {\n"
-        "    return 0.7 * fr_cook_torrance_terms(n, l, v, m, f0, lobe, f, g)\n"
-        "        + 0.3 * fr_cook_torrance_terms(n, l, v, 0.5 * m, f0, lobe, f, g);\n"
-        "}\n"
-    )
-
-    def two_lobes(n, l, v, m, f0, /, **terms):
-        one, other = (fr.brdf.cook_torrance(n, l, v, x, f0, **terms) for x in (m, 0.5 * m))
-        return 0.7 * one + 0.3 * other
-
-    entry = Model(
-        name="two-lobes",
-        title="Two lobes",
-        file="two_lobes",
-        call="two_lobes(n, l, v, {m}, f0, {lobe}, {fresnel}, {masking})",
-        k=4,
-        evaluate=two_lobes,
-        factors=True,
-        family="physical",
-    )
-    monkeypatch.setitem(MODELS, "two-lobes", entry)
-    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
-    with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
-        for chosen in ({}, {"lobe": "d16", "fresnel": "constant", "masking": "none"}):
-            shading = fr.Shading("two-lobes", small_slope=True, **chosen)
-            assert compared(renderer, mixed(head), shading)[2].max() < 1e-4
 
 
 def test_data_views(renderer, head):
@@ -358,49 +175,35 @@ def test_data_views(renderer, head):
     assert (albedo[covered][:, :3] <= 1).all()
 
 
-def test_gbuffer_of_the_scan_shows_its_own_albedo(renderer, scan_mesh, scan):
-    """Texels at the G-buffer's uv agree with the sampled albedo, except for filtering."""
-    gbuffer = renderer.gbuffer(fr.Scene(scan_mesh))
-    covered = gbuffer.part >= 0
-    texels = np.asarray(Image.open(scan / "Map-COL.jpg").convert("RGB").resize((256, 256))) / 255.0
-    u, v = np.moveaxis(gbuffer.uv[covered], -1, 0)
-    looked_up = srgb_to_linear(texels)[((1 - v) * 255.99).astype(int), (u * 255.99).astype(int)]
-    assert np.abs(looked_up - gbuffer.albedo[covered]).mean() < 0.02
+def square(folder: Path, height: float = 1.0, u: tuple[int, ...] = (0, 1, 1, 0)) -> Path:
+    """Write a square in the plane z = 0, with u to the right and v up."""
+    corners = [f"v {x} {y * height} 0" for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    uv = [f"vt {x} {y}" for x, y in zip(u, (0, 0, 1, 1), strict=True)]
+    path = folder / "square.obj"
+    path.write_text("\n".join([*corners, *uv, "f 1/1 2/2 3/3", "f 1/1 3/3 4/4"]))
+    return path
 
 
 def test_normal_map_tilts_towards_its_green_and_red(renderer, tmp_path):
-    """On a square in the plane z = 0 with u to the right and v up, red tilts the normal to +x and
-    green to +y. This must hold from behind, too, and with a mirrored texture."""
+    """Red tilts the normal to +x and green to +y. This must hold from behind, too, and with a
+    mirrored texture."""
     Image.new("RGB", (4, 4), (191, 191, 218)).save(tmp_path / "tilted.png")
-    for name, u, faces in (
-        ("plain", (0, 1, 1, 0), "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"),
-        ("mirrored", (1, 0, 0, 1), "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"),
-    ):
-        corners = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n"
-        uv = "".join(f"vt {x} {y}\n" for x, y in zip(u, (0, 0, 1, 1), strict=True))
-        (tmp_path / f"{name}.obj").write_text(corners + uv + faces)
-        mesh = fr.load_mesh(tmp_path / f"{name}.obj", normal_map=tmp_path / "tilted.png")
+    for sign, u in ((1, (0, 1, 1, 0)), (-1, (1, 0, 0, 1))):
+        mesh = fr.load_mesh(square(tmp_path, u=u), normal_map=tmp_path / "tilted.png")
         for azimuth, facing in ((0, 1), (180, -1)):
             gbuffer = renderer.gbuffer(fr.Scene(mesh, fr.Camera(azimuth=azimuth)))
             normal = gbuffer.normal[gbuffer.part >= 0].mean(axis=0)
-            expected = np.array([0.5 if name == "plain" else -0.5, 0.5, 0.7 * facing])
-            np.testing.assert_allclose(normal, expected, atol=0.03)
+            np.testing.assert_allclose(normal, [0.5 * sign, 0.5, 0.7 * facing], atol=0.03)
 
 
 def test_normal_map_on_a_stretched_chart(renderer, tmp_path):
     """Different texel densities along u and v change the tilt only by a common scale."""
     Image.new("RGB", (4, 4), (191, 128, 238)).save(tmp_path / "tilted.png")
-    tilts = []
-    for stretch in (1, 4):
-        corners = f"v -1 -{stretch} 0\nv 1 -{stretch} 0\nv 1 {stretch} 0\nv -1 {stretch} 0\n"
-        uv = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
-        path = tmp_path / f"square{stretch}.obj"
-        path.write_text(corners + uv + "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
-        mesh = fr.load_mesh(path, normal_map=tmp_path / "tilted.png")
+    for height in (1.0, 4.0):
+        mesh = fr.load_mesh(square(tmp_path, height), normal_map=tmp_path / "tilted.png")
         gbuffer = renderer.gbuffer(fr.Scene(mesh))
-        tilts.append(gbuffer.normal[gbuffer.part >= 0].mean(axis=0))
-    np.testing.assert_allclose(tilts[0], [0.5, 0.0, 0.866], atol=0.01)
-    np.testing.assert_allclose(tilts[1], tilts[0], atol=0.01)
+        tilt = gbuffer.normal[gbuffer.part >= 0].mean(axis=0)
+        np.testing.assert_allclose(tilt, [0.5, 0.0, 0.866], atol=0.01)
 
 
 def test_black_texels_of_a_roughness_map_stay_in_the_domain(renderer, tmp_path):
@@ -424,10 +227,7 @@ def test_8_bit_images_of_a_frame():
 
 
 def test_point_light_gives_its_irradiance_at_the_centre(renderer, tmp_path):
-    (tmp_path / "square.obj").write_text(
-        "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3\nf 1 3 4\n"
-    )
-    mesh = fr.load_mesh(tmp_path / "square.obj").with_material(albedo=1.0, ks=0.0)
+    mesh = fr.load_mesh(square(tmp_path)).with_material(albedo=1.0, ks=0.0)
     light = fr.Light(irradiance=np.pi, position=(0.0, 0.0, 5.0))
     frame = renderer.render(fr.Scene(mesh, lights=(light,), ambient=0.0))
     # Without ambient and specular terms, albedo / pi * irradiance is 1 at the centre.
@@ -457,16 +257,6 @@ def test_orbits_frame_the_whole_mesh(renderer, head, scan_mesh):
             assert not covered[:, [0, -1]].any()
 
 
-def test_images_are_reproducible(egl, head):
-    scene = fr.Scene(head, SIDE)
-    with fr.Renderer((128, 128), backend=egl) as renderer:
-        first = renderer.render(scene).linear
-        renderer.render(fr.Scene(head))
-        np.testing.assert_array_equal(renderer.render(scene).linear, first)
-    with fr.Renderer((128, 128), backend=egl) as renderer:
-        np.testing.assert_array_equal(renderer.render(scene).linear, first)
-
-
 @pytest.mark.slow
 @pytest.mark.osmesa
 @pytest.mark.smoke
@@ -485,21 +275,6 @@ def _resident() -> int:
     """Return the resident memory of this process in MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() >> 20
-
-
-@pytest.mark.memory
-def test_released_renderers_free_their_memory(backend, head):
-    scene = fr.Scene(head)
-
-    def resident() -> int:
-        with fr.Renderer((256, 256), backend=backend) as renderer:
-            renderer.render(scene)
-        gc.collect()
-        ctypes.CDLL(None).malloc_trim(0)  # free memory that malloc retains varies
-        return _resident()
-
-    first, last = ([resident() for _ in range(8)] for _ in range(2))
-    assert min(last) - min(first) < 24
 
 
 @pytest.mark.memory
@@ -629,34 +404,24 @@ def every_map() -> fr.Scene:
     return fr.Scene(mesh, lights=lights, environment=fr.Environment(studio()))
 
 
-def test_guest_restores_every_texture_unit(host):
-    scene = every_map()
-    host.set_everything()
-    before = host.state()
-    with fr.Renderer((32, 32), samples=4, backend="current") as guest:
-        guest.render(scene)
-        assert host.state() == before
-        guest.gbuffer(scene)
-        assert host.state() == before
-    host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
-
-
 @pytest.mark.slow
-def test_guest_draws_the_same_and_restores_the_hosts_state(host, head):
+@pytest.mark.parametrize("scene_of", [lambda: fr.Scene(fr.load_mesh(MINI_HEAD)), every_map])
+def test_guest_draws_the_same_and_restores_the_hosts_state(host, scene_of):
+    scene = scene_of()
     with fr.Renderer((96, 96), samples=4, backend=host.context.backend) as own:
-        expected = own.render(fr.Scene(head)).linear
+        expected = own.render(scene).linear
     host.set_everything()
     before = host.state()
     with fr.Renderer((96, 96), samples=4, backend="current") as guest:
         assert host.state() == before
         for _ in range(2):
-            np.testing.assert_array_equal(guest.render(fr.Scene(head)).linear, expected)
+            np.testing.assert_array_equal(guest.render(scene).linear, expected)
             assert host.state() == before
-        guest.gbuffer(fr.Scene(head))
+        guest.gbuffer(scene)
         assert host.state() == before
-        at_center = fr.Light(position=tuple(head.center))
+        at_center = fr.Light(position=tuple(scene.mesh.center))
         with pytest.raises(fr.InputError, match="is at the mesh's centre"):
-            guest.render(fr.Scene(head, lights=(at_center,)))
+            guest.render(replace(scene, lights=(at_center,)))
         assert host.state() == before
     assert host.state() == before
     host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
@@ -753,10 +518,14 @@ def test_renderer_does_not_keep_meshes_alive(renderer):
     renderer.render(fr.Scene(mesh))
     variant = mesh.with_material(m=0.2)
     renderer.render(fr.Scene(variant))
-    renderer.render(fr.Scene(mesh), fr.Shading(m=0.25, ks=0.5, normal_map=False))
+    simple = fr.Scene(mesh), fr.Shading(m=0.25, ks=0.5, normal_map=False)
+    renderer.render(*simple)
+    textures = [*map(id, renderer._resources.textures.values())]
+    renderer.render(*simple)
+    assert [*map(id, renderer._resources.textures.values())] == textures, "maps are not packed anew"
     assert len(renderer._resources.geometries) == others + 1, "variants share their geometry"
     dead = weakref.ref(mesh), weakref.ref(variant), weakref.ref(mesh.parts[0])
-    del mesh, variant
+    del mesh, variant, simple
     gc.collect()
     assert [reference() for reference in dead] == [None] * 3
 
@@ -768,24 +537,6 @@ def test_maps_of_earlier_frames_are_freed(renderer):
         renderer.render(fr.Scene(mesh.with_material(albedo_map=albedo)))
     with renderer.context.drawing() as gl:
         assert gl.gc() < 4, "only objects of the last frame wait to be freed"
-
-
-def test_copies_of_a_material_share_packed_maps():
-    grey = [fr.Texture.from_array(np.full((4, 4), 50 * i, np.uint8)) for i in range(3)]
-    material = fr.Material(occlusion_map=grey[0], roughness_map=grey[1], specular_map=grey[2])
-    packed = weakref.ref(changed(material, {"m": 0.2}).property_map)
-    gc.collect()
-    assert changed(material, {"m": 0.3}).property_map is packed() is not None
-    other = fr.Texture.from_array(np.zeros((4, 4), np.uint8))
-    foreign = weakref.ref(changed(material, {"roughness_map": other}).property_map)
-    gc.collect()
-    assert foreign() is None, "maps of a copy live as long as the copy"
-    maps = weakref.ref(grey[1])
-    plain = changed(material, {"occlusion_map": None, "roughness_map": None, "specular_map": None})
-    del material, grey
-    gc.collect()
-    assert maps() is None, "a copy without maps does not keep them alive"
-    assert plain.property_map is None
 
 
 @pytest.mark.slow
@@ -803,11 +554,7 @@ def test_anisotropy_sharpens_maps_at_grazing_angles(egl, tmp_path):
     stripes = np.zeros((256, 256), np.uint8)
     stripes[:, ::8] = 255
     Image.fromarray(stripes).save(tmp_path / "stripes.png")
-    (tmp_path / "square.obj").write_text(
-        "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
-        "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
-    )
-    mesh = fr.load_mesh(tmp_path / "square.obj", albedo=tmp_path / "stripes.png")
+    mesh = fr.load_mesh(square(tmp_path), albedo=tmp_path / "stripes.png")
     scene = fr.Scene(mesh, fr.Camera(0.0, 85.0))
     contrast = []
     for anisotropy in (1.0, 16.0):
@@ -821,8 +568,6 @@ def test_anisotropy_sharpens_maps_at_grazing_angles(egl, tmp_path):
     ("arguments", "message"),
     [
         ({"size": (0, 10)}, "size 0 x 10: give 1 to 16384"),
-        ({"size": (10, 100000)}, "size 10 x 100000"),
-        ({"samples": 0}, "samples = 0: give 1 to 64"),
         ({"samples": 65}, "samples = 65: give 1 to 64"),
         ({"anisotropy": 0.5}, "anisotropy = 0.5"),
         ({"backend": "wgl"}, "unknown backend 'wgl'; known: auto, egl"),
@@ -845,24 +590,6 @@ def test_more_samples_than_the_driver_has(egl):
     fine = images[256, 1].reshape(32, 8, 32, 8, 4).mean(axis=(1, 3))
     error = {key: np.abs(image - fine).mean() for key, image in images.items() if key[0] == 32}
     assert error[32, 64] < 0.2 * error[32, 4] < 0.2 * error[32, 1]
-
-
-def test_slope_of_a_map_outside_the_domain_is_refused(renderer, head):
-    wide = head.with_material(m=2.0)
-    with pytest.raises(fr.InputError, match=r"outside the domain of lobe d16 .* use"):
-        renderer.render(fr.Scene(wide), fr.Shading(lobe="d16"))
-    assert np.isfinite(renderer.render(fr.Scene(wide), fr.Shading()).linear).all()
-
-
-@pytest.mark.slow
-def test_render_mesh_is_optional(egl):
-    frame = fr.render(fr.load_mesh(), m=0.25, size=(64, 48), samples=1, backend=egl)
-    assert frame.linear.shape == (48, 64, 4)
-    assert frame.linear.dtype == np.float32
-    assert frame.linear.flags.c_contiguous
-    assert "llvmpipe" in frame.metadata["GL_RENDERER"] or frame.metadata["GL_RENDERER"]
-    default = fr.render(size=(64, 48), samples=1, m=0.25, backend=egl)
-    np.testing.assert_array_equal(default.linear, frame.linear)
 
 
 def test_moderngl_keeps_no_default_context(egl, head):
@@ -896,34 +623,3 @@ def test_lobe_of_each_part_depends_on_its_slopes(transparent, pair):
     assert set(gbuffer.part[covered]) == {0, 1}
     # Smaller slopes have larger errors, due to float32 maps and normals; see the shader headers.
     assert error[gbuffer.m[covered] > 0.1].max() < 1e-4
-
-
-def test_slope_range_chooses_the_form_of_the_half_vector(pair):
-    ranges = resolve(fr.Scene(pair, lights=PLAIN_THREE), fr.Shading()).slopes
-    assert ranges[0] == (0.75, 0.75)
-    texts = [prelude(fr.Term().for_slopes(*ends), ends[0]) for ends in ranges]
-    assert ["FR_SMALL_SLOPE 0" in text for text in texts] == [True, False]
-    assert "FR_SMALL_SLOPE" not in prelude(fr.Term(lobe="d16"), 0.5)
-    for smallest, plain in ((0.19, False), (0.2, True)):
-        assert ("FR_SMALL_SLOPE 0" in prelude(fr.Term(), smallest)) == plain
-
-
-def test_both_ends_of_the_slope_range_are_checked():
-    term = fr.Term(lobe="d16")
-    assert term.for_slopes(0.1, 0.7, "exact") is term
-    assert term.for_slopes(0.1, 0.8, "exact").lobe == "exact"
-    assert term.for_slopes(1e-5 + 1e-4, 0.8, "exact").lobe == "exact"
-    for ends in ((1e-5, 0.3), (0.3, 5.0)):
-        with pytest.raises(fr.InputError, match="outside the domain of lobe exact"):
-            term.for_slopes(*ends, "exact")
-    with pytest.raises(fr.InputError, match="or use the lobe exact .facerender render: --outside"):
-        term.for_slopes(0.1, 0.8)
-    with pytest.raises(fr.InputError, match="unknown value of outside: 'clamp'"):
-        fr.Shading(outside="clamp")
-
-
-def test_render_forwards_outside(egl, head):
-    options = {"size": (32, 32), "samples": 1, "backend": egl, "m": 0.8, "lobe": "d16"}
-    assert fr.render(head, outside="exact", **options).metadata["lobe of each part"] == "exact"
-    with pytest.raises(fr.InputError, match="outside the domain"):
-        fr.render(head, **options)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -18,96 +17,13 @@ import facerender as fr
 from facerender.commands import main
 from facerender.errors import InputError
 from tests import awkward_files as files
-from tests.awkward_files import assert_equal, join_glb
+from tests.awkward_files import KINDS, WIDTHS, Glb, assert_equal
 from tests.verification.cache import wait_for_cache
 
-KINDS = {"<i1": 5120, "<u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
-KINDS["|u1"], KINDS["|i1"] = 5121, 5120
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 HALF = math.sqrt(0.5)
 
 
 # --- files ---------------------------------------------------------------------------------------
-
-
-class Glb:
-    """A glTF document and its buffer, to which accessors, clips and meshes can be added."""
-
-    def __init__(self, *nodes):
-        self.binary = b""
-        lists: dict[str, Any] = {"meshes": [], "accessors": [], "bufferViews": []}
-        self.document: dict[str, Any] = {
-            "asset": {"version": "2.0"},
-            "scenes": [{"nodes": [0]}],
-            "nodes": list(nodes),
-            "buffers": [{"byteLength": 0}],
-            **lists,
-        }
-
-    def view(self, values):
-        content = np.ascontiguousarray(values).tobytes()
-        self.binary += bytes(-len(self.binary) % 4)
-        self.document["bufferViews"].append(
-            {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content)}
-        )
-        self.binary += content
-        self.document["buffers"][0]["byteLength"] = len(self.binary)
-        return len(self.document["bufferViews"]) - 1
-
-    def add(self, values, kind="<f4", sparse=False, **more):
-        """Add an accessor of the values, or only of the rows that are not 0."""
-        values = np.asarray(values, kind)
-        values = values.reshape(len(values), -1)
-        names = {width: name for name, width in WIDTHS.items()}
-        entry = {"componentType": KINDS[kind], "count": len(values), **more}
-        entry["type"] = names[values.shape[1]]
-        if sparse:
-            rows = np.flatnonzero(values.any(axis=1))
-            entry["sparse"] = {
-                "count": len(rows),
-                "indices": {"bufferView": self.view(rows.astype("<u2")), "componentType": 5123},
-                "values": {"bufferView": self.view(values[rows])},
-            }
-        else:
-            entry["bufferView"] = self.view(values)
-        self.document["accessors"].append(entry)
-        return len(self.document["accessors"]) - 1
-
-    def mesh(self, *primitives, **more):
-        self.document["meshes"].append({"primitives": list(primitives), **more})
-        return len(self.document["meshes"]) - 1
-
-    def primitive(self, positions, faces, normals=None, **attributes):
-        own = {"POSITION": self.add(positions)}
-        if normals is not None:
-            own["NORMAL"] = self.add(normals)
-        return {"attributes": {**own, **attributes}, "indices": self.add(np.ravel(faces), "<u2")}
-
-    def clip(self, *channels, **more):
-        """Add an animation; a channel is (node, path, times, values, interpolation)."""
-        animation: dict[str, Any] = {"channels": [], "samplers": [], **more}
-        for node, path, times, values, *interpolation in channels:
-            rows = np.ravel(values) if path == "weights" else values
-            sampler = {"input": self.add(times), "output": self.add(rows)}
-            if interpolation:
-                sampler["interpolation"] = interpolation[0]
-            number = len(animation["samplers"])
-            animation["samplers"].append(sampler)
-            animation["channels"].append(
-                {"sampler": number, "target": {"node": node, "path": path}}
-            )
-        self.document.setdefault("animations", []).append(animation)
-        return animation
-
-    def content(self):
-        return join_glb(self.document, self.binary + bytes(-len(self.binary) % 4))
-
-    def load(self):
-        return fr.load_mesh(self.content(), kind="glb")
-
-
-def triangle():
-    return [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]
 
 
 def cube(size=1.0):
@@ -144,13 +60,6 @@ def around(axis, *degrees):
     """Return quaternions of rotations around named axes."""
     angles = np.reshape(degrees, (-1, len(axis)))
     return Rotation.from_euler(axis, angles, degrees=True).as_quat()
-
-
-def animated_triangle():
-    file = Glb({"mesh": 0})
-    file.mesh(file.primitive(*triangle()))
-    file.clip((0, "rotation", [0, 0.25, 0.5, 0.75, 1], around("z", 0, 90, 180, 270, 360)))
-    return file
 
 
 def animated_cube():
@@ -204,19 +113,6 @@ def interpolation_test():
     return file
 
 
-def simple_morph():
-    """The sample's triangle, whose two targets move its upper vertex in its plane."""
-    file = Glb({"mesh": 0})
-    primitive = file.primitive(*triangle())
-    primitive["targets"] = [
-        {"POSITION": file.add([(0, 0, 0), (0, 0, 0), (-1, 1, 0)])},
-        {"POSITION": file.add([(0, 0, 0), (0, 0, 0), (1, 1, 0)])},
-    ]
-    file.mesh(primitive, weights=[0.5, 0.5])
-    file.clip((0, "weights", [0, 1, 2, 3, 4], [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0)], "LINEAR"))
-    return file
-
-
 def targets_of(file, count, vertices, seed, normals=True, sparse=False):
     rng = np.random.default_rng(seed)
     found = []
@@ -227,19 +123,6 @@ def targets_of(file, count, vertices, seed, normals=True, sparse=False):
             own["NORMAL"] = file.add(0.2 * rng.normal(size=(vertices, 3)) * rows, sparse=sparse)
         found.append(own)
     return found
-
-
-def animated_morph_cube():
-    file = Glb({"mesh": 0, "rotation": [HALF, 0, 0, HALF], "scale": [100, 100, 100]})
-    primitive = file.primitive(*cube(0.02))
-    primitive["targets"] = targets_of(file, 2, 24, 1)
-    for target in primitive["targets"]:
-        file.document["accessors"][target["POSITION"]]["componentType"] = 5126
-    file.mesh(primitive, extras={"targetNames": ["thin", "angle"]}, weights=[0, 0])
-    rng = np.random.default_rng(2)
-    values = 0.02 * rng.random((7, 3, 2))
-    file.clip((0, "weights", np.arange(7) / 3.0, values, "CUBICSPLINE"), name="Square")
-    return file
 
 
 def morph_stress():
@@ -253,28 +136,9 @@ def morph_stress():
         primitives[-1]["targets"] = targets_of(file, 8, len(places), seed)
     file.mesh(*primitives, extras={"targetNames": names}, weights=[1.0] * 8)
     rng = np.random.default_rng(5)
-    for name in ("Individuals", "TheWave", "Pulse"):
+    for name in ("Individuals", "TheWave"):
         file.clip((0, "weights", [0, 0.5, 2], rng.random((3, 8))), name=name)
-    return file
-
-
-def simple_skin():
-    """The sample's strip of five pairs of vertices and two joints, without normals."""
-    places = [(x - 0.5, 0.5 * y, 0) for y in range(5) for x in range(2)]
-    faces = [f for i in range(0, 8, 2) for f in ((i, i + 1, i + 3), (i, i + 3, i + 2))]
-    upper = np.repeat(np.linspace(0, 1, 5), 2)
-    file = Glb({"children": [1, 2]}, {"skin": 0, "mesh": 0}, {"children": [3]}, {})
-    file.document["nodes"][2]["translation"] = [0.0, 1.0, 0.0]
-    joints = np.zeros((10, 4))
-    joints[:, 1] = 1
-    weights = np.stack([1 - upper, upper, 0 * upper, 0 * upper], axis=1)
-    file.mesh(
-        file.primitive(places, faces, JOINTS_0=file.add(joints, "<u2"), WEIGHTS_0=file.add(weights))
-    )
-    inverse = np.tile(np.eye(4), (2, 1, 1))
-    inverse[:, 3, 1] = -1.0
-    file.document["skins"] = [{"joints": [2, 3], "inverseBindMatrices": file.add(inverse)}]
-    file.clip((3, "rotation", np.arange(5) * 0.5, around("z", 0, 45, 90, -45, 0)))
+    file.clip((0, "weights", [0, 0.5, 2], rng.random((3, 3, 8)), "CUBICSPLINE"), name="Pulse")
     return file
 
 
@@ -300,17 +164,21 @@ def along(places, count):
 
 
 def rigged_simple():
-    """A tube in a Z-up armature; a clip moves, turns and scales its joints."""
+    """A tube in a Z-up armature, with normalised bytes as weights; a clip moves, turns and scales
+    its joints."""
     file = Glb(
         {"children": [1, 2], "rotation": [-HALF, 0, 0, HALF]},
         {"mesh": 0, "skin": 0, "translation": [9, 9, 9]},
         {"children": [3], "translation": [0, 0.1, 0], "rotation": around("x", 10)[0].tolist()},
         {"translation": [0, 1, 0], "scale": [1, 0.8, 1.3]},
     )
-    skinned_tube(file, *along(tube()[0], 2))
+    joints, weights = along(tube()[0], 2)
+    high = np.round(255 * weights[:, :1])
+    weights = np.hstack([high, 255 - high, 0 * weights[:, 2:]])
+    skinned_tube(file, joints, weights, "<u1", normalized=True)
     inverse = np.tile(np.eye(4), (2, 1, 1))
     inverse[1, 3, 1] = -1.0
-    file.document["skins"] = [{"joints": [2, 3], "inverseBindMatrices": file.add(inverse)}]
+    file.skin([2, 3], inverse)
     file.clip(
         (3, "rotation", [0.1, 1, 2], around("x", 0, 70, -20)),
         (3, "scale", [0, 2], [(1, 0.8, 1.3), (0.5, 1, 0.7)]),
@@ -332,38 +200,10 @@ def recursive_skeletons():
     skinned_tube(file, *along(tube()[0], 3))
     inverse = np.tile(np.eye(4), (3, 1, 1))
     inverse[:, 3, 1] = [0, -0.8, -1.6]
-    file.document["skins"] = [
-        {"joints": [1, 2, 3], "inverseBindMatrices": file.add(inverse)},
-        {"joints": [3, 2, 1], "inverseBindMatrices": file.add(2.0 * inverse[::-1])},
-    ]
+    file.skin([1, 2, 3], inverse)
+    file.skin([3, 2, 1], 2.0 * inverse[::-1])
     file.clip(
         (1, "rotation", [0, 1], around("z", 0, 50)), (2, "scale", [0, 1], [(1,) * 3, (2,) * 3])
-    )
-    return file
-
-
-def cesium_man():
-    """Two legs walk; the weights are normalised bytes."""
-    file = Glb(
-        {"children": [1, 2]},
-        {"mesh": 0, "skin": 0},
-        {"children": [3], "name": "Skeleton_torso_joint_1"},
-        {"translation": [0, 1, 0], "name": "leg_joint_R_1"},
-    )
-    joints, weights = along(tube()[0], 2)
-    high = np.round(255 * weights[:, :1])
-    skinned_tube(
-        file, joints, np.hstack([high, 255 - high, 0 * weights[:, 2:]]), "<u1", normalized=True
-    )
-    inverse = np.tile(np.eye(4), (2, 1, 1))
-    inverse[1, 3, 1] = -1.0
-    file.document["skins"] = [{"joints": [2, 3], "inverseBindMatrices": file.add(inverse)}]
-    times = np.linspace(0.04, 2.0, 48)
-    swing = 40 * np.sin(3 * times)
-    file.clip(
-        (2, "translation", times, np.stack([0 * times, 0.1 * np.sin(times), times], axis=1)),
-        (2, "rotation", times, around("x", *swing)),
-        (3, "rotation", times, around("x", *(-0.5 * swing))),
     )
     return file
 
@@ -406,7 +246,7 @@ def eight_joints():
     joints = np.stack([rng.permutation(8) for _ in range(count)])
     skinned_tube(file, joints, rng.random((count, 8)))
     inverse = np.tile(np.eye(4), (8, 1, 1)) + 0.1 * rng.normal(size=(8, 4, 4)) * (1, 1, 1, 0)
-    file.document["skins"] = [{"joints": [*range(2, 10)], "inverseBindMatrices": file.add(inverse)}]
+    file.skin(range(2, 10), inverse)
     angles = rng.normal(scale=20, size=(8, 2, 3))
     rotations = [(i + 2, "rotation", [0, 1], around("xyz", *own)) for i, own in enumerate(angles)]
     file.clip(*rotations)
@@ -424,7 +264,7 @@ def mirrored():
     file.mesh(file.primitive(*tube()))
     joints, weights = along(tube()[0], 2)
     skinned_tube(file, 0 * joints, weights)
-    file.document["skins"] = [{"joints": [3]}]
+    file.skin([3])
     file.clip((0, "rotation", [0, 1], around("y", 0, 100)))
     return file
 
@@ -447,17 +287,12 @@ def instanced():
 
 
 SAMPLES = [
-    animated_triangle,
     animated_cube,
     box_animated,
     interpolation_test,
-    simple_morph,
-    animated_morph_cube,
     morph_stress,
-    simple_skin,
     rigged_simple,
     recursive_skeletons,
-    cesium_man,
     sparse_quantized,
     eight_joints,
     mirrored,
@@ -823,18 +658,12 @@ def test_a_pose_keeps_the_rest_of_the_mesh():
         ({"weights": {"smil": 1.0}}, "bytes has no shape 'smil': its shapes are Key 1, Key 2, "),
         ({"weights": {3: 1.0}}, "bytes has no shape 3: its shapes are Key 1"),
         ({"weights": {"Key 1": math.nan}}, "weight of 'Key 1' = nan is outside [-100, 100]"),
-        ({"weights": {"Key 1": -100.5}}, "weight of 'Key 1' = -100.5 is outside [-100, 100]"),
-        ({"weights": {"Key 1": "x"}}, "weight of 'Key 1' = 'x' is not a number"),
         ({"weights": {"Key 1": True}}, "weight of 'Key 1' = True is not a number"),
-        ({"weights": [1.0]}, "weights = [1.0]: give a mapping from names of shapes to numbers"),
-        (
-            {"clip": "run"},
-            "clip = 'run', which bytes lacks: its clips are Individuals, TheWave, Pulse",
-        ),
+        ({"weights": [1.0]}, "weights = [1.0]: give a mapping"),
+        ({"clip": "run"}, "clip = 'run', which bytes lacks: its clips are Individuals, TheWave"),
         ({"clip": 3}, "clip = 3: give the name of a clip"),
         ({"time": 2.01}, "time of clip 'Individuals' = 2.01 is outside [0, 2]"),
         ({"clip": "Pulse", "time": -0.1}, "time of clip 'Pulse' = -0.1 is outside [0, 2]"),
-        ({"time": math.inf}, "time of clip 'Individuals' = inf is outside [0, 2]"),
         ({"time": "1"}, "time of clip 'Individuals' = '1' is not a number"),
     ],
 )
@@ -889,42 +718,37 @@ def with_keys(times=(0, 1), values=((0, 0, 0), (1, 0, 0)), node=0, path="transla
     return change
 
 
-def beyond(file, animation):
-    file.document["accessors"][animation["samplers"][0]["output"]]["count"] = 1000
+def with_accessor(**changes):
+    """Return a change of the accessor of the sampler's values."""
 
+    def change(file, animation):
+        file.document["accessors"][animation["samplers"][0]["output"]] |= changes
 
-def far_beyond(file, animation):
-    file.document["accessors"][animation["samplers"][0]["output"]]["count"] = 10**9
+    return change
 
 
 def without_view(file, animation):
     del file.document["accessors"][animation["samplers"][0]["output"]]["bufferView"]
 
 
-def of_a_matrix(file, animation):
+def of_a_matrix(file, _):
     file.document["nodes"][0]["matrix"] = np.eye(4).ravel().tolist()
 
 
 DAMAGED = {
     "backwards": (with_keys([1, 0]), "the times run backwards"),
     "nan time": (with_keys([0, math.nan]), "has a value that is not finite"),
-    "infinite time": (with_keys([0, math.inf]), "has a value that is not finite"),
     "negative time": (with_keys([-1, 0]), "the first time is below 0"),
-    "nan value": (
-        with_keys(values=[(0, 0, 0), (0, math.nan, 0)]),
-        "has a value that is not finite",
-    ),
+    "nan value": (with_keys(values=[(0, 0, 0), (0, math.nan, 0)]), "a value that is not finite"),
     "few values": (with_keys([0, 1, 2]), "the values have the shape (2, 3) for 3 keys"),
     "cubic": (with_keys(interpolation="CUBICSPLINE"), "the values have the shape (2, 3) for 2"),
     "no times": (with_keys(np.zeros((2, 3))), "the times have the shape (2, 3)"),
-    "wide": (with_keys(values=np.ones((2, 4))), "the values have the shape (2, 4) for 2 keys"),
     "kind": (with_keys(interpolation="SLOW"), "interpolation 'SLOW' is unknown"),
     "node": (with_keys(node=2), "node = 2 is not an index into the 2 nodes"),
     "path": (with_keys(path="visible"), "target.path = 'visible' is unknown"),
     "targets": (with_keys(path="weights"), "nodes[0], which has no morph targets"),
-    "no mesh": (with_keys(path="weights", node=1), "nodes[1], which has no morph targets"),
-    "beyond": (beyond, "needs 12000 bytes of bufferViews"),
-    "far beyond": (far_beyond, "the file has too many animated values"),
+    "beyond": (with_accessor(count=1000), "needs 12000 bytes of bufferViews"),
+    "far beyond": (with_accessor(count=10**9), "the file has too many animated values"),
     "no view": (without_view, "has no bufferView"),
     "matrix": (of_a_matrix, "moves nodes[0], which has a matrix"),
     "sampler": (lambda _, own: own["channels"][0].update(sampler=4), "sampler = 4 does not exist"),
@@ -1004,19 +828,6 @@ def test_pointers_are_ignored_with_a_warning():
     np.testing.assert_allclose(step, np.tile((1.0, 0.0, 0.0), (24, 1)), atol=1e-6)
 
 
-def test_a_million_keys():
-    file = Glb({"mesh": 0})
-    file.mesh(file.primitive(*cube()))
-    times = np.linspace(0, 1000, 10**6).astype("<f4")
-    file.clip((0, "translation", times, np.stack([times, 0 * times, 0 * times], axis=1)))
-    mesh = file.load()
-    start = time.perf_counter()
-    for at in np.linspace(0, 1000, 100):
-        place = mesh.with_pose(time=at).parts[0].positions.mean(axis=0)
-        np.testing.assert_allclose(place, (at, 0, 0), atol=1e-3)
-    assert time.perf_counter() - start < 2.0  # 20 ms each; reading all keys takes longer
-
-
 def test_unused_vertices_do_not_move():
     """The loader moves them into the bounds; a pose must not move them out again."""
     places, faces, normals = cube()
@@ -1041,11 +852,11 @@ def test_shapes_of_primitives_that_share_vertices():
     file.mesh(few, {**whole, "indices": file.add(np.ravel(faces[220:]), "<u2")})
     mesh = file.load()
     assert len(mesh.parts[0].positions) < 200
-    rows = np.unique(faces[100:220])
     pose = mesh.with_pose({"shape1": 1.0, "shape2": -0.3})
-    moves = [Reference(file).accessor(each["POSITION"])[rows] for each in whole["targets"]]
-    expected = np.asarray(places)[rows] + moves[0] - 0.3 * moves[1]
-    np.testing.assert_allclose(pose.parts[0].positions, expected, atol=1e-6)
+    moves = [Reference(file).accessor(each["POSITION"]) for each in whole["targets"]]
+    moved = places + moves[0] - 0.3 * moves[1]
+    for part, own in zip(pose.parts, (faces[100:220], faces[220:]), strict=True):
+        np.testing.assert_allclose(part.positions[part.faces], moved[own], atol=1e-6)
 
 
 def test_vertices_without_weights_follow_their_first_joint():
@@ -1053,7 +864,7 @@ def test_vertices_without_weights_follow_their_first_joint():
     joints, weights = np.zeros((2, len(tube()[0]), 4))
     joints[:, 0] = tube()[0][:, 1] > 1.0
     skinned_tube(file, joints, weights)
-    file.document["skins"] = [{"joints": [2, 3]}]
+    file.skin([2, 3])
     file.clip((3, "translation", [0, 1], [(0, 0, 0), (2, 0, 0)]))
     mesh = file.load()
     step = mesh.with_pose(time=1.0).parts[0].positions - mesh.parts[0].positions
@@ -1066,7 +877,7 @@ def test_a_skinned_node_does_not_place_a_mesh_without_joints():
     primitive = file.primitive(*cube())
     primitive["targets"] = [{"POSITION": file.add(np.ones((24, 3)))}]
     file.mesh(primitive)
-    file.document["skins"] = [{"joints": [2]}]
+    file.skin([2])
     mesh = file.load()
     np.testing.assert_allclose(mesh.parts[0].positions, cube()[0], atol=1e-6)
     pose = mesh.with_pose({"shape1": 1.0})
@@ -1074,50 +885,6 @@ def test_a_skinned_node_does_not_place_a_mesh_without_joints():
 
 
 # --- storage -------------------------------------------------------------------------------------
-
-
-def arrays_of(value):
-    """Yield all arrays of a rig."""
-    if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, list | tuple):
-        for each in value:
-            yield from arrays_of(each)
-    elif hasattr(value, "__dataclass_fields__"):
-        for name in value.__dataclass_fields__:
-            yield from arrays_of(getattr(value, name))
-
-
-@pytest.mark.parametrize("sample", SAMPLES)
-def test_rigs_do_not_keep_the_content_of_the_file(sample):
-    for part in sample().load().parts:
-        for each in arrays_of(part.rig):
-            while isinstance(each.base, np.ndarray):
-                each = each.base
-            assert each.base is None
-
-
-def test_only_rows_that_move_are_stored():
-    file = Glb({"mesh": 0})
-    primitive = file.primitive(*cube())
-    moves = np.zeros((24, 3))
-    moves[[3, 7]] = 1.0
-    primitive["targets"] = [{"POSITION": file.add(moves)}, {"POSITION": file.add(0 * moves)}]
-    file.mesh(primitive)
-    shapes = file.load().parts[0].rig.shapes
-    assert [each.rows.tolist() for each in shapes] == [[3, 7], []]
-
-
-def test_parts_that_do_not_move_have_no_rig():
-    file = Glb({"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [3, 0, 0]})
-    file.mesh(file.primitive(*cube()))
-    assert [part.rig for part in file.load().parts] == [None, None]
-    file.clip((2, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)]))
-    mesh = file.load()
-    assert [part.rig is None for part in mesh.parts] == [True, False]
-    pose = mesh.with_pose(time=1.0)
-    assert_equal(pose.parts[0].positions, mesh.parts[0].positions, "part without rig")
-    assert fr.load_mesh(files.MINI_HEAD).parts[0].rig is None
 
 
 @pytest.mark.first_case

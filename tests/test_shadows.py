@@ -12,17 +12,15 @@ import trimesh
 
 import facerender as fr
 from facerender.drawing.context import create_context
-from facerender.drawing.passes.shadow import MOST, with_shadows
-from facerender.drawing.program import Program
-from facerender.drawing.resolve import resolve
-from facerender.scenes.light import light_space, parse_light
+from facerender.drawing.passes.shadow import MOST
+from facerender.scenes.light import parse_light
 from facerender.scenes.mesh import Part
-from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import code
+from tests.test_alpha import quad
 from tests.test_reference import key, shadows
 from tests.verification.evaluate import CORNERS, vertex_shader
-from tests.verification.shadows import edge_error, light_in_cavities, shadow_error
+from tests.verification.shadows import edge_error, shadow_error
 
 ROOT = Path(__file__).parents[1]
 
@@ -43,10 +41,6 @@ def renderer(egl):
         (6.0, 0.01, 2.5),
         (10.0, 0.015, None),
         pytest.param(0.25, 0.005, 2.5, marks=pytest.mark.slow),
-        pytest.param(0.0, 0.005, 2.5, marks=pytest.mark.slow),
-        pytest.param(0.25, 0.005, None, marks=pytest.mark.slow),
-        pytest.param(2.0, 0.005, 2.5, marks=pytest.mark.slow),
-        pytest.param(6.0, 0.01, None, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
@@ -67,22 +61,6 @@ def test_hard_shadow_of_the_chin_has_a_smooth_edge(egl, head, frame, bound):
     scene = fr.Scene(head, fr.Camera(-20.0, frame=frame))
     with fr.Renderer((700, 700), samples=1, backend=egl) as renderer:
         assert edge_error(renderer, scene, light, -0.8, -0.38) <= bound
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("radius", [0.0, 4.0])
-def test_nostrils_receive_the_light_of_rays(egl, scan_mesh, radius):
-    """Without shadows, the inner nostrils receive about 100 times the light."""
-    centre = np.array((-0.024, 0.170, 0.443))
-    target = scan_mesh.center + scan_mesh.radius * centre
-    lights = [replace(each, radius=radius, shadow=True) for each in fr.Scene(scan_mesh).lights]
-    scene = fr.Scene(
-        scan_mesh, fr.Camera(0.0, -30.0, zoom=8.0, target=tuple(target), frame="all"), lights
-    )
-    with fr.Renderer((512, 512), samples=1, backend=egl, float_albedo=True) as renderer:
-        drawn, traced, unshadowed = light_in_cavities(renderer, scene, centre, 0.12)
-    assert abs(drawn - traced) <= 0.1 * traced
-    assert unshadowed > 20.0 * traced
 
 
 @pytest.mark.parametrize("radius", [0.0, 4.0])
@@ -120,43 +98,6 @@ def test_folds_have_no_dots(egl, name, azimuth, radius, request):
         assert dots.sum() <= 2e-4 * lit.sum() + 5
 
 
-def test_size_of_the_maps_follows_the_image(head, egl):
-    def texels(size: int, lights: int = 1, **camera: float) -> int:
-        scene = fr.Scene(head, fr.Camera(**camera), (fr.Light(shadow=True),) * lights)
-        resolved = resolve(scene, fr.Shading())
-        step, *_ = with_shadows(resolved, view_of(scene, 1.0), (size, size), [])
-        width, height = step.target.size
-        assert width == lights * height
-        return height
-
-    assert texels(64) == texels(256) == 512
-    assert texels(1024) == 1024
-    assert texels(1024, zoom=2.0) == 2048
-    assert texels(8192, zoom=4.0) == 4096
-    assert texels(8192, 3) == 2048
-    assert texels(8192, MOST) == 1024
-
-
-@pytest.mark.slow
-def test_points_without_doubt_see_the_whole_light(renderer, egl, head, monkeypatch):
-    """The cones skip only points that see the whole light."""
-    scene = shadows(head)
-    seen = renderer.gbuffer(scene).visibility
-    source = Program.sources
-    monkeypatch.setattr(
-        Program,
-        "sources",
-        lambda *each: {
-            stage: text.replace("cones > at.z", "1e9 > at.z")
-            for stage, text in source(*each).items()
-        },
-    )
-    with fr.Renderer((256, 256), samples=1, backend=egl) as other:
-        slow = other.gbuffer(scene).visibility
-    assert np.abs(seen - slow).mean() < 2e-3
-    assert ((slow < 0.5) & (seen == 1.0)).mean() < 1e-3
-
-
 def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):
     head, drawn = fr.load_mesh(MINI_HEAD), []
     draw = type(renderer._resources)._draw
@@ -183,19 +124,12 @@ def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):
     assert maps(replace(scene, mesh=other), fr.Shading(shadow_lights=[2])) == 1
 
 
-def square(z: float, half: float) -> Part:
-    corners = [(-half, -half, z), (half, -half, z), (half, half, z), (-half, half, z)]
-    faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
-    normals = np.tile((0.0, 0.0, 1.0), (4, 1))
-    return Part(np.array(corners), normals, faces)
-
-
 @pytest.mark.parametrize("distance", [None, 3.0])
 def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
     """A square of side 0.4 at z = 0.4 casts a shadow of an area light on a wall at z = -0.4. At the
     middle of the shadow's edge, half of the light is visible."""
     bounds = np.array([(-0.8, -0.8, -0.4), (0.8, 0.8, 0.4)])
-    parts = (square(-0.4, 0.8), square(0.4, 0.2))
+    parts = (quad(-0.4, 0.8), quad(0.4, 0.2))
     mesh = fr.Mesh("wall", parts, (fr.Material(),) * 2, bounds, 1.2, np.array([(0.8, 0.4)]))
     radius = 8.0
     light = fr.Light(0.0, 0.0, radius=radius, shadow=True)
@@ -222,19 +156,6 @@ def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
     assert np.abs(seen - visible)[inside].mean() < 0.05
 
 
-def test_light_space_keeps_the_sphere_on_the_map(head):
-    """The unit sphere stays within [-1, 1], and z increases towards the light up to ``top``."""
-    random = np.random.default_rng(5).normal(size=(4000, 3))
-    sphere = random / np.linalg.norm(random, axis=1, keepdims=True)
-    for distance in (None, 1.06, 1.5, 30.0):
-        space = light_space(key(head, 0.0, distance), head)
-        place = np.hstack([sphere, np.ones((len(sphere), 1))]) @ space.matrix
-        place = place[:, :3] / place[:, 3:]
-        assert np.abs(place[:, :2]).max() <= 1.0 + 1e-9
-        assert np.abs(place[:, :2]).max() > 0.97
-        assert place[:, 2].max() <= space.top * (1.0 + 1e-9)
-
-
 def test_invalid_shadows_are_refused(renderer, head):
     with pytest.raises(fr.InputError, match="too near to cast a shadow"):
         renderer.render(fr.Scene(head, lights=(key(head, 0.0, 0.9),)))
@@ -242,8 +163,6 @@ def test_invalid_shadows_are_refused(renderer, head):
         renderer.render(fr.Scene(head, lights=(fr.Light(shadow=True),) * 17))
     with pytest.raises(fr.InputError, match="light shadow = 1: give true or false"):
         fr.Light(shadow=1)
-    with pytest.raises(fr.InputError, match="shadow_lights names light 3: the scene has 3"):
-        renderer.render(fr.Scene(head), fr.Shading(shadow_lights=[3]))
 
 
 def test_shadow_option_of_lights():

@@ -7,9 +7,7 @@ import json
 import os
 import subprocess
 import sys
-import weakref
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,6 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.commands.views import sheet
 from facerender.images.animation import MOVING
 from facerender.images.read import read_image
 from tests.awkward_files import MINI_HEAD
@@ -162,28 +159,12 @@ def test_sheet(run: Run):
     assert (found[24:, 24:] == (0, 0, 255)).all()
 
 
-def test_sheet_does_not_keep_its_images(frame: fr.Frame):
-    alive: weakref.WeakSet[fr.Frame] = weakref.WeakSet()
-
-    def frames() -> Iterator[fr.Frame]:
-        for _ in range(7):
-            each = replace(frame)
-            alive.add(each)
-            yield each
-            assert len(alive) <= 2
-
-    assert sheet(frames(), 7, None).linear.shape == (60, 72, 4)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (("turntable:200", "--size", "1024"), "of 200 images is 15360 x 14336 pixels of 32 bytes"),
         (("turntable:3", "--size", "8193x1"), "16386 x 2 pixels of 32 bytes: at most 16384 a side"),
-        (
-            ("turntable:9", "--memory", "1", "--size", "99"),
-            "and 1 MiB; give a smaller size or few",
-        ),
+        (("turntable:9", "--memory", "1", "--size", "99"), "and 1 MiB; give a smaller size or few"),
     ],
 )
 def test_sheets_that_are_too_large_are_refused(run: Run, monkeypatch, options, message):
@@ -199,23 +180,15 @@ def test_sheets_that_are_too_large_are_refused(run: Run, monkeypatch, options, m
     [
         (("--camera", "turntable:0"), "turntable:0: give turntable:N, with 1 to 3600 views"),
         (("--camera", "turntable:99999"), "turntable:99999: give turntable:N, with 1 to 3600"),
-        (("--camera", "turntable:x"), "turntable:x: give turntable:N, with 1 to 3600 views"),
         (("--camera", "gltf:eye"), "mini_head.glb has no camera"),
-        (("--camera", "no.json"), "cannot read no.json"),
         (("--target", "1,2"), "--target '1,2': give 3 numbers"),
-        (
-            ("--budget", "1/255", "--camera", "turntable"),
-            "--budget plans one view, and there are 8",
-        ),
+        (("--budget", "1/255", "--camera", "turntable"), "plans one view, and there are 8"),
         (("--camera", "0", "--camera", "1", "-o", "{name:d}.png"), "-o {name:d}.png: in braces"),
         (("--camera", "0", "--camera", "0", "-o", "a{index:.0s}.png"), "in braces give"),
-        (("-o", "a.jpg", "--background", "none"), "JPEG cannot store transparency: give"),
         (("-o", "a.gif", "--background", "none"), ".gif cannot store transparency"),
         (("-o", "a.png", "--format", "exr"), "--format exr is for -o - only: the file name sets"),
         (("-o", "a.png", "--fps", "3"), "--fps 3 is for a .gif, .webp or .mp4 of several views"),
-        (("-o", "a.gif", "--fps", "0"), "fps = 0.0 is outside [0.1, 100]"),
         (("-o", "-", "--camera", "turntable"), "-o - takes one image, and there are 8"),
-        (("-o", "-", "--json"), "-o - and --json both write to standard output"),
     ],
 )
 def test_invalid_options_are_refused(run: Run, options: tuple[str, ...], message: str):

@@ -1,4 +1,5 @@
-"""Tests deferred shading against forward shading, and per-pixel shading."""
+"""Tests deferred shading against forward shading, per-pixel shading, which back faces are drawn,
+and in which order triangles are stored."""
 
 from __future__ import annotations
 
@@ -10,15 +11,18 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 import facerender as fr
+from facerender.commands import main
+from facerender.drawing import triangle_setup
 from facerender.drawing.passes import visibility
 from facerender.drawing.program import IN_ROW
 from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
-from facerender.scenes.view import view_of
-from tests.awkward_files import MINI_HEAD
+from tests.awkward_files import MINI_HEAD, join_glb, split_glb
+from tests.test_alpha import quad
 from tests.verification.lights import PLAIN_THREE
 
 Both = Callable[..., tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -144,30 +148,6 @@ def test_terms_agree(both, head, only):
     assert np.quantile(error, 0.99) < 1e-3
 
 
-def test_triangle_table_interpolates_vertex_attributes(head, four_samples, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: True)
-    part = head.parts[0]
-    with fr.Renderer((64, 64)) as renderer:
-        renderer.render(fr.Scene(head, lights=PLAIN_THREE))
-        table = renderer._resources.geometries[part].table.texels
-        with renderer.context.drawing():
-            packed = np.frombuffer(table.read(), dtype=np.float32)
-    texels = table.width // IN_ROW
-    assert texels == 7
-    packed = packed.reshape(-1, texels, 4)[: len(part.faces)]
-    positions = head.normalised(part.positions)
-    for corner in part.faces.T:
-        at = positions[corner]
-        values = np.einsum("ijk,ik->ij", packed[:, :, :3], at) + packed[:, :, 3] * (
-            1.0 - 2.0 * (np.arange(texels) == 0)
-        )
-        np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on the plane
-        np.testing.assert_allclose(values[:, 1:4], part.normals[corner], atol=2e-4)
-        np.testing.assert_allclose(values[:, 4:6], part.uv[corner], atol=2e-5)
-        above = np.einsum("ij,ij->i", positions, part.normals)[corner]
-        np.testing.assert_allclose(values[:, 6], above, atol=2e-4)
-
-
 def test_zero_width_triangles(both, renderer_of, monkeypatch):
     """Such triangles fill T-junctions; after rounding, their plane is undefined. With forward
     shading, llvmpipe interpolates no valid colours on them."""
@@ -203,12 +183,6 @@ def test_back_faces_above_a_rim(both):
     faces = np.stack([one, one + 24, two, two, one + 24, two + 24], axis=1).reshape(-1, 3)
     part = Part(positions, np.tile(ring, (len(profile), 1)), faces.astype(np.uint32))
     assert_same(*both(fr.Scene(mesh_of(part), fr.Camera(elevation=10.0))))
-
-
-@pytest.mark.slow
-def test_two_samples_agree(both, head):
-    """A driver may use more samples; llvmpipe does."""
-    assert_same(*both(fr.Scene(head), samples=2), steps=0.0)
 
 
 @pytest.mark.parametrize("brightness", [1e3, 1e6])
@@ -325,17 +299,190 @@ def test_meshes_too_large_for_deferring_are_drawn_forward(head):
     assert not visibility.can_defer(fr.Scene(head), too_few)
 
 
-@pytest.mark.slow
-def test_areas_contain_the_covered_pixels(head, egl):
-    for camera in (fr.Camera(40.0), fr.Camera(zoom=3.0), fr.Camera(elevation=80.0)):
-        scene = fr.Scene(head, camera)
-        size = (200, 150)
-        view = view_of(scene, 4 / 3)
-        (part,) = visibility.Visibility.of(scene, view, size, 1).parts
-        with fr.Renderer(size, samples=1, backend=egl) as renderer:
-            rows, columns = np.nonzero(renderer.gbuffer(scene).part >= 0)
-        left, bottom, width, height = part.area
-        assert left <= columns.min()
-        assert columns.max() < left + width
-        assert bottom <= rows.min()
-        assert rows.max() < bottom + height
+# --- sides and order of triangles -----------------------------------------------------------------
+
+
+FACES = [half for side in SIDES for half in (side[:3], (side[0], *side[2:]))]
+BELOW = fr.Camera(-35.0, -70.0)  # looks into the open neck of a head
+
+
+def obj(*groups, positions=CORNERS):
+    """Return the content of an OBJ file: for each group of quadrilaterals, a part."""
+    lines = ["v {} {} {}".format(*each) for each in positions]
+    for number, sides in enumerate(groups):
+        lines += [f"usemtl m{number}"]
+        lines += ["f " + " ".join(str(corner + 1) for corner in side) for side in sides]
+    return "\n".join(lines).encode()
+
+
+def two_sides(mesh):
+    return [each.double_sided for each in mesh.materials]
+
+
+@pytest.mark.parametrize("value", [True, False, None])
+def test_gltf_materials_decide(value):
+    """Without the property or without a material, only front faces are drawn."""
+    document, binary = split_glb(MINI_HEAD.read_bytes())
+    if value is None:
+        del document["meshes"][0]["primitives"][0]["material"]
+    else:
+        document["materials"][0]["doubleSided"] = value
+    content = join_glb(document, binary)
+    assert two_sides(fr.load_mesh(content)) == [bool(value)]
+    assert two_sides(fr.load_mesh(content, double_sided=True)) == [True]
+    assert two_sides(fr.load_mesh(MINI_HEAD)) == [False]
+
+
+def test_closed_surfaces_of_other_formats_have_one_side():
+    """Two parts can form one closed surface. A closed part beside an open one has one side."""
+    other = obj(SIDES[:5], [tuple(corner + 8 for corner in side) for side in SIDES])
+    both = np.concatenate([CORNERS, CORNERS + 5.0])
+    cases = [
+        (obj(SIDES), [False]),
+        (obj(SIDES[:5]), [True]),
+        (obj(SIDES[:2], SIDES[2:]), [False, False]),
+        (obj(SIDES[:2], SIDES[2:5]), [True, True]),
+        (other.replace(obj().strip(), obj(positions=both).strip()), [True, False]),
+    ]
+    for content, expected in cases:
+        found = fr.load_mesh(content, kind="obj")
+        assert two_sides(found) == expected
+        assert two_sides(fr.load_mesh(content, kind="obj", double_sided=True)) == [True] * len(
+            expected
+        )
+
+
+def test_arrays_follow_the_shape_or_the_material():
+    assert two_sides(fr.Mesh.from_arrays(CORNERS, FACES)) == [False]
+    assert two_sides(fr.Mesh.from_arrays(CORNERS, FACES[2:])) == [True]
+    for value in (True, False):
+        own = fr.Material(double_sided=value)
+        assert two_sides(fr.Mesh.from_arrays(CORNERS, FACES, material=own)) == [value]
+
+
+def test_a_cavity_that_faces_outwards_keeps_both_sides():
+    """The normals point into the cube, so its faces are wound inwards."""
+    shell = [tuple(reversed(face)) for face in FACES]
+    flat = np.concatenate([CORNERS, 3.0 * CORNERS])
+    parts = [
+        Part(flat, np.tile(sign * CORNERS / np.sqrt(3.0), (2, 1)), np.array(own, dtype=np.uint32))
+        for sign, own in ((-1.0, shell), (1.0, np.array(FACES) + 8))
+    ]
+    assert two_sides(fr.Mesh.of("nested", parts, [fr.Material()] * 2)) == [True, False]
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(100.0, 30.0), BELOW], ids=str)
+def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, monkeypatch):
+    """OpenGL culls the triangles that the selection leaves out."""
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: True)
+    mesh = fr.load_mesh(MINI_HEAD)
+    scene = fr.Scene(mesh, camera, PLAIN_THREE)
+    assert two_sides(mesh) == [False]
+    images, counts, facing = [], [], triangle_setup.TriangleSetup.facing
+
+    def counted(*arguments):
+        chosen = facing(*arguments)
+        counts.append(len(chosen))
+        return chosen
+
+    monkeypatch.setattr(triangle_setup.TriangleSetup, "facing", counted)
+    for edge_on in (triangle_setup._EDGE_ON, 1.0):
+        monkeypatch.setattr(triangle_setup, "_EDGE_ON", edge_on)
+        with fr.Renderer((96, 96), samples=samples, backend=egl) as renderer:
+            images.append(renderer.render(scene).linear)
+    np.testing.assert_array_equal(*images)
+    assert counts[0] < 0.75 * counts[1]
+    assert counts[1] == len(mesh.parts[0].faces)
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize("deferred", [True, False])
+def test_back_faces_are_drawn_only_with_two_sides(egl, deferred, monkeypatch):
+    name = "facerender.drawing.renderer.deferred_is_cheaper"
+    monkeypatch.setattr(name, lambda *_: deferred)
+    mesh = fr.load_mesh(MINI_HEAD)
+    both = mesh.with_material(double_sided=True)
+    with fr.Renderer((96, 96), samples=4, backend=egl) as renderer:
+        one, two = (
+            renderer.render(fr.Scene(each, BELOW, PLAIN_THREE)).linear[..., 3]
+            for each in (mesh, both)
+        )
+        layers = [renderer.gbuffer(fr.Scene(each, BELOW)) for each in (mesh, both)]
+    assert one.mean() < 0.9 * two.mean()
+    shown = [(each.part >= 0).mean() for each in layers]
+    assert shown[0] < 0.9 * shown[1]
+    normals = layers[0].normal[layers[0].part >= 0]
+    towards = layers[0].view.position - layers[0].normalised_position[layers[0].part >= 0]
+    assert ((normals * towards).sum(axis=1) > 0.0).mean() > 0.99
+
+
+UP = np.tile((0.0, 1.0, 0.0), (4, 1))
+
+
+def test_both_sides_cast_shadows(egl):
+    """A sheet above a floor casts the same shadow, whichever side it turns to the light."""
+    light = fr.Light(0.0, 89.0, shadow=True)
+    images = []
+    for side in (1.0, -1.0):
+        floor, sheet = (
+            replace(part, positions=part.positions[:, [0, 2, 1]] * (1, 1, -1), normals=normals)
+            for part, normals in ((quad(0, 2), UP), (quad(1.0, 0.5), side * UP))
+        )
+        parts = [floor, replace(sheet, faces=sheet.faces[:, :: int(side)])]
+        mesh = fr.Mesh.of("sheet", parts, [fr.Material(double_sided=False)] * 2)
+        with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
+            scene = fr.Scene(mesh, fr.Camera(0.0, 15.0), (light,))
+            buffer = renderer.gbuffer(scene)
+            images.append((buffer.part == 0, buffer.visibility[..., 0]))
+    floor = images[0][0] & images[1][0]
+    assert (images[0][1][floor] < 0.5).sum() > 20
+    assert np.abs(images[0][1] - images[1][1])[floor].max() < 0.01
+
+
+def test_the_command_draws_both_sides(tmp_path):
+    """The option, the field of a part and the scene file have the same effect."""
+    options = ["--size", "64", "--camera=-35,-70", "--no-shadows", "--samples", "1"]
+    (tmp_path / "both.toml").write_text('[parts."*"]\ndouble_sided = true\n')
+    images = []
+    for extra in (
+        [],
+        ["--double-sided"],
+        ["--part", "*,double_sided=true"],
+        ["--scene", str(tmp_path / "both.toml")],
+    ):
+        path = tmp_path / "a.png"
+        assert main(["render", str(MINI_HEAD), *options, "-o", str(path), *extra]) == 0
+        images.append(np.asarray(Image.open(path)).copy())
+    assert (images[0] != images[1]).any()
+    for each in images[2:]:
+        np.testing.assert_array_equal(each, images[1])
+
+
+def test_a_shuffled_file_gives_the_same_picture(egl):
+    document, binary = split_glb(MINI_HEAD.read_bytes())
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["indices"]]
+    view = document["bufferViews"][accessor["bufferView"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    kind = {5123: "<u2", 5125: "<u4"}[accessor["componentType"]]
+    faces = np.frombuffer(binary, kind, accessor["count"], start).reshape(-1, 3)
+    mixed = np.random.default_rng(5).permutation(faces).tobytes()
+    shuffled = join_glb(document, binary[:start] + mixed + binary[start + len(mixed) :])
+    scenes = [fr.Scene(fr.load_mesh(each), lights=PLAIN_THREE) for each in (MINI_HEAD, shuffled)]
+    part = scenes[1].mesh.parts[0]
+    steps = [
+        np.median(np.linalg.norm(np.diff(part.positions[first], axis=0), axis=1))
+        for first in (part.faces[:, 0], np.random.default_rng(3).permutation(part.faces[:, 0]))
+    ]
+    assert steps[0] < 0.1 * steps[1], "neighbours are stored together"
+    with fr.Renderer((96, 96), samples=1, backend=egl) as renderer:
+        images = [renderer.render(each).linear for each in scenes]
+    assert (np.abs(images[0] - images[1]).max(axis=-1) > 1e-3).mean() < 1e-3
+
+
+def test_double_sided_is_checked():
+    with pytest.raises(fr.InputError, match="double_sided"):
+        fr.Material(double_sided="yes")
+    with pytest.raises(fr.InputError, match="double_sided"):
+        fr.load_mesh(MINI_HEAD, double_sided=1)
