@@ -274,11 +274,10 @@ class _File:
                 self._count_drawn(len(piece.positions) + len(piece.faces))
                 name = ".".join(filter(None, (instance.name, piece.name)))
                 if rig := piece.rig:
-                    nodes = {instance.node} if rig.skin is None else {*rig.skin.joints}
+                    node, offset = instance.node, instance.offset
+                    nodes = {node} if rig.skin is None else {*rig.skin.joints}
                     moves = rig.shapes or self.moving is None or self.moving & nodes
-                    rig = (
-                        replace(rig, node=instance.node, offset=instance.offset) if moves else None
-                    )
+                    rig = replace(rig, node=node, offset=offset) if moves else None
                 pieces.append(replace(placed(piece, instance.world), name=name, rig=rig))
         return pieces
 
@@ -287,8 +286,8 @@ class _File:
         head = None if instance.joints is None else self._head_joints(instance.joints[0])
         where = f"meshes[{instance.mesh}].primitives"
         primitives = enumerate(mesh["primitives"])
-        found = [self._piece(p, f"{where}[{i}]", instance, head) for i, p in primitives]
-        pieces = [piece for piece in found if piece is not None]
+        results = [self._piece(p, f"{where}[{i}]", instance, head) for i, p in primitives]
+        pieces = [*filter(None, results)]
         if len(pieces) == 1:
             pieces[0].name = ""  # the material's name is only needed to distinguish several pieces
         return pieces
