@@ -394,17 +394,17 @@ def test_maps_use_second_texture_coordinates(single, name):
 def test_maps_are_wrapped_and_filtered(single, wrap, nearest):
     values = np.round(255.0 * np.random.default_rng(5).uniform(0, 1, (4, 4))) / 255.0
     other = {"repeat": "mirror", "clamp": "repeat", "mirror": "clamp"}[wrap]
-    occlusion = grey(values).sampled((wrap, other), nearest)
+    specular = grey(values).sampled((wrap, other), nearest)
+    occlusion = grey([[0.7]]).sampled(("repeat", "clamp"), nearest)  # so they are not packed
+    material = replace(WHITE, ks=1.0, specular_map=specular, occlusion_map=occlusion)
     part = quad()
     part = replace(part, uv=3.0 * part.uv - 1.0)
-    rough = grey([[0.7]]).sampled(("repeat", "clamp"), not nearest)  # not packed with the occlusion
-    material = replace(WHITE, occlusion_map=occlusion, roughness_map=rough)
     gbuffer = single.gbuffer(scene_of([part], [material]))
     inside = gbuffer.part == 0
     expected = looked_up(
         values[::-1], gbuffer.uv[inside].astype(np.float64), (wrap, other), nearest
     )
-    error = np.abs(gbuffer.occlusion[inside] - expected)
+    error = np.abs(gbuffer.specular_weight[inside] - expected)
     assert np.quantile(error, 0.98) < (1e-5 if nearest else 5e-3)  # except at edges of texels
 
 

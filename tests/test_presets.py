@@ -564,6 +564,7 @@ def eyes_and_face(folder, kind):
     return path
 
 
+@pytest.mark.filterwarnings("ignore:.*presets by name")
 @pytest.mark.parametrize("kind", ["obj", "glb"])
 def test_eyes_keep_their_map_and_a_replaced_map_may_be_missing(kind, tmp_path, recwarn):
     path = eyes_and_face(tmp_path, kind)
@@ -585,6 +586,7 @@ def test_maps_of_selected_eyes(tmp_path):
         fr.load_mesh(albedo=path, parts="tear-line,lash*")
 
 
+@pytest.mark.filterwarnings("ignore:.*presets by name")
 @pytest.mark.parametrize("chosen", [{}, {"parts": ("Std_Eyelash",)}, {"hide": ("shirt",)}])
 def test_the_cache_keeps_the_skin(chosen, tmp_path, cache_folder):
     faces = "".join(f"usemtl {each}\n{FACES}" for each in ("shirt", "Std_Eyelash", "M_Eye"))

@@ -430,7 +430,7 @@ def test_both_sides_cast_shadows(egl):
             replace(part, positions=part.positions[:, [0, 2, 1]] * (1, 1, -1), normals=normals)
             for part, normals in ((quad(0, 2), UP), (quad(1.0, 0.5), side * UP))
         )
-        parts = [floor, replace(sheet, faces=sheet.faces[:, :: int(side)])]
+        parts = [floor, replace(sheet, faces=sheet.faces[:, :: int(side)].copy())]
         mesh = fr.Mesh.of("sheet", parts, [fr.Material(double_sided=False)] * 2)
         with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
             scene = fr.Scene(mesh, fr.Camera(0.0, 15.0), (light,))
