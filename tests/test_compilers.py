@@ -26,7 +26,6 @@ TABLES = {
     "offline": (offline, "compilers", "instructions", offline.GPUS),
 }
 COMPILER = pytest.mark.compiler
-SMOKE_FAMILY = pytest.param("navi21", marks=pytest.mark.smoke)
 
 
 @cache

@@ -53,12 +53,6 @@ def small(egl):
 
 
 @pytest.fixture(scope="module")
-def medium(egl):
-    with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
-        yield renderer
-
-
-@pytest.fixture(scope="module")
 def head(coarse_head):
     return coarse_head
 
@@ -549,7 +543,6 @@ def test_texts_have_the_error_of_the_fraction_and_the_worst(small, subject, tmp_
 # --- scene files ---------------------------------------------------------------------------------
 
 FILES = {
-    "defaults": (fr.Camera(), KEY, {}, Shading()),
     "everything": (
         fr.Camera(30.0, -10.0, 40.0, 1.5, (0.01, 0.0, 0.02)),
         (POINT, fr.Light(10.0, 20.0, (1.0, 0.5, 1e-5)), PLAIN["rim"]),
@@ -565,7 +558,6 @@ FILES = {
             specular_lights=(2, 0),
         ),
     ),
-    "ambient alone": (fr.Camera(), (), {"ambient": 0.3}, Shading()),
     "small slopes": (fr.Camera(), KEY, {"ambient": 0.0}, Shading("ward", small_slope=False)),
     "no highlight": (fr.Camera(), KEY, {}, Shading(specular_lights=(), outside="exact")),
     "named lobe": (fr.Camera(), KEY, {"background": (1, 0, 0.5)}, Shading(lobe="fitted-fine")),

@@ -106,16 +106,11 @@ def recorded(suites) -> Suites:
 @pytest.mark.parametrize("options", [(), ("--facerender-unused=list",)])
 def test_missing_golden_fails_and_names_the_option(suites, options):
     suites.write(ONE.format(value=0.5))
-    result = suites.run(*options, failed=1)
+    result = suites.run(*options, "--facerender-report=page", failed=1)
+    assert "<li>no golden yet</li>" in (suites.path / "page/index.html").read_text()
     result.stdout.fnmatch_lines(["*test_head has no golden: --facerender-update-missing writes it"])
     result.stdout.no_fnmatch_line("*if intended*")
     assert suites.goldens() == []
-
-
-def test_report_of_a_missing_golden(suites):
-    suites.write(ONE.format(value=0.5))
-    suites.run("--facerender-report=page", failed=1)
-    assert "<li>no golden yet</li>" in (suites.path / "page/index.html").read_text()
 
 
 def test_golden_is_stored_next_to_the_test_with_metadata(suites):

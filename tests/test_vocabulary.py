@@ -58,11 +58,6 @@ def test_cameras_have_the_same_texts_everywhere(text, mesh, tmp_path):
     assert job_of_options(f"--camera={text}").camera == CAMERAS[text]
 
 
-def test_names_of_azimuths_combine_with_other_fields():
-    for name, azimuth in AZIMUTHS_BY_NAME.items():
-        assert fr.Camera(name, frame="face") == fr.Camera(azimuth, frame="face")
-
-
 LIGHT_TEXTS = [*LIGHTS, "key,no-shadow", "10,20,2,radius=3", "point:1,2,3,0.5"]
 
 

@@ -18,7 +18,6 @@ from facerender.scenes.vectors import unit
 
 CORNEA, SCLERA = 7.8, 12.0  # radii of the spheres
 DEPTH, RIM = 3.6, 6.0  # iris plane below the apex; radius of the iris and of the cornea's rim
-PUPIL = 2.0
 INDEX = 1.336  # of cornea and aqueous humour
 CLEAR = 2  # index of the cornea in the mesh
 
