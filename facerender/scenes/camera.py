@@ -144,10 +144,8 @@ class Camera:
     def _check_unused(self, names: Sequence[str], placement: str) -> None:
         for name in names:
             if (value := getattr(self, name)) != getattr(Camera, name):
-                raise InputError(
-                    f"camera {name} = {shown(value)} and {placement} exclude each other: leave one "
-                    "out"
-                )
+                pair = f"camera {name} = {shown(value)} and {placement}"
+                raise InputError(f"{pair} exclude each other: leave one out")
 
     def _check_intrinsics(self) -> None:
         if self.extrinsics is None:

@@ -332,11 +332,10 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
     if (source := scene.environment) is not None:
         environment = {"file": source.panorama.name}
         environment |= {"rotation": source.rotation, "scale": source.scale}
-    skin = scene.mesh.skin
-    materials = [scene.mesh.materials[i] for i in skin]
+    materials = [scene.mesh.materials[i] for i in scene.mesh.skin]
     values = ((name, {getattr(m, name) for m in materials}) for name in _factor_names(*materials))
     shared = {name: several.pop() for name, several in values if len(several) == 1}
-    differing = _differing_factors(scene.mesh, shared, skin)
+    differing = _differing_factors(scene.mesh, shared)
     tables: list[tuple[str, Mapping[str, Any]]] = [
         ("", {"ambient": scene.ambient, "background": background} | dark),
         ("[camera]", _changes(scene.camera)),
@@ -375,13 +374,11 @@ def _factor_names(*materials: Material) -> list[str]:
     return [member.name for member in fields(Material) if member.name not in unused]
 
 
-def _differing_factors(
-    mesh: Mesh, shared: Mapping[str, Any], skin: Collection[int]
-) -> dict[str, dict[str, Any]]:
+def _differing_factors(mesh: Mesh, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return, for each named part, its factors, without the ``shared`` factors of the skin."""
     tables: dict[str, dict[str, Any]] = {}
     for number, (part, material) in enumerate(zip(mesh.parts, mesh.materials, strict=True)):
-        omitted = shared if number in skin else ()
+        omitted = shared if number in mesh.skin else ()
         names = [name for name in _factor_names(material) if name not in omitted]
         if names and part.name:
             values = {name: getattr(material, name) for name in names}

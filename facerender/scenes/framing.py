@@ -86,8 +86,7 @@ _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
 _HAIR_WORDS = {"braid", "braids", "hair", "ponytail"}
 
 # Keyed by the first part, then by all parts, which copies with other materials share.
-_known: WeakKeyDictionary[Part, dict[tuple[Any, ...], Mapping[str, Region | None]]]
-_known = WeakKeyDictionary()
+_known: WeakKeyDictionary[Part, dict[Any, Mapping[str, Region | None]]] = WeakKeyDictionary()
 
 
 class _Head(NamedTuple):
@@ -174,8 +173,8 @@ def _found(mesh: Mesh) -> dict[str, Region | None]:
         if clear:
             break
     if head is None:
-        whole = Region(np.zeros(3), *map(float, np.abs(mesh.profile).max(axis=0)))
-        return {"auto": None, "head": whole, "face": whole}
+        region = Region(np.zeros(3), *map(float, np.abs(mesh.profile).max(axis=0)))
+        return {"auto": None, "head": region, "face": region}
     region = _region(_with_hair(np.concatenate([points, head.points]), head.points))
     wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
     larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height

@@ -41,8 +41,7 @@ _FAINT = 0.1  # a highlight below this fraction of the highlight of default skin
 _Hint = Callable[..., str | None]
 # Keyed by the first part of a mesh, which copies of the mesh with other materials share.
 _emitted: WeakKeyDictionary[Part, set[_Hint]] = WeakKeyDictionary()
-_of_maps: WeakKeyDictionary[Part, tuple[Any, list[tuple[_Hint, str | None]]]]
-_of_maps = WeakKeyDictionary()
+_of_maps: WeakKeyDictionary[Part, tuple[Any, list[Any]]] = WeakKeyDictionary()
 _loaded: WeakKeyDictionary[Part, tuple[Any, ...]] = WeakKeyDictionary()  # from :func:`_gloss`
 
 

@@ -207,8 +207,8 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
     weights = table.get("weights", [1.0] if len(numbers) == 1 else None)
     weights = weights if isinstance(weights, list) else [weights]
     if len(weights) != len(numbers) or not all(weight in _WEIGHTS for weight in weights):
-        given = shown(table.get("weights"))
-        raise InputError(f"{place}: weights = {given}: give {len(numbers)} numbers in [0, 1]")
+        quoted = shown(table.get("weights"))
+        raise InputError(f"{place}: weights = {quoted}: give {len(numbers)} numbers in [0, 1]")
     spare = 3 - len(numbers)
     full = [*numbers, *numbers[:1] * spare], [*map(float, weights), *[0.0] * spare]
     return table.get("name") or name, *full, table.get("part", "")

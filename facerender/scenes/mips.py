@@ -69,9 +69,11 @@ def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float3
 
 
 def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
-    """Return the base level of kind "data", (H, W, 3); parameters as of :func:`coarse_base`."""
+    """Return the base level of kind "data", (H, W, 3), or (H, W) for grey rows. See
+    :func:`coarse_base` for the parameters."""
     width, height = (side >> drop for side in size)
-    finest = np.empty((height, width, 3), dtype=np.uint8)
+    bands = len(rows(0, 1).getbands())
+    finest = np.empty((height, width, bands)[: 2 + (bands > 1)], dtype=np.uint8)
     for top, strip in _coarse_strips(rows, height, drop):
         finest[top : top + (strip.height >> drop)] = np.asarray(_halved(strip, drop))
     return finest

@@ -89,8 +89,9 @@ def _evaluated(
     for number, part in enumerate(rest_mesh.parts):
         places = turned = None
         if (rig := part.rig) is not None:
-            stored, given = rig.stored_weights, moves.get(rig.node, {}).get("weights", rig.weights)
-            pairs = zip(rig.shapes, [*given, *[0.0] * len(stored)], strict=False)
+            stored = rig.stored_weights
+            clip_weights = moves.get(rig.node, {}).get("weights", stored)
+            pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(stored)], strict=False)
             weights = [overrides.get(shape.name, weight) for shape, weight in pairs]
             if turned_nodes or weights != stored:
                 places, turned = _posed(rest_mesh, part, rig, worlds, weights)

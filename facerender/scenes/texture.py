@@ -255,6 +255,13 @@ class Texture:
 
     def band(self, index: int) -> Image:
         """Return one channel of the image from :meth:`rgb`, in mode L."""
+        if self._source:
+            return self._source.band(index)
+        if self._fine:  # saves memory: only this channel is reduced
+            fine, levels = self._fine
+            with fine._rows() as rows:
+                band = coarse_data(lambda *span: rows(*span).getchannel(index), fine.size, levels)
+            return _image_of(band)
         return self.rgb().getchannel(index)
 
     def _repr_png_(self) -> bytes:
