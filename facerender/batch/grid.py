@@ -183,7 +183,7 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     def draw(number: int) -> Any:
         u_bits, v_bits = words(number // _BLOCK)[number % _BLOCK]
         u, v = (u_bits >> 11) * 2.0**-53, (v_bits >> 11) * 2.0**-53
-        value = _DISTRIBUTIONS[kind](*parameters, u, v)
+        value = _DISTRIBUTIONS[kind](parameters[0], parameters[1], u, v)
         # Rounded, because exp and log agree between machines only to 12 digits.
         return placed(keys, min(max(float(f"{value:.12g}"), low), high))
 

@@ -42,7 +42,7 @@ def nested(row: Any) -> Table:
     """
     if type(row) is not dict and not isinstance(row, Mapping):
         raise InputError(f"row = {shown(row)}: give a table")
-    values = {}
+    values: Table = {}
     for key, value in row.items():
         if key == "mesh" and isinstance(value, str | os.PathLike):
             key = "mesh.path"

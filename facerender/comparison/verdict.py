@@ -54,8 +54,8 @@ def reasons_of(
     change = Change.between(*images, rows)
     cause = GEOMETRY if uncovered else cause_of(change)
     several = all(image.metadata.get("samples", "1") != "1" for image in images)
-    moved = uncovered or "texture" in subtle or (wrong.any() and _at_edge(over[wrong]))
-    if several and "GL_RENDERER" in result.metadata and moved:
+    affected = uncovered or "texture" in subtle or (wrong.any() and _at_edge(over[wrong]))
+    if several and "GL_RENDERER" in result.metadata and affected:
         cause = SAMPLES
 
     def because(likely: str) -> str:
