@@ -37,7 +37,7 @@ def drawable(mesh: Mesh) -> Mesh:
     are. Materials have no emission. Maps have strength 1 and use the first texture coordinates.
     """
     names = (*UNDRAWN, "opacity_map", "emissive_map", "lobe_map", "second_uv")
-    plain = {name: getattr(Material, name) for name in names}
+    plain: dict[str, Any] = {name: getattr(Material, name) for name in names}
     alphas = _alphas(mesh)
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
@@ -46,7 +46,7 @@ def drawable(mesh: Mesh) -> Mesh:
         mesh,
         parts=tuple(mesh.parts[number] for number in numbers),
         materials=tuple(
-            replace(each, **dict.fromkeys(_by_second(each)) | plain) for each in materials
+            replace(material, **(_by_second(material) | plain)) for material in materials
         ),
     )
 
@@ -76,8 +76,9 @@ def _alphas(mesh: Mesh) -> list[str]:
     return ["blend" if pair[1].refracts else drawn_alpha(*pair) for pair in pairs]
 
 
-def _by_second(material: Material) -> list[str]:
-    return [name for name in MAPS if material.by_second(name)]
+def _by_second(material: Material) -> dict[str, Any]:
+    """Return None for each map that uses the second texture coordinates."""
+    return dict.fromkeys(name for name in MAPS if material.by_second(name))
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]]]:

@@ -209,8 +209,8 @@ def _ranges() -> dict[str, Any]:
         "image": {"exposure": EXPOSURES},
     }
     return {
-        table: {name: [limits.low, limits.high] for name, limits in each.items()}
-        for table, each in ranges.items()
+        table: {name: [limits.low, limits.high] for name, limits in members.items()}
+        for table, members in ranges.items()
     }
 
 

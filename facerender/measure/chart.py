@@ -132,10 +132,10 @@ def _names(rows: Sequence[Row], places: Sequence[Box], boxes: list[Box]) -> list
             if not _overlaps(box := _box(row.variant.name, x, y, *place), obstacles)
             and (place[0] > _DISTANCES[1] or _nearest(box, points) == (x, y))
         )
-        found = next(free, None)
-        if found is None:
+        position = next(free, None)
+        if position is None:
             continue
-        (distance, (right, up)), box = found
+        (distance, (right, up)), box = position
         names.append(box)
         anchor = ("middle", "start", "end")[right]
         left, bottom = x + distance * right, box[3] - 0.25 * _FONT
