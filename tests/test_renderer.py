@@ -119,6 +119,7 @@ def drivers() -> Iterator[list[fr.Renderer]]:
 @pytest.mark.first_case
 @pytest.mark.osmesa
 @pytest.mark.smoke
+@pytest.mark.filterwarnings("ignore:data images and landmarks omit parts")  # the shells
 @pytest.mark.parametrize("name", PASSES)
 def test_osmesa_and_egl_draw_each_pass_equally(drivers, name, monkeypatch):
     scene_of, deferred = PASSES[name]
