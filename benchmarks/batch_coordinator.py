@@ -25,10 +25,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from facerender.batch import engine
-from facerender.batch.chunk import Chunk, Settings
-from facerender.batch.records import Writer, begin, commit
-from facerender.batch.storage import Storage
+from facerender.batch import supervisor
+from facerender.batch.records import Chunk, Settings, Storage, Writer, begin, commit
 from facerender.batch.supervisor import Outcome
 from facerender.commands import main as facerender
 
@@ -96,10 +94,10 @@ def run(how: str, words: list[str]) -> None:
         executor = {"nothing": Nothing, "small": Small}[how]()
 
         @contextmanager
-        def local(workers: int) -> Iterator[engine.Engine]:
-            yield engine.Engine(executor, lambda: workers, workers)
+        def local(workers: int) -> Iterator[supervisor.Engine]:
+            yield supervisor.Engine(executor, lambda: workers, workers)
 
-        engine.local = local
+        supervisor.local = local
     began = time.perf_counter()
     status = facerender(["batch", *words])
     seconds = time.perf_counter() - began

@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 import psutil
 
-from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.jobs import JobTable
+from facerender.batch.records import Settings, chunks, code_version
 from facerender.batch.supervisor import Supervisor
-from facerender.system.data import data_dir
+from facerender.system.files import data_dir
 
 _MESHES = 40
 _FILES = 4  # environment maps

@@ -34,9 +34,9 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from facerender.images.read import read_image
-from facerender.images.srgb import linear_to_srgb
-from facerender.system.data import data_dir
+from facerender.images.files import read_image
+from facerender.images.image import linear_to_srgb
+from facerender.system.files import data_dir
 
 SCRIPTS = Path(__file__).parent / "peers" / "batch"
 LOOP = "loop over one Renderer"

@@ -3,7 +3,7 @@
 python -m benchmarks.causes
 
 Renders pairs of images whose cause of change is known, without metadata, and compares the first
-reason with the cause. The rules in ``facerender/comparison/verdict.py`` were chosen on the half
+reason with the cause. The rules in ``facerender/comparison/compare.py`` were chosen on the half
 "tune". The half "report" adds cameras of the built-in head. Writes docs/measurements/causes.json.
 """
 

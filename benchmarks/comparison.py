@@ -19,7 +19,7 @@ from scipy import ndimage
 from benchmarks.data import meshes, save
 from facerender.comparison.compare import compare
 from facerender.comparison.result import Comparison
-from facerender.images.srgb import encode_srgb8
+from facerender.images.image import encode_srgb8
 from tests.verification.mutations import (
     BROKEN,
     CAMERAS,

@@ -30,7 +30,7 @@ from playwright.sync_api import Playwright, ViewportSize, sync_playwright
 import facerender as fr
 from facerender.explorer.page import explorer_page
 from facerender.job import Job
-from facerender.system.data import data_dir
+from facerender.system.files import data_dir
 from tests.verification import chromium
 
 ROOT = Path(__file__).parents[1]

@@ -19,9 +19,9 @@ import numpy as np
 
 import facerender as fr
 from benchmarks.data import meshes, save, scenes
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.image import linear_to_srgb
 from facerender.planning.decisions import Decision
-from facerender.pricing.frame import ratio
+from facerender.pricing.cost import ratio
 from facerender.scenes.file import MAX_SAMPLES
 from facerender.scenes.scene import SHADING_RATES, ShadingRate
 from tests.verification.lights import PLAIN_THREE

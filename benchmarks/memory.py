@@ -38,8 +38,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.read import read_image
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.files import read_image
+from facerender.images.image import linear_to_srgb
 from facerender.terms import FRESNEL, MASKING
 
 

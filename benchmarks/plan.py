@@ -27,9 +27,9 @@ import facerender as fr
 from benchmarks.data import save, scenes
 from benchmarks.prices import amd
 from benchmarks.prices.table import cycles
-from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program
-from facerender.drawing.resolve import resolve
+from facerender.drawing.shade import shade_pass
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
-from facerender.images.srgb import linear_to_srgb
-from facerender.system.data import data_dir
+from facerender.images.image import linear_to_srgb
+from facerender.system.files import data_dir
 from tests.verification.lights import PLAIN_THREE
 
 HERE = Path(__file__).parent

@@ -67,7 +67,7 @@ def batch_cpu_s(folder: str, count: int, *options: str) -> float:
 def draw() -> dict[str, Any]:
     """Measure the time per image as the difference of a longer and a shorter batch."""
     from facerender import MeshFile
-    from facerender.system.data import data_dir
+    from facerender.system.files import data_dir
     from tests.verification.cache import wait_for_cache
 
     head = MeshFile(str(data_dir("assets") / "head.glb"))

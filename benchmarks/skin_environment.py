@@ -18,7 +18,7 @@ import facerender as fr
 from benchmarks.data import meshes, save
 from benchmarks.prices import table
 from facerender.drawing import reference
-from facerender.images.srgb import encode_srgb8
+from facerender.images.image import encode_srgb8
 from facerender.scenes.environment import studio
 from facerender.scenes.vectors import direction_to
 from facerender.terms.environment import environment_irradiance

@@ -14,7 +14,7 @@ import numpy as np
 
 import facerender as fr
 from benchmarks.data import save
-from facerender.pricing.frame import ratio
+from facerender.pricing.cost import ratio
 from tests.verification.eye import INDEX, iris_errors
 from tests.verification.parts_head import NAMES, parts_head
 

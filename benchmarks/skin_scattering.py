@@ -13,7 +13,7 @@ from typing import Any
 
 import facerender as fr
 from benchmarks.data import meshes, save
-from facerender.pricing.frame import ratio
+from facerender.pricing.cost import ratio
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
 SAMPLES = (8, 16, 32, 64)

@@ -17,7 +17,7 @@ import numpy as np
 import facerender as fr
 from benchmarks.data import save, scenes
 from benchmarks.frame import medians, plan_of
-from facerender.pricing.frame import seconds
+from facerender.pricing.cost import seconds
 from facerender.scenes.environment import Environment, studio
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.srgb import encode_srgb8
+from facerender.images.image import encode_srgb8
 
 os.environ["PYOPENGL_PLATFORM"] = "egl"  # before PyOpenGL is imported
 from OpenGL import EGL, GL

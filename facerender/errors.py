@@ -1,5 +1,5 @@
-"""Exceptions and warnings of facerender for causes outside its code, and checks of values.
-Each message is one line that names the thing, the value and the remedy."""
+"""Exceptions and warnings of facerender for causes outside its code, and checks of values. Each
+message is one line that names the thing, the value and the remedy."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import MISSING, fields
 from typing import Any
 
 _LONGEST = 500  # maximum characters of a message, which may quote long texts
@@ -151,3 +152,14 @@ def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
     if not all(isinstance(element, kind) for element in elements):
         raise InputError(f"{name} = {shown(values)}: give {remedy}")
     return elements
+
+
+def short_repr(value: Any) -> str:
+    """Return the repr of a dataclass with only the fields that differ from their defaults."""
+    words = []
+    for field in fields(value):
+        field_value = getattr(value, field.name)
+        factory = field.default_factory
+        if field.repr and field_value != (field.default if factory is MISSING else factory()):
+            words.append(f"{field.name}={field_value!r}")
+    return f"{type(value).__name__}({', '.join(words)})"

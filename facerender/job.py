@@ -8,8 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from facerender.errors import InputError, check_known, check_path, check_type, each_of, shown, warn
-from facerender.images.write import format_of
+from facerender.errors import (
+    InputError,
+    check_known,
+    check_path,
+    check_type,
+    each_of,
+    short_repr,
+    shown,
+    warn,
+)
+from facerender.images.files import format_of
 from facerender.loading import cached_mesh, load_mesh
 from facerender.loading.source import check_normal_map_y
 from facerender.scenes.camera import Camera, camera_of
@@ -31,7 +40,6 @@ from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
 from facerender.scenes.scene import Only, Scene, background_of, check_only, default_light
 from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
 from facerender.shading import Shading
-from facerender.system.reprs import short_repr
 from facerender.terms.ranges import EXPOSURES, check_fields, range_of, ranged
 
 # The fields of MeshFile that are paths.
@@ -248,7 +256,7 @@ class Job:
         loaded = self.mesh.load() if mesh is None else mesh
         previous_scene = None
         if moves or self.pose != Pose():
-            from facerender.loading.vertices import posed
+            from facerender.loading.from_trimesh import posed
 
             previous_scene = Scene(posed(loaded, self.before), self.camera) if moves else None
             loaded = posed(loaded, self.pose)

@@ -193,7 +193,7 @@ class Snapshot:
         """Write an image that failed; return its path, or the reason why it was not written. The
         path in the folder is the golden's path in pytest's root directory."""
         from facerender import InputError
-        from facerender.images.exr import save_exr
+        from facerender.images.files import save_exr
 
         root = self._request.config.rootpath
         if report := _setting(self._request.config, "report"):

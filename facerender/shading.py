@@ -11,11 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_known, check_type, shown
-from facerender.system.reprs import short_repr
+from facerender.errors import InputError, check_known, check_type, short_repr, shown
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
-from facerender.terms.entry import named
-from facerender.terms.lobe import SLOPES
+from facerender.terms.lobe import SLOPES, named
 from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
 
 S = TypeVar("S")

@@ -18,7 +18,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, Context, create_context
-from facerender.pricing.interval import Interval
+from facerender.pricing.cost import Interval
 from facerender.system import meshoptimizer
 from tests.verification import chromium
 from tests.verification.scan import TEST_DATA, load_scan, scan_folder

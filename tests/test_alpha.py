@@ -10,11 +10,10 @@ from PIL import Image
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.drawing.passes.refraction import regions_of
-from facerender.drawing.passes.visibility import can_defer
-from facerender.drawing.triangle_setup import triangle_setup_of
+from facerender.drawing.passes import can_defer, triangle_setup_of
+from facerender.drawing.refraction import regions_of
 from facerender.errors import InputError
-from facerender.explorer.mesh import drawable, lost_features
+from facerender.explorer.page import drawable, lost_features
 from facerender.job import Job
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import parse_light

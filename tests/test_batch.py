@@ -30,16 +30,15 @@ import psutil
 import pytest
 
 import facerender as fr
-from facerender.batch import engine
-from facerender.batch.chunk import Settings, chunks, code_version, forget_files, key_of
+from facerender.batch import supervisor
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
-from facerender.batch.storage import Storage
+from facerender.batch.records import Settings, Storage, chunks, code_version, forget_files, key_of
 from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
 from facerender.job import MESH_PATHS
-from facerender.loading.references import named_files
-from facerender.system.memory import available
+from facerender.loading.source import named_files
+from facerender.system.process import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.faults import failing
@@ -66,14 +65,14 @@ def table(tmp_path: Path) -> Callable[[Sequence[dict[str, Any]]], str]:
 
 
 @pytest.fixture(scope="module")
-def reused() -> Iterator[Callable[[int], engine.Engine]]:
+def reused() -> Iterator[Callable[[int], supervisor.Engine]]:
     """A function that returns engines whose workers survive a batch, as Dask's workers do."""
     with ExitStack() as open_:
 
         @cache
-        def of(count: int) -> engine.Engine:
+        def of(count: int) -> supervisor.Engine:
             executor = open_.enter_context(ThreadPoolExecutor(count))
-            return engine.Engine(executor, lambda: count, count)
+            return supervisor.Engine(executor, lambda: count, count)
 
         yield of
 
@@ -83,17 +82,19 @@ def draw(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    reused: Callable[[int], engine.Engine],
+    reused: Callable[[int], supervisor.Engine],
 ) -> Callable[..., dict[str, Any]]:
     """A function that runs a batch and returns its last line of JSON with the exit status.
 
     It reuses the workers of earlier batches unless ``fresh`` is true.
     """
-    started = engine.local
+    started = supervisor.local
 
     def run(jobs: str, output: str, *options: str, fresh: bool = False) -> dict[str, Any]:
         monkeypatch.setattr(
-            engine, "local", lambda count: started(count) if fresh else nullcontext(reused(count))
+            supervisor,
+            "local",
+            lambda count: started(count) if fresh else nullcontext(reused(count)),
         )
         words = ["batch", jobs, "-o", str(tmp_path / output), "--workers", "1", "--json", *options]
         status = main(words)
@@ -586,7 +587,7 @@ def test_check_names_poses_and_landmarks_that_do_not_fit(table, small, tmp_path,
 def test_check_reads_each_file_once(table, small, capsys, monkeypatch):
     read = []
     monkeypatch.setattr(
-        "facerender.batch.inputs.load_mesh",
+        "facerender.batch.outputs.load_mesh",
         lambda path, **more: read.append(path) or fr.load_mesh(path, **more),
     )
     path = table(rows(300, mesh=str(small)))
@@ -734,7 +735,7 @@ def test_disk_may_be_full_for_a_parquet_table(table, draw, small, tmp_path):
 
 def test_disk_may_be_full_for_temporary_files(table, draw, monkeypatch):
     """Rows that do not fit into memory are written to a temporary file."""
-    monkeypatch.setattr("facerender.batch.work._IN_MEMORY", 1)
+    monkeypatch.setattr("facerender.batch.folder._IN_MEMORY", 1)
     monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: open("/dev/full", "w+b"))  # noqa: SIM115
     found = draw(table(rows(1)), "out")
     assert (found["status"], found["err"].count("\n")) == (2, 1)
@@ -952,7 +953,7 @@ def test_a_cluster_of_this_process_draws_four_jobs(table, draw, small, tmp_path)
 
 def test_without_a_scheduler(table, draw, monkeypatch):
     require_module("distributed")
-    monkeypatch.setattr("facerender.batch.engine._SECONDS", 0.1)
+    monkeypatch.setattr("facerender.batch.supervisor._SECONDS", 0.1)
     found = draw(table(rows(1)), "out", "--scheduler", "tcp://127.0.0.1:1")
     assert found["status"] == 2
     assert "no scheduler at tcp://127.0.0.1:1" in found["err"]

@@ -21,7 +21,7 @@ from PIL import Image
 import facerender as fr
 from facerender.batch.outputs import OUTPUTS as ALL
 from facerender.batch.outputs import camera_facts, draw, transforms_frame
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from facerender.scenes.lod import Planned
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD

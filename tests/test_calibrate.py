@@ -24,9 +24,8 @@ from facerender.comparison.compare import compare
 from facerender.comparison.result import LIMITS
 from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError
-from facerender.images.exr import save_exr
-from facerender.images.srgb import encode_srgb8
-from facerender.images.write import save_png
+from facerender.images.files import save_exr, save_png
+from facerender.images.image import encode_srgb8
 
 SIDE = 128
 OPEN = dict.fromkeys(NAMES, HIGHEST)

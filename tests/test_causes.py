@@ -13,8 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from facerender.comparison.causes import CODEC, EXPOSURE, GEOMETRY, LIGHT, LOBE, TEXTURE
 from facerender.comparison.compare import compare
-from facerender.images.image import image_from_array
-from facerender.images.srgb import encode_srgb8
+from facerender.images.image import encode_srgb8, image_from_array
 
 SIDE = 192
 DOWN, ACROSS = np.mgrid[:SIDE, :SIDE] / SIDE - 0.5

@@ -17,10 +17,10 @@ import pytest
 
 import facerender as fr
 from facerender.commands import main
-from facerender.commands.help import Help, groups_of
+from facerender.commands.common import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
-from facerender.images.write import FRAME_RATES
+from facerender.images.files import FRAME_RATES
 from facerender.scenes.vectors import SHAPE_WEIGHTS
 from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 from tests.awkward_files import MINI_HEAD

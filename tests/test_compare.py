@@ -22,13 +22,11 @@ from PIL import Image, PngImagePlugin
 
 import facerender as fr
 from facerender.comparison.causes import CODEC, EXPOSURE, LOBE, TEXTURE
-from facerender.comparison.checks import CHECKS
 from facerender.comparison.compare import compare
 from facerender.comparison.result import LIMITS
-from facerender.images.exr import save_exr
-from facerender.images.image import ImageData
-from facerender.images.read import read_image
-from facerender.images.srgb import encode_srgb8
+from facerender.comparison.sources import CHECKS
+from facerender.images.files import read_image, save_exr
+from facerender.images.image import ImageData, encode_srgb8
 from tests.conftest import missing, require_backend
 from tests.test_cli import process
 from tests.test_encodings import write_exr

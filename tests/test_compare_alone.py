@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facerender.images.exr import save_exr
+from facerender.images.files import save_exr
 from tests.test_package import ROOT
 
 # Runs first in a process: hides all modules that do not belong to these packages.

@@ -15,11 +15,11 @@ from PIL import Image
 
 from facerender import InputError
 from facerender.commands import main
-from facerender.comparison import flip, report, visualization
-from facerender.comparison.checks import CHECKS
+from facerender.comparison import pictures, report
 from facerender.comparison.compare import Pair
+from facerender.comparison.pictures import save_heat_map
 from facerender.comparison.report import entry, write_report
-from facerender.comparison.visualization import save_heat_map
+from facerender.comparison.sources import CHECKS
 from facerender.images.image import ImageData
 
 SIZE = (40, 48)  # height, width
@@ -302,7 +302,7 @@ def test_a_large_difference_is_reduced_and_loses_no_pixel(tmp_path: Path) -> Non
     difference = page.images("pair-0")["difference"]
     assert difference[..., 0].size <= report.MAP
     assert [tuple(each) for each in np.argwhere(difference.any(axis=-1))] == [(500, 353)]
-    assert tuple(difference[500, 353]) == visualization.BRIGHTER
+    assert tuple(difference[500, 353]) == pictures.BRIGHTER
     assert (tmp_path / "report.html").stat().st_size < 60_000
 
 
@@ -325,8 +325,8 @@ def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
     b = a.copy()
     at = (shape[0] - 2, 7)
     b[at] = 255
-    small, whole = visualization.small_heat_map(a, b), flip.heat_map(a / 255.0, b / 255.0)
-    assert small[..., 0].size <= visualization.HEAT
+    small, whole = pictures.small_heat_map(a, b), pictures.heat_map(a / 255.0, b / 255.0)
+    assert small[..., 0].size <= pictures.HEAT
     step = round(shape[0] / len(small))
     brightest = np.unravel_index(small.sum(axis=-1, dtype=int).argmax(), small.shape[:2])
     assert tuple(brightest) == (at[0] // step, at[1] // step)
@@ -338,7 +338,7 @@ def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
 def test_image_too_large_for_webp() -> None:
     pixels = np.zeros((2, 16384, 3), dtype=np.uint8)
     pixels[0, ::7] = 200
-    content, kind = visualization.lossless(pixels)
+    content, kind = pictures.lossless(pixels)
     assert kind == "png"
     np.testing.assert_array_equal(np.asarray(Image.open(BytesIO(content))), pixels)
 

@@ -16,7 +16,7 @@ import pytest
 from benchmarks.prices import amd, offline
 from benchmarks.prices.__main__ import main
 from facerender.errors import InputError, NotMeasured
-from facerender.pricing.variants import PRINTED
+from facerender.pricing.cost import PRINTED
 from tests.conftest import missing
 
 MEASUREMENTS = Path(__file__).parents[1] / "docs" / "measurements"

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.test_alpha import quad

@@ -15,8 +15,8 @@ import trimesh
 
 import facerender as fr
 from facerender.batch.outputs import camera_facts, transforms_frame
-from facerender.images.srgb import linear_to_srgb
-from facerender.scenes.distortion import distort, jacobian, undistort
+from facerender.images.image import linear_to_srgb
+from facerender.scenes.camera import distort, jacobian, undistort
 from facerender.scenes.scene import DATA
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD

@@ -15,8 +15,8 @@ from PIL import Image
 
 import facerender as fr
 from facerender.comparison.compare import compare
+from facerender.images.files import read_image
 from facerender.images.image import image_from_array
-from facerender.images.read import read_image
 
 
 @pytest.fixture(scope="module", params=[256, pytest.param(512, marks=pytest.mark.slow)])
@@ -83,7 +83,7 @@ def test_compare_warns_of_a_jpeg_and_compares_its_pixels(frame, tmp_path):
 
 PEAK = """
 import sys
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 def peak():
     (line,) = (each for each in open("/proc/self/status") if each.startswith("VmHWM"))
     return int(line.split()[1]) >> 10

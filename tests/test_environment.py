@@ -15,15 +15,15 @@ import pytest
 import facerender as fr
 from facerender import InputError, brdf
 from facerender.commands import main
-from facerender.images.exr import save_exr
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.files import save_exr
+from facerender.images.image import linear_to_srgb
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
 from facerender.scenes.environment import SIDE, studio
 from facerender.scenes.file import parse_environment
 from facerender.scenes.mesh import Part
 from facerender.scenes.scattering import scattering_of
-from facerender.terms.scattering import PROFILES, scatter_profile, spiral
+from facerender.terms.transport import PROFILES, scatter_profile, spiral
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_reference import skin

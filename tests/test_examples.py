@@ -21,8 +21,8 @@ from PIL import Image
 import facerender as fr
 from facerender import __version__, brdf
 from facerender.drawing.context import Backend
-from facerender.images.read import read_image
-from facerender.images.srgb import linear_to_srgb, srgb_to_linear
+from facerender.images.files import read_image
+from facerender.images.image import linear_to_srgb, srgb_to_linear
 from tests.conftest import missing, require_module
 
 ROOT = Path(__file__).parents[1]

@@ -22,9 +22,8 @@ from facerender.commands.scene import job_of
 from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
-from facerender.explorer.mesh import drawable, encoded
-from facerender.explorer.page import explorer_page
-from facerender.images.srgb import linear_to_srgb
+from facerender.explorer.page import drawable, encoded, explorer_page
+from facerender.images.image import linear_to_srgb
 from facerender.job import Job, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget

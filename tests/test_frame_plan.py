@@ -16,17 +16,16 @@ import pytest
 import facerender as fr
 from facerender.drawing.context import Context
 from facerender.drawing.prepare import simplify
-from facerender.images.srgb import linear_to_srgb
-from facerender.planning import frame_times, search
+from facerender.images.image import linear_to_srgb
 from facerender.planning import plan as planning
+from facerender.planning import search
+from facerender.planning import search as frame_times
 from facerender.planning.budget import Budget
-from facerender.planning.candidates import Constants, changed
+from facerender.planning.candidates import Constants, DrawnViews, Viewpoint, changed
 from facerender.planning.decisions import details
 from facerender.planning.search import Choice
-from facerender.planning.views import DrawnViews, Viewpoint
-from facerender.pricing import frame as pricing
-from facerender.pricing.frame import Line, ratio, relative
-from facerender.pricing.interval import Interval
+from facerender.pricing import cost as pricing
+from facerender.pricing.cost import Interval, Line, ratio, relative
 from facerender.scenes.file import load_scene
 from facerender.scenes.lod import LevelOfDetail, Planned
 from tests.awkward_files import MINI_HEAD
@@ -422,6 +421,6 @@ def test_error_at_another_camera_is_an_example(drawing, scene, planned):
 def test_ratio_compares_frames_of_the_same_round(monkeypatch):
     """A machine that slows down between rounds does not change the ratio."""
     times = np.array([[1.0, 2.0], [1.0, 2.0], [10.0, 20.0], [10.0, 20.0]])
-    monkeypatch.setattr("facerender.pricing.frame.seconds", lambda draws, repeats: times)
+    monkeypatch.setattr("facerender.pricing.cost.seconds", lambda draws, repeats: times)
     found = ratio(None, None, 4)
     assert (found.low, found.value, found.high) == (0.5, 0.5, 0.5)

@@ -16,9 +16,8 @@ import facerender as fr
 from facerender import InputError, brdf, lobes
 from facerender.drawing.context import Backend, create_context
 from facerender.glsl import library as glsl
-from facerender.glsl.catalogue import functions
-from facerender.glsl.includes import Includes
-from facerender.glsl.preprocessor import Preprocessor
+from facerender.glsl.includes import Includes, Preprocessor
+from facerender.glsl.library import functions
 from facerender.lobes import GPower
 from tests.conftest import missing
 from tests.verification.cases import directions

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.loading.gltf_features import EXTENSIONS, FEATURES
+from facerender.loading.gltf_document import EXTENSIONS, FEATURES
 from tests import awkward_files as files
 from tests.awkward_files import flat, mini_head, texels
 from tests.test_hostile_mesh import loaded, refused

@@ -25,7 +25,7 @@ from PIL import Image
 import facerender as fr
 from facerender.loading.obj import with_absolute
 from facerender.system import cache
-from facerender.system.data import data_dir
+from facerender.system.files import data_dir
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.verification.cache import wait_for_cache

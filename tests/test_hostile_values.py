@@ -23,8 +23,7 @@ from facerender.commands import INTERNAL_ERROR, main
 from facerender.comparison import compare, sources
 from facerender.drawing import renderer as drawing
 from facerender.errors import InputError
-from facerender.images.decode import MAX_PIXELS, check_pixels
-from facerender.images.read import read_image
+from facerender.images.files import MAX_PIXELS, check_pixels, read_image
 from facerender.scenes import material as materials
 from facerender.scenes.file import load_scene
 from facerender.scenes.texture import Texture

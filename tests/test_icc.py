@@ -13,8 +13,8 @@ from PIL import Image, ImageCms
 
 from facerender.comparison.compare import Pair, compare
 from facerender.comparison.report import entry
-from facerender.images.read import read_image
-from facerender.images.srgb import linear_to_srgb, srgb_to_linear
+from facerender.images.files import read_image
+from facerender.images.image import linear_to_srgb, srgb_to_linear
 
 # XYZ of red, green and blue, adapted to D50 as in ICC profiles (Lindbloom).
 SRGB = ((0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0971), (0.1431, 0.0606, 0.7141))

@@ -11,11 +11,9 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.images.exr import exr_bytes, save_exr
-from facerender.images.read import read_image
-from facerender.images.srgb import encode_srgb8, linear_to_srgb, srgb_to_linear
-from facerender.images.write import png_bytes, save_png
-from facerender.system.atomic import write_whole as write
+from facerender.images.files import exr_bytes, png_bytes, read_image, save_exr, save_png
+from facerender.images.image import encode_srgb8, linear_to_srgb, srgb_to_linear
+from facerender.system.files import write_whole as write
 
 
 def test_srgb_and_back():

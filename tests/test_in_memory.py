@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.images.srgb import srgb_to_linear
+from facerender.images.image import srgb_to_linear
 from tests.awkward_files import (
     MINI_HEAD,
     assert_equal,

@@ -12,7 +12,7 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.image import linear_to_srgb
 from facerender.scenes.mips import CHAIN, coarse_base, coarse_chain
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import levels_to_spare, view_of

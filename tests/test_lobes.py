@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from facerender import InputError, lobes
 from facerender.lobes import GPower
-from facerender.terms.fitting import fit_g_power
+from facerender.terms.lobe import fit_g_power
 from tools.fits.lobes import _Programs, fit
 
 REFERENCE = np.genfromtxt(Path(__file__).parent / "data/beckmann_reference.csv", delimiter=",")

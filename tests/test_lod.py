@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.planning.cache import _digest
+from facerender.planning.plan import _digest
 from facerender.scenes import occlusion
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD

@@ -14,12 +14,12 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing.context import is_software
 from facerender.errors import InputError
-from facerender.measure import error, run
+from facerender.measure import measurement as error
+from facerender.measure import measurement as run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError
 from facerender.measure.report import content
 from facerender.pricing import cost
-from facerender.pricing.interval import Interval, bootstrap
-from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
+from facerender.pricing.cost import Interval, Variant, bootstrap, lobe_terms, of_model, terms
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing
 from tools.docs.measurement import measurement_of

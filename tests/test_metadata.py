@@ -11,8 +11,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend
-from facerender.images.exr import save_exr
-from facerender.images.read import read_image
+from facerender.images.files import read_image, save_exr
 from facerender.scenes.environment import studio
 from facerender.scenes.light import LIGHTS
 from tests.awkward_files import MINI_HEAD

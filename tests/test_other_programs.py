@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.srgb import srgb_to_linear
+from facerender.images.image import srgb_to_linear
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.test_icc import CURVE, GREY, P3, SRGB, as_p3, profile

@@ -22,8 +22,8 @@ from PIL import Image
 
 from facerender.commands import main
 from facerender.drawing.renderer import Renderer
-from facerender.system import atomic
-from facerender.system.progress import Bar
+from facerender.system import files as atomic
+from facerender.system.process import Bar
 from tests.awkward_files import MINI_HEAD, write_textured_obj
 from tests.awkward_files import mini_head as read_mini_head
 from tests.test_cli import assert_error
@@ -316,9 +316,9 @@ def test_signal_during_imports(sent, word, tmp_path):
 ENDED = """
 import os, signal, subprocess, sys, threading
 from pathlib import Path
-from facerender.system.signals import heed_signals, if_ended, temporary_folder
-from facerender.system.atomic import write_whole
-from facerender.system.progress import Bar
+from facerender.system.process import heed_signals, if_ended, temporary_folder
+from facerender.system.files import write_whole
+from facerender.system.process import Bar
 
 heed_signals()
 
@@ -357,8 +357,8 @@ def test_signal_removes_partial_results(tmp_path):
 DRIVEN = """
 import os, signal, sys, time
 from pathlib import Path
-from facerender.system.signals import heed_the_coordinator
-from facerender.system.atomic import write_whole
+from facerender.system.process import heed_the_coordinator
+from facerender.system.files import write_whole
 
 heed_the_coordinator()
 

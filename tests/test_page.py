@@ -7,7 +7,7 @@ from base64 import b64decode
 
 import pytest
 
-from facerender.page.document import document, figure, image_source, row, table
+from facerender.page import document, figure, image_source, row, table
 
 PNG = b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="

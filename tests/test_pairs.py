@@ -15,8 +15,8 @@ from benchmarks.pairs.suite import INDEX, SUITE, draw_missing, read_pairs, write
 from benchmarks.pairs.verdicts import GROUPS, Judged, best, counted, score
 from benchmarks.pairs.webgl import draw_webgl
 from facerender.comparison.compare import compare
-from facerender.images.read import read_image
-from facerender.images.srgb import encode_srgb8
+from facerender.images.files import read_image
+from facerender.images.image import encode_srgb8
 from tests.verification.pairs.draw import FLOORS, Pair, above_codec, slug, steps
 from tests.verification.pairs.room import Room
 from tests.verification.pairs.scenes import SETTINGS

@@ -12,7 +12,7 @@ import pytest
 
 import facerender as fr
 from facerender.commands import main
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 from tests.awkward_files import (

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.visibility import Visibility
+from facerender.drawing.passes import Draw, Pass, Target, Visibility
+from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program, scene_uniforms
-from facerender.drawing.resolve import resolve
+from facerender.drawing.shade import shade_pass
 from facerender.scenes.view import view_of
 from tests.verification.lights import PLAIN_THREE
 

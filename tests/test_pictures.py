@@ -12,9 +12,9 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.comparison.visualization import BRIGHTER, DARKER
-from facerender.images.srgb import encode_srgb8, srgb_to_linear
-from facerender.images.write import save_png
+from facerender.comparison.pictures import BRIGHTER, DARKER
+from facerender.images.files import save_png
+from facerender.images.image import encode_srgb8, srgb_to_linear
 
 WHITE = (255, 240, 222)  # of a pixel that is brighter in B
 

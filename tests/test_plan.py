@@ -17,7 +17,8 @@ import facerender as fr
 from facerender import lobes
 from facerender.drawing import reference
 from facerender.lobes import GPower
-from facerender.planning import search, views
+from facerender.planning import candidates as views
+from facerender.planning import search
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import (
     DECISIONS,

@@ -14,7 +14,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands.common import parse_sizes
-from facerender.planning import cache as plan_cache
+from facerender.planning import plan as plan_cache
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan as make_plan
 from facerender.scenes.file import load_scene

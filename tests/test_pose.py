@@ -18,7 +18,7 @@ import trimesh
 import facerender as fr
 from facerender.batch.outputs import draw
 from facerender.commands import main
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from facerender.scenes.framing import find_regions
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.texture import Texture

@@ -15,12 +15,11 @@ import facerender as fr
 from facerender.commands import main
 from facerender.commands.common import part_materials
 from facerender.drawing.renderer import Renderer
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from facerender.loading.conventions import _eye_map, _lash_map, mark_skin, preset_for
 from facerender.scenes import hints
 from facerender.scenes.file import parse_part, part_text, scene_toml
-from facerender.scenes.material import SKIN_ALBEDO, Material
-from facerender.scenes.presets import PRESETS, changed
+from facerender.scenes.material import PRESETS, SKIN_ALBEDO, Material, changed
 from facerender.scenes.repair import Piece
 from tests.awkward_files import gltf, join_glb, mini_head, write_glb
 from tests.conftest import require_module

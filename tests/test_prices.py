@@ -17,14 +17,23 @@ from benchmarks.prices.__main__ import main
 from benchmarks.prices.table import all_seconds, all_terms, compiled, cycles
 from benchmarks.prices.table import parts as compiled_parts
 from facerender.errors import InputError, NotMeasured
-from facerender.glsl.code import term_macros
+from facerender.glsl.library import term_macros
 from facerender.lobes import GPower
-from facerender.pricing import cost, fragment, scatter
+from facerender.pricing import cost
+from facerender.pricing import cost as scatter
+from facerender.pricing import table as fragment
 from facerender.pricing import table as prices
-from facerender.pricing.fragment import PARTS, parts_of, program_of, samples, scene_with
-from facerender.pricing.interval import Interval
-from facerender.pricing.table import Prices, load_prices, variants
-from facerender.pricing.variants import INPUTS
+from facerender.pricing.cost import INPUTS, Interval
+from facerender.pricing.table import (
+    PARTS,
+    Prices,
+    load_prices,
+    parts_of,
+    program_of,
+    samples,
+    scene_with,
+    variants,
+)
 from facerender.scenes.material import PROPERTY_MAPS
 from facerender.shading import Shading
 from tests.conftest import missing

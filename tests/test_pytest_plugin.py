@@ -19,8 +19,7 @@ from facerender.comparison import report  # noqa: F401  (imported once, not in e
 from facerender.comparison.calibration import NAMES, read_limits, text_of
 from facerender.comparison.compare import Driver
 from facerender.comparison.goldens import Updates, check
-from facerender.images.exr import save_exr
-from facerender.images.read import read_image
+from facerender.images.files import read_image, save_exr
 from tests.awkward_files import MINI_HEAD
 
 PLUGIN = ("-p", "facerender.pytest_plugin", "-p", "xdist")

@@ -15,9 +15,9 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing import reference
 from facerender.drawing.context import Backend
-from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program
-from facerender.drawing.resolve import resolve
+from facerender.drawing.shade import shade_pass
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
 from facerender.scenes.view import view_of

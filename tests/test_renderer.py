@@ -23,14 +23,13 @@ from PIL import Image
 import facerender as fr
 from facerender.comparison.compare import compare
 from facerender.drawing import reference
-from facerender.drawing.context import Backend, create_context
-from facerender.drawing.gl_state import CAPABILITIES, STATE
+from facerender.drawing.context import CAPABILITIES, STATE, Backend, create_context
+from facerender.drawing.prepare import LightGroup
 from facerender.drawing.program import Program
-from facerender.drawing.resolve import LightGroup
+from facerender.images.files import read_image
 from facerender.images.image import ImageData
-from facerender.images.read import read_image
 from facerender.lobes import GPower
-from facerender.measure.error import block_error
+from facerender.measure.measurement import block_error
 from facerender.scenes.environment import studio
 from facerender.scenes.material import MAPS
 from tests.awkward_files import MINI_HEAD

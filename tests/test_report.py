@@ -13,8 +13,8 @@ import pytest
 
 from facerender import InputError
 from facerender.measure import chart, report
+from facerender.measure.chart import FRAME, LIMITS, TERM, measure_of, pareto, recommended
 from facerender.measure.measurement import Triptych
-from facerender.measure.pareto import FRAME, LIMITS, TERM, measure_of, pareto, recommended
 from tests.test_compare_report import Page
 from tests.test_page import CONTRASTS
 from tools.docs.measurement import measurement_of

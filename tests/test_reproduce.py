@@ -17,7 +17,7 @@ from benchmarks.paper import claims
 from benchmarks.paper.report import Reproduction
 from facerender import lobes
 from facerender.errors import NotMeasured
-from facerender.pricing.interval import Interval
+from facerender.pricing.cost import Interval
 from tests.conftest import missing
 
 DOCS = Path(__file__).parents[1] / "docs" / "measurements"

@@ -805,7 +805,7 @@ def test_shapes_and_clips_that_share_much_data_are_refused(monkeypatch):
     file.document["meshes"][0]["primitives"][0]["targets"] = [
         {"POSITION": file.add(np.ones((24, 3)))} for _ in range(9)
     ]
-    monkeypatch.setattr("facerender.loading.gltf_animation._MOST", 300)
+    monkeypatch.setattr("facerender.loading.gltf_accessors._MAX_WORDS", 300)
     mesh, messages = loaded_glb(file)
     assert messages == []
     assert "the file has too many animated values" in error_of(mesh, {"shape9": 1.0})

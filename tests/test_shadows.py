@@ -12,7 +12,7 @@ import trimesh
 
 import facerender as fr
 from facerender.drawing.context import create_context
-from facerender.drawing.passes.shadow import MOST
+from facerender.drawing.shade import MOST
 from facerender.scenes.light import parse_light
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD

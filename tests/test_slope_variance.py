@@ -13,9 +13,9 @@ import facerender as fr
 from facerender import brdf
 from facerender.commands import main
 from facerender.drawing.context import create_context
+from facerender.drawing.prepare import resolve
 from facerender.drawing.program import surface_features
-from facerender.drawing.resolve import resolve
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from facerender.scenes.light import parse_light
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module

@@ -14,7 +14,7 @@ from PIL import Image, PngImagePlugin
 
 import facerender as fr
 from facerender.comparison.compare import compare
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from tests.test_cli import Capture, Cli, process
 
 BEFORE = np.full((24, 32, 3), 60, dtype=np.uint8)

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.images.srgb import srgb_to_linear
+from facerender.images.image import srgb_to_linear
 from facerender.scenes.texture import Texture, pack
-from facerender.system.memory import unload
+from facerender.system.process import unload
 
 
 def texture(pixels, name="map.png"):

@@ -11,7 +11,7 @@ from PIL import Image
 import facerender as fr
 from benchmarks.prices import amd
 from facerender import InputError, brdf
-from facerender.drawing.resolve import resolve
+from facerender.drawing.prepare import resolve
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
 from facerender.scenes.texture import Texture

@@ -19,7 +19,7 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import main
 from facerender.images.animation import MOVING
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_cameras import glb

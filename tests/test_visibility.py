@@ -15,10 +15,9 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.drawing import triangle_setup
-from facerender.drawing.passes import visibility
+from facerender.drawing import passes
 from facerender.drawing.program import IN_ROW
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.image import linear_to_srgb
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
@@ -162,7 +161,7 @@ def test_zero_width_triangles(both, renderer_of, monkeypatch):
     if renderer_of((512, 512), 1).context.software:
         with pytest.raises(fr.InputError, match="pixels of cube are not finite.* has no width"):
             both(scene, (512, 512), only="albedo")
-    monkeypatch.setattr("facerender.drawing.renderer._check", lambda *_: None)
+    monkeypatch.setattr("facerender.drawing.renderer.check_image", lambda *_: None)
     deferred, drawn = both(scene, (512, 512), only="albedo")
     np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
     seen = deferred[deferred[..., 3] > 0.0][:, :3]
@@ -286,17 +285,17 @@ def test_per_pixel_shading_does_not_depend_on_deferring(rates, head, monkeypatch
 def test_choice_of_deferred_shading(head):
     scene = fr.Scene(head)
     llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"
-    assert visibility.deferred_is_cheaper(scene, (1024, 1024), 1, llvmpipe)
-    assert not visibility.deferred_is_cheaper(scene, (1024, 1024), 4, "softpipe")
+    assert passes.deferred_is_cheaper(scene, (1024, 1024), 1, llvmpipe)
+    assert not passes.deferred_is_cheaper(scene, (1024, 1024), 4, "softpipe")
     low = fr.Scene(mesh_of(cube()))
-    assert not visibility.deferred_is_cheaper(low, (1024, 1024), 1, llvmpipe)
-    assert visibility.deferred_is_cheaper(low, (1024, 1024), 4, llvmpipe)
+    assert not passes.deferred_is_cheaper(low, (1024, 1024), 1, llvmpipe)
+    assert passes.deferred_is_cheaper(low, (1024, 1024), 4, llvmpipe)
 
 
 def test_meshes_too_large_for_deferring_are_drawn_forward(head):
-    assert visibility.can_defer(fr.Scene(head), 16384)
+    assert passes.can_defer(fr.Scene(head), 16384)
     too_few = (len(head.parts[0].faces) - 1) // IN_ROW
-    assert not visibility.can_defer(fr.Scene(head), too_few)
+    assert not passes.can_defer(fr.Scene(head), too_few)
 
 
 # --- sides and order of triangles -----------------------------------------------------------------
@@ -380,16 +379,16 @@ def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, 
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, camera, PLAIN_THREE)
     assert two_sides(mesh) == [False]
-    images, counts, facing = [], [], triangle_setup.TriangleSetup.facing
+    images, counts, facing = [], [], passes.TriangleSetup.facing
 
     def counted(*arguments):
         chosen = facing(*arguments)
         counts.append(len(chosen))
         return chosen
 
-    monkeypatch.setattr(triangle_setup.TriangleSetup, "facing", counted)
-    for edge_on in (triangle_setup._EDGE_ON, 1.0):
-        monkeypatch.setattr(triangle_setup, "_EDGE_ON", edge_on)
+    monkeypatch.setattr(passes.TriangleSetup, "facing", counted)
+    for edge_on in (passes._EDGE_ON, 1.0):
+        monkeypatch.setattr(passes, "_EDGE_ON", edge_on)
         with fr.Renderer((96, 96), samples=samples, backend=egl) as renderer:
             images.append(renderer.render(scene).linear)
     np.testing.assert_array_equal(*images)

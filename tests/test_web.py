@@ -21,8 +21,8 @@ from PIL import Image
 
 import facerender as fr
 from facerender import brdf
-from facerender.glsl.catalogue import functions
-from facerender.images.srgb import linear_to_srgb
+from facerender.glsl.library import functions
+from facerender.images.image import linear_to_srgb
 from facerender.scenes.light import LIGHTS
 from tests.conftest import missing, node_tool
 from tests.test_hosts import SCENES, check

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from tests.verification.pairs.changes import Format
 
 Numbers = Mapping[str, float]

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.pairs.unchanged import file_of
 from benchmarks.pairs.webgl import draw_webgl
-from facerender.images.read import read_image
-from facerender.system.atomic import write_text
+from facerender.images.files import read_image
+from facerender.system.files import write_text
 from tests.verification import chromium
 from tests.verification.pairs.changes import CHANGES, Against, Change, with_one_sample
 from tests.verification.pairs.draw import Pair, draw

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from facerender.images.exr import exr_bytes
-from facerender.system.atomic import write_bytes
+from facerender.images.files import exr_bytes
+from facerender.system.files import write_bytes
 from tests.verification.pairs.room import Room
 from tests.verification.pairs.scenes import SETTINGS, Setting
 

@@ -32,9 +32,9 @@ from benchmarks.pairs.suite import INDEX, WORKERS, read_pairs
 from facerender import __version__
 from facerender.comparison.compare import compare
 from facerender.errors import FacerenderWarning, InputError
+from facerender.images.files import read_image
 from facerender.images.image import ImageData
-from facerender.images.read import read_image
-from facerender.system.atomic import write_text
+from facerender.system.files import write_text
 from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.draw import Pair
 from tests.verification.pairs.scenes import Group

@@ -12,13 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import facerender as fr
-from facerender.drawing.passes import Draw, Pass
-from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import with_shadows
-from facerender.drawing.prepare import part_maps, reduced, simplify
+from facerender.drawing.passes import Draw, Pass, triangle_setup_of
+from facerender.drawing.prepare import Lighting, ResolvedScene, part_maps, reduced, simplify
 from facerender.drawing.program import ENVIRONMENT_MAP, fixed_attributes
-from facerender.drawing.resolve import Lighting, ResolvedScene
-from facerender.drawing.triangle_setup import triangle_setup_of
+from facerender.drawing.shade import shade_pass, with_shadows
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import view_of

@@ -20,8 +20,8 @@ from benchmarks.paper import claims, figures
 from benchmarks.paper.report import Reproduction
 from facerender.drawing.context import Backend
 from facerender.errors import FacerenderError, InputError, NotMeasured
-from facerender.measure.run import environment
-from facerender.system.progress import Bar, Progress, no_progress
+from facerender.measure.measurement import environment
+from facerender.system.process import Bar, Progress, no_progress
 
 
 def reproduce(

@@ -20,12 +20,18 @@ from facerender.brdf import K_COOK_TORRANCE, K_WARD
 from facerender.drawing.context import Backend
 from facerender.errors import NotMeasured
 from facerender.lobes import AnyLobe
-from facerender.measure.error import lobe_error
-from facerender.measure.measurement import MODELS
-from facerender.pricing.cost import OF_COSINE, OF_VECTORS, QUANTILE, by_slope
-from facerender.pricing.interval import Interval, bootstrap
-from facerender.pricing.variants import PRINTED_D16, Variant
-from facerender.system.signals import temporary_folder
+from facerender.measure.measurement import MODELS, lobe_error
+from facerender.pricing.cost import (
+    OF_COSINE,
+    OF_VECTORS,
+    PRINTED_D16,
+    QUANTILE,
+    Interval,
+    Variant,
+    bootstrap,
+    by_slope,
+)
+from facerender.system.process import temporary_folder
 
 Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
 

@@ -13,11 +13,10 @@ from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
-from facerender.images.srgb import encode_srgb8
+from facerender.images.image import encode_srgb8
 from facerender.loading import load_mesh
-from facerender.measure.error import lobe_error
-from facerender.measure.measurement import MODELS
-from facerender.pricing.variants import printed_lobe
+from facerender.measure.measurement import MODELS, lobe_error
+from facerender.pricing.cost import printed_lobe
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.scene import Scene

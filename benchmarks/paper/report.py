@@ -13,8 +13,8 @@ from typing import Any
 from benchmarks.paper.claims import Claim
 from benchmarks.paper.figures import CAPTIONS
 from facerender.measure.report import write_files
-from facerender.page.document import document, figure, row, table
-from facerender.pricing.interval import Interval
+from facerender.page import document, figure, row, table
+from facerender.pricing.cost import Interval
 
 SCHEMA = "facerender.reproduce/1"
 PAPER = (

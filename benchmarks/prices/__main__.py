@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks.prices import amd, offline, table
 from facerender.errors import FacerenderError
-from facerender.pricing import fragment
+from facerender.pricing import table as fragment
 
 
 def print_parts() -> None:

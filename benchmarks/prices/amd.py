@@ -20,9 +20,9 @@ from typing import Any
 
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
-from facerender.pricing import variants
-from facerender.pricing.variants import INPUTS
-from facerender.system.signals import temporary_folder
+from facerender.pricing import cost
+from facerender.pricing.cost import INPUTS
+from facerender.system.process import temporary_folder
 
 FAMILIES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
 ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
@@ -109,14 +109,13 @@ def table() -> dict[str, Any]:
     :func:`statistics`."""
 
     def rows(model: str, family: str) -> dict[str, dict[str, int]]:
-        found = statistics(variants.terms(model), family)
+        found = statistics(cost.terms(model), family)
         return {name: asdict(row) for name, row in found.items()}
 
     return {
         "driver": driver(),
         "statistics": {
-            family: {model: rows(model, family) for model in variants.PRINTED}
-            for family in FAMILIES
+            family: {model: rows(model, family) for model in cost.PRINTED} for family in FAMILIES
         },
     }
 

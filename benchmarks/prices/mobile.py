@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from benchmarks.prices import amd
-from facerender.pricing import variants
+from facerender.pricing import cost
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "measurements" / "mobile.json"
 QEMU = "qemu-aarch64-static"
@@ -107,11 +107,9 @@ def main(folder: Path) -> None:
     if not (folder / "root/facerender").exists():
         make_root(folder)
     terms = {
-        (model, name): term
-        for model in variants.PRINTED
-        for name, term in variants.terms(model).items()
+        (model, name): term for model in cost.PRINTED for name, term in cost.terms(model).items()
     }
-    kernels = [amd.kernel(*term, ballast="") for term in (("", variants.INPUTS), *terms.values())]
+    kernels = [amd.kernel(*term, ballast="") for term in (("", cost.INPUTS), *terms.values())]
     programs = json.dumps(
         {"attributes": [], "programs": [[m.hex() for m in each] for each in kernels]}
     )
@@ -120,7 +118,7 @@ def main(folder: Path) -> None:
     for gpu in GPUS:
         driver, (empty, *gross) = compiled(folder / "root", gpu, programs)
         drivers[driver] = None
-        found[gpu] = {model: {} for model in variants.PRINTED}
+        found[gpu] = {model: {} for model in cost.PRINTED}
         for (model, name), row in zip(terms, gross, strict=True):
             net = (each - of_empty for each, of_empty in zip(row, empty, strict=True))
             found[gpu][model][name] = dict(zip(("all", "special"), net, strict=True))

@@ -21,9 +21,9 @@ from typing import Any
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
-from facerender.pricing import variants
-from facerender.pricing.variants import INPUTS
-from facerender.system.signals import temporary_folder
+from facerender.pricing import cost
+from facerender.pricing.cost import INPUTS
+from facerender.system.process import temporary_folder
 
 # The compilers' names of the GPUs, and their architectures.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}
@@ -161,13 +161,11 @@ def table() -> dict[str, Any]:
     :func:`statistics`."""
 
     def rows(gpu: str, model: str) -> dict[str, dict[str, int]]:
-        return {name: asdict(row) for name, row in statistics(variants.terms(model), gpu).items()}
+        return {name: asdict(row) for name, row in statistics(cost.terms(model), gpu).items()}
 
     return {
         "compilers": compilers(),
-        "instructions": {
-            gpu: {model: rows(gpu, model) for model in variants.PRINTED} for gpu in GPUS
-        },
+        "instructions": {gpu: {model: rows(gpu, model) for model in cost.PRINTED} for gpu in GPUS},
     }
 
 

@@ -13,9 +13,10 @@ from itertools import product
 from typing import Any
 
 from benchmarks.prices import amd
-from facerender.drawing.passes.scatter import scatter_pass
 from facerender.drawing.program import Program
-from facerender.pricing import fragment, scatter
+from facerender.drawing.shade import scatter_pass
+from facerender.pricing import cost, table
+from facerender.pricing.cost import SLOPE
 from facerender.pricing.table import (
     TABLE,
     Pair,
@@ -26,13 +27,12 @@ from facerender.pricing.table import (
     variants,
     without_specular,
 )
-from facerender.pricing.variants import SLOPE
 from facerender.scenes.scattering import Scattering
 from facerender.scenes.view import view_of
 from facerender.shading import Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower
-from facerender.terms.fitting import G_POWERS
-from facerender.terms.scattering import PROFILES
+from facerender.terms.lobe import G_POWERS
+from facerender.terms.transport import PROFILES
 
 _SCATTER_SAMPLES = (8, 16)  # RADV unrolls these loops, and counts longer ones once
 _TWO_LOBES = {"second_slope": 1.5, "lobe_weight": 0.5}
@@ -86,17 +86,17 @@ def parts(family: str, shading: Shading | None = None) -> dict[str, float]:
     The cost of a map covers only the vector ALU, because the compiler models neither the texture
     filter nor the cache. ``shading`` is a parameter of :func:`fragment.samples`.
     """
-    estimates = cycles([program for _, program in fragment.samples(shading)], family)
-    return dict(zip(fragment.PARTS, map(float, fragment.TO_PARTS @ estimates), strict=True))
+    estimates = cycles([program for _, program in table.samples(shading)], family)
+    return dict(zip(table.PARTS, map(float, table.TO_PARTS @ estimates), strict=True))
 
 
 def scattering_parts(family: str) -> dict[str, float]:
     """Return the cost of ``scatter.PARTS``; unit and exceptions as :func:`cycles`."""
-    wall = scatter.scene()
+    wall = cost.scene()
     profile = Scattering((PROFILES["skin"][2:],), (1,), 1.0, 1.0)
     passes = [scatter_pass(view_of(wall, 1.0), profile, count) for count in _SCATTER_SAMPLES]
     costs = cycles([each.draws[-1].program for each in passes], family)
-    return scatter.parts(_SCATTER_SAMPLES, [float(each) for each in costs])
+    return cost.parts(_SCATTER_SAMPLES, [float(each) for each in costs])
 
 
 def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]) -> Prices:
@@ -112,13 +112,13 @@ def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]
     NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     costs = parts(family)
-    scenes = [fragment.scene_with(), fragment.scene_with(directional=2)]
-    dull = [fragment.estimate(fragment.program_of(scene), costs) for scene in scenes]
+    scenes = [table.scene_with(), table.scene_with(directional=2)]
+    dull = [table.estimate(table.program_of(scene), costs) for scene in scenes]
 
     def specular(terms: Mapping[str, Term], **material: Any) -> dict[str, Pair]:
         changed = [replace(each, mesh=each.mesh.with_material(**material)) for each in scenes]
         programs = [
-            fragment.program_of(scene, Shading(term=term))
+            table.program_of(scene, Shading(term=term))
             for term in terms.values()
             for scene in changed
         ]

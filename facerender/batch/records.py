@@ -1,7 +1,9 @@
-"""Files of a chunk: the outputs of its jobs as separate files or one tar, and the chunk's record.
+"""Chunks of jobs that are drawn, written and committed together, and their storage: a local folder,
+or a URL that fsspec supports (s3://...).
 
-The record is written last: its presence marks a finished chunk.
-"""
+The name of a chunk contains a digest of everything that the chunk's files depend on. Each file is
+written atomically. The record of a chunk is written last: its presence marks a finished chunk. The
+messages between a worker and its supervisor are here as well."""
 
 from __future__ import annotations
 
@@ -9,16 +11,361 @@ import hashlib
 import itertools
 import json
 import os
+import shutil
 import tarfile
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from io import BytesIO
+from itertools import chain, count, islice
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+from uuid import uuid4
 
-from facerender.batch.chunk import Chunk, Record, Settings
-from facerender.batch.jobs import Row, file_name
-from facerender.batch.storage import Storage
-from facerender.system.atomic import CannotUse
+from facerender import __version__
+from facerender.batch.jobs import FILES, Row, file_name
+from facerender.errors import InputError
+from facerender.job import MESH_PATHS
+from facerender.loading.source import named_files
+from facerender.system.files import TEMPORARY, CannotUse, data_dir, digest_of, reported
+
+if TYPE_CHECKING:
+    from facerender.drawing.context import Backend
+
+
+_UNFINISHED = ".unfinished"
+_AGAIN = "and run the same command again"
+
+
+class Storage:
+    """Files below a root, addressed by relative paths with slashes.
+
+    Parameters
+    ----------
+    root : path of a folder, or a URL that fsspec supports
+
+    Raises
+    ------
+    InputError : the protocol of the URL is unknown, or the Python package for it is missing. All
+        methods raise CannotUse if a file cannot be written or read
+    """
+
+    def __init__(self, root: str) -> None:
+        root = root.rstrip("/")
+        self.root, self.remote = root, "://" in root
+        if not self.remote:
+            return
+        try:
+            import fsspec
+        except ImportError:
+            raise InputError(f"{root} needs fsspec: pip install 'facerender[batch]'") from None
+        try:
+            # A cached listing would miss files that other processes have written since.
+            self._system, path = fsspec.core.url_to_fs(root, use_listings_cache=False)
+        except (ValueError, ImportError) as error:
+            raise InputError(
+                f"{root} cannot be reached ({error}); give a folder or a URL"
+            ) from None
+        self._path = str(path)
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write a file atomically."""
+        if self.remote:
+            with self._writing(name):
+                self._system.pipe_file(f"{self._path}/{name}", content)
+            return
+        with self.temporary() as file:
+            with self.scratch():
+                file.write_bytes(content)
+            self.move(file, name)
+
+    def move(self, source: Path, name: str) -> None:
+        """Move a local file, usually from :meth:`temporary`, to a name in this storage."""
+        with self._writing(name):
+            if self.remote:
+                self._system.put_file(str(source), f"{self._path}/{name}")
+                source.unlink()
+                return
+            target = Path(self.root, name)
+            try:
+                os.replace(source, target)
+            except FileNotFoundError:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(source, target)
+
+    def has(self, name: str) -> bool:
+        """Return whether a file exists."""
+        if self.remote:
+            with self._reading(name):
+                return bool(self._system.exists(f"{self._path}/{name}"))
+        return os.path.exists(Path(self.root, name))
+
+    def rename(self, name: str, other: str) -> None:
+        """Rename a file."""
+        if self.remote:
+            with self._writing(other):
+                self._system.mv(f"{self._path}/{name}", f"{self._path}/{other}")
+        else:
+            self.move(Path(self.root, name), other)
+
+    @contextmanager
+    def temporary(self) -> Iterator[Path]:
+        """Yield a unique local path, whose folder exists. Remove the file at the end of the context
+        unless it has been moved."""
+        if self.remote:  # Users of a machine share this folder, so it gets no folder of one user.
+            file = Path(temporary_folder(), f"{TEMPORARY}{uuid4().hex}")
+        else:
+            file = Path(self.root, _UNFINISHED, uuid4().hex)
+            with self.scratch():
+                file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield file
+        finally:
+            with suppress(OSError):
+                file.unlink()
+
+    def scratch(self) -> AbstractContextManager[None]:
+        """Return a context in which an OSError of a temporary file raises CannotUse."""
+        return reported("write", temporary_folder() if self.remote else self.root, _AGAIN)
+
+    def get(self, name: str, most: int | None = None) -> bytes:
+        """Return a file's content, or its first `most` bytes; raise FileNotFoundError if absent."""
+        with self._reading(name):
+            if self.remote:
+                return bytes(self._system.cat_file(f"{self._path}/{name}", end=most))
+            with open(f"{self.root}/{name}", "rb") as file:
+                return file.read(-1 if most is None else most)
+
+    def names(self, folder: str) -> list[str]:
+        """Return the names of the files in a folder; empty if the folder does not exist."""
+        try:
+            with self._reading(folder):
+                if self.remote:
+                    paths = self._system.ls(f"{self._path}/{folder}", detail=False)
+                    return [path.rpartition("/")[2] for path in paths]
+                return os.listdir(Path(self.root, folder))
+        except FileNotFoundError:
+            return []
+
+    def drop(self, name: str) -> None:
+        """Remove a file if it exists."""
+        with self._writing(name):
+            if not self.remote:
+                Path(self.root, name).unlink(missing_ok=True)
+            elif self._system.exists(f"{self._path}/{name}"):
+                self._system.rm_file(f"{self._path}/{name}")
+
+    def prune(self, name: str) -> None:
+        """Remove the folder of a file if the folder is empty. Call only while no worker writes."""
+        with suppress(OSError):
+            if not self.remote:
+                Path(self.root, name).parent.rmdir()
+
+    def sweep(self) -> None:
+        """Remove temporary files of interrupted writers. Call this only while no worker writes."""
+        if not self.remote:
+            shutil.rmtree(Path(self.root, _UNFINISHED), ignore_errors=True)
+
+    def _writing(self, name: str) -> AbstractContextManager[None]:
+        return reported("write", f"{self.root}/{name}", _AGAIN)
+
+    @contextmanager
+    def _reading(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except FileNotFoundError:
+            raise
+        except OSError:
+            with reported("read", f"{self.root}/{name}", _AGAIN):
+                raise
+
+
+def temporary_folder() -> str:
+    """Return the folder of temporary files, which may not be writable."""
+    try:
+        return tempfile.gettempdir()
+    except OSError:
+        return os.environ.get("TMPDIR", "/tmp")
+
+
+Layout = Literal["files", "shards"]
+Record = dict[str, Any]  # the record of a drawn or failed job
+
+_PACKAGE = Path(__file__).parents[1]
+_LARGEST = 128  # maximum number of jobs per chunk
+# Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
+# same mesh; the waiting jobs would fill at most this number of chunks.
+_CHUNKS = 64
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings that all jobs of a batch share."""
+
+    output: str  # A folder, or a URL.
+    layout: Layout = "files"  # "files": a folder per job; "shards": a tar per chunk.
+    backend: Backend = "auto"
+    timeout: float = 300.0  # Seconds without a message after which a worker counts as hung.
+    tries: int = 3  # Maximum number of attempts for a job that crashes or hangs its worker.
+    code_version: str = ""  # Digest of the code that draws, see :func:`code_version`.
+    # ID of the command. A worker that outlives its killed command stops writing if batch.json
+    # contains the ID of another command.
+    run: str = field(default_factory=lambda: uuid4().hex)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A group of jobs."""
+
+    number: int  # Index among the chunks of the batch.
+    rows: tuple[Row, ...]
+    keys: tuple[str, ...]  # For each job, a digest of everything that its files depend on.
+    # Records of jobs that an earlier run has drawn, keyed by the job's index in the chunk.
+    kept: Mapping[int, Record] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"chunk {self.number}"
+
+    @property
+    def name(self) -> str:
+        """The name, without suffix, of the chunk's record and of its tar."""
+        return f"{self.number:06d}-{digest_of(*self.keys)[:16]}"
+
+
+def chunk_size(total: int, layout: Layout) -> int:
+    """Return the number of jobs per chunk.
+
+    The size depends only on the total number of jobs and the layout: any number of workers gives
+    the same chunks.
+    """
+    size = 32 if layout == "shards" else 1  # Readers shuffle whole tars.
+    while size < _LARGEST and total >= 2 * _CHUNKS * size:
+        size *= 2
+    return size
+
+
+def chunks(
+    rows: Iterable[Row], size: int | None = None, layout: Layout = "files"
+) -> Iterator[Chunk]:
+    """Divide rows into chunks; rows with equal mesh and image tables share a chunk where possible.
+
+    Few rows are in memory at a time. Raise InputError for an id with a dot in layout "shards".
+
+    size : maximum number of jobs per chunk; None: the result of :func:`chunk_size`
+    """
+    rows = iter(rows)
+    if size is None:
+        first_rows = [*islice(rows, _CHUNKS * _LARGEST)]
+        size = chunk_size(len(first_rows), layout)
+        rows = chain(first_rows, rows)
+        del first_rows
+    waiting: dict[str, list[Row]] = {}
+    waiting_count, numbers = 0, count()
+
+    def close(group: list[Row]) -> Chunk:
+        return Chunk(next(numbers), tuple(group), tuple(map(key_of, group)))
+
+    def pack() -> list[Row]:
+        """Return the rows of the longest-waiting groups: as many groups as fit into a chunk."""
+        packed: list[Row] = []
+        for name in list(waiting):
+            if packed and len(packed) + len(waiting[name]) > size:
+                break
+            packed += waiting.pop(name)
+        return packed
+
+    for row in rows:
+        if layout == "shards" and "." in row.id:
+            raise InputError(
+                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
+                "an id without a dot, or use --layout files"
+            )
+        name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
+        group = waiting.setdefault(name, [])
+        group.append(row)
+        waiting_count += 1
+        if len(group) == size:
+            packed = waiting.pop(name)
+        elif waiting_count >= _CHUNKS * size:
+            packed = pack()
+        else:
+            continue
+        waiting_count -= len(packed)
+        yield close(packed)
+    while waiting:
+        yield close(pack())
+
+
+@cache
+def code_version() -> str:
+    """Return a digest of the package version and of all sources that the pixels depend on."""
+    folders = ("terms", "glsl", "scenes", "loading", "drawing", "images")
+    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
+    paths += (_PACKAGE / name for name in ("batch/outputs.py", "job.py", "shading.py"))
+    paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
+    return digest_of(__version__, *(path.read_bytes() for path in paths))
+
+
+def key_of(row: Row) -> str:
+    """Return a digest of everything that a job's files and record depend on.
+
+    The digests of the job's input files are cached until :func:`forget_files` is called.
+    """
+    facts = [row.id, _with_contents(row.tables), row.outputs, row.exposure]
+    facts += [row.meta] if row.meta else []
+    return digest_of(code_version(), json.dumps(facts, sort_keys=True))[:24]
+
+
+def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of a job, with digests of files instead of their paths."""
+    tables = dict(tables)
+    tables["mesh"] = _mesh_facts(json.dumps(tables.get("mesh", {})))
+    for key, names in FILES.items():
+        if isinstance(table := tables.get(key), dict):
+            tables[key] = table | {n: _content(table[n]) for n in names if table.get(n)}
+    if isinstance(landmarks := tables.get("landmarks"), str):
+        tables["landmarks"] = _content(landmarks)
+    return tables
+
+
+def forget_files() -> None:
+    """Clear the cached digests of files, which may have changed."""
+    _mesh_facts.cache_clear()
+    _mesh_content.cache_clear()
+    _content.cache_clear()
+
+
+@lru_cache(100_000)
+def _mesh_facts(table: str) -> str:
+    """Return a mesh table as JSON, with digests of files instead of paths."""
+    mesh = json.loads(table)
+    source = mesh.get("path") or str(data_dir("assets") / "head.glb")
+    files = [_content(mesh.get(name) or "") for name in MESH_PATHS if name != "path"]
+    options = [(key, mesh[key]) for key in sorted(mesh) if key not in MESH_PATHS]
+    return json.dumps([_mesh_content(source), files, options])
+
+
+@lru_cache(100_000)
+def _mesh_content(path: str) -> str:
+    """Return a digest of a mesh file and of the files that it references."""
+    return digest_of(
+        _content(path), *(_content(str(reference)) for reference in named_files(Path(path)))
+    )
+
+
+@lru_cache(100_000)
+def _content(path: str) -> str:
+    """Return a digest of a file's content, or the file's path if the file cannot be read."""
+    try:
+        if os.path.isfile(path):
+            with open(path, "rb") as file:
+                return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+    except (OSError, ValueError):
+        pass  # the loader reports the error
+    return f"absent: {path}"
+
 
 ABOUT = "batch.json"  # Settings of the batch, and the ID of the last run.
 BEGUN = "begun"  # Folder: for each unfinished chunk, a list of its files.
@@ -197,3 +544,46 @@ def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[R
 def record_names(storage: Storage, folder: str = RECORDS) -> set[str]:
     """Return the names of the chunks that have a record."""
     return {n.removesuffix(".jsonl") for n in storage.names(folder) if n.endswith(".jsonl")}
+
+
+NO_MEMORY = 9  # Exit status of a worker: out of memory.
+
+
+@dataclass(frozen=True)
+class Order:
+    """A request to draw the remaining jobs of a chunk."""
+
+    settings: Settings
+    chunk: Chunk
+    left: tuple[int, ...]  # Indices of the remaining jobs in the chunk.
+    tar: Path | None  # See :class:`facerender.batch.records.Writer`.
+    size: int
+
+
+@dataclass(frozen=True)
+class Message:
+    """A worker's report of one step.
+
+    Steps: "loads": the worker loads the job's mesh; "draws": the worker draws the job; "done": the
+    job is drawn; "kept": the files of an earlier run are reused; "failed": the job failed;
+    "cannot": no job can be drawn; "end": the chunk is finished. "starts" is never sent: it is the
+    supervisor's value until the first message arrives.
+    """
+
+    step: Literal["starts", "loads", "draws", "done", "kept", "failed", "cannot", "end"]
+    position: int = -1  # Index of the job in the chunk.
+    record: Record | None = None  # The job's record in the steps "done", "kept" and "failed".
+    size: int = 0  # Size of the tar in bytes after this step.
+    text: str = ""  # In the step "cannot", the reason.
+
+
+def failure(chunk: Chunk, position: int, kind: str, text: str) -> Record:
+    """Return the record of a failed job."""
+    row = chunk.rows[position]
+    job = {"id": row.id, "number": row.number, "key": chunk.keys[position]}
+    return {**job, "error": text, "kind": kind, "job": row.tables, **meta_of(row)}
+
+
+def meta_of(row: Row) -> Record:
+    """Return the item "meta" of a job's record, if the job has it."""
+    return {"meta": row.meta} if row.meta else {}

@@ -1,11 +1,13 @@
-"""The supervisor of a worker process; the engines call this supervisor.
+"""The run of a batch: a coordinator submits chunks to an engine (threads of this process, or a Dask
+cluster), whose supervisors start worker processes; the progress is shown as bars or JSON lines.
 
-The supervisor restarts a worker that crashes or hangs, identifies the responsible job, and commits
-the chunk. It does not use OpenGL.
-"""
+A supervisor restarts a worker that crashes or hangs, identifies the responsible job, and commits
+the chunk. No OpenGL here: only the workers draw."""
 
 from __future__ import annotations
 
+import json
+import logging
 import math
 import os
 import signal
@@ -17,17 +19,145 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
-from facerender.batch.chunk import Chunk, Record, Settings
-from facerender.batch.protocol import NO_MEMORY, Message, Order, failure
-from facerender.batch.records import begin, commit
-from facerender.batch.storage import Storage
-from facerender.errors import FacerenderError
-from facerender.system.signals import hold
+from tqdm import tqdm
+
+from facerender.batch.folder import Work, with_kept
+from facerender.batch.records import (
+    NO_MEMORY,
+    Chunk,
+    Message,
+    Order,
+    Record,
+    Settings,
+    Storage,
+    begin,
+    commit,
+    failure,
+)
+from facerender.errors import FacerenderError, InputError, clipped, warn
+from facerender.system.process import available, hold, if_ended, shows_bars
+
+NAMED = 5  # maximum number of failed jobs, and of workers that ended, that are named
+
+
+def failed_line(record: Record) -> str:
+    """Return a message that names a failed job and the reason."""
+    return f"facerender: job {record['id']} failed: {clipped(record['error'], 400)}"
+
+
+class Progress(ExitStack):
+    """Progress bars on a terminal, names of failed jobs and ended workers, or JSON lines.
+
+    The bars show jobs done, rate, time left and failures, and the current step of each worker. If
+    a signal ends the process, the number of finished jobs is printed. `failed` and `deaths` are the
+    numbers of failed jobs, and of workers that ended or hung.
+
+    Parameters
+    ----------
+    workers : number of local workers, which report every step; 0 for a cluster
+    lines : whether to print a JSON line for each chunk, failed job and ended worker. Otherwise,
+        the first NAMED failed jobs and ended workers are messages
+    message : prints a message on standard error
+    quiet : whether to hide the bars
+    """
+
+    def __init__(
+        self,
+        work: Work,
+        workers: int,
+        lines: bool,
+        message: Callable[[str], None],
+        quiet: bool = False,
+    ) -> None:
+        super().__init__()
+        terminal = shows_bars(quiet)
+        self._bar = tqdm(
+            total=work.jobs,
+            initial=work.jobs - work.left,
+            unit=" jobs",
+            mininterval=0.2,
+            disable=not terminal,
+            smoothing=0.05,
+        )
+        positions = range(1, 1 + workers) if terminal else ()
+        self._free = [
+            tqdm(bar_format="{desc}", position=position, leave=False) for position in positions
+        ]
+        for bar in (self._bar, *self._free):
+            self.callback(bar.close)
+        self._of: dict[int, tqdm[Any]] = {}  # keyed by the supervisor's thread ID
+        self._workers, self._lines = workers, lines
+        self._message = None if lines else message
+        self.failed = self.deaths = 0
+        self._jobs, self._done = work.jobs, work.jobs - work.left
+        self.enter_context(if_ended(self._ended))
+
+    def report(self, worker: str, step: str, job: str) -> None:
+        """Show the step of a local worker. The thread of the worker's supervisor calls this."""
+        if step in ("done", "kept", "failed"):
+            self._bar.update()
+        thread = threading.get_ident()
+        if thread not in self._of and self._free:
+            self._of[thread] = self._free.pop(0)
+        if thread in self._of:
+            self._of[thread].set_description_str(f"{worker}  {step} {job}")
+
+    def finished(self, outcome: Outcome) -> None:
+        """Count the jobs of a finished chunk, and print its JSON lines."""
+        jobs = outcome.drawn + outcome.kept + len(outcome.failed)
+        self._done += jobs
+        if not self._workers:
+            self._bar.update(jobs)
+        for death in outcome.deaths:
+            self.deaths += 1
+            self.say("died", worker=death.worker, how=death.how, id=death.job)
+            if self._message and self.deaths <= NAMED:
+                self._message(f"facerender: {death}")
+        for record in outcome.failed:
+            self.failed += 1
+            self.say("failed", id=record["id"], error=record["error"])
+            if self._message and self.failed <= NAMED:
+                self._message(failed_line(record))
+        if self.failed:
+            self._bar.set_postfix_str(f"{self.failed} failed", refresh=False)
+        self.say(
+            "chunk",
+            chunk=outcome.chunk,
+            drawn=outcome.drawn,
+            kept=outcome.kept,
+            failed=len(outcome.failed),
+            seconds=round(outcome.seconds, 3),
+            deaths=len(outcome.deaths),
+            worker=outcome.worker,
+        )
+
+    def say(self, event: str, **facts: Any) -> None:
+        """Print a JSON line if `lines` is set."""
+        if not self._lines:
+            return
+        try:
+            print(json.dumps({"time": round(time.time(), 3), "event": event, **facts}), flush=True)
+        except OSError:  # the reader has closed the pipe, or the disk is full
+            self._lines = False
+
+    def _ended(self) -> str:
+        return f"{self._done} of {self._jobs} jobs are done; run the same command to resume"
+
 
 Report = Callable[[str, str, str], None]  # Worker, step, job id.
 
@@ -264,3 +394,143 @@ def _at_fault(chunk: Chunk, message: Message) -> set[int]:
         return {message.position}
     mesh = chunk.rows[message.position].tables.get("mesh")
     return {i for i, row in enumerate(chunk.rows) if row.tables.get("mesh") == mesh}
+
+
+_WORKER_MIB = 700  # least memory per worker
+_SECONDS = 30  # timeout of the connection to a scheduler, and of the wait for its first worker
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An executor of chunks."""
+
+    executor: Executor
+    slots: Callable[[], int]  # Returns the number of chunks that can be drawn at the same time.
+    workers: int  # Number of supervisor threads in this process; 0 on a cluster.
+
+
+@contextmanager
+def local(workers: int) -> Iterator[Engine]:
+    """Yield an engine of `workers` threads in this process, each with its own worker process."""
+    executor = ThreadPoolExecutor(workers)
+    try:
+        yield Engine(executor, lambda: workers, workers)
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def dask(address: str) -> Iterator[Engine]:
+    """Yield an engine on a Dask scheduler, whose workers may join and leave. Raise InputError if
+    there is no scheduler or no worker, or dask.distributed is missing."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            f"--scheduler {address} needs dask.distributed: pip install 'facerender[batch]'"
+        ) from None
+    for name in [*logging.getLogger().manager.loggerDict]:  # this module reports Dask's errors
+        if name.startswith("distributed"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        client = Client(address, timeout=_SECONDS)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no scheduler at {address} ({error}); run: dask scheduler") from None
+
+    def slots() -> int:
+        try:
+            return max(1, sum(map(int, client.nthreads().values())))
+        except OSError:
+            raise scheduler_gone() from None
+
+    try:
+        try:
+            client.wait_for_workers(1, timeout=_SECONDS)
+        except TimeoutError:
+            raise InputError(
+                f"the scheduler at {address} has no worker; run: dask worker {address}"
+            ) from None
+        # With pure=True, Dask would reuse the result of a chunk whose files have been deleted.
+        executor = client.get_executor(pure=False, retries=2)
+        yield Engine(executor, slots, 0)
+    finally:
+        client.close()
+
+
+def scheduler_gone() -> FacerenderError:
+    """Return the error for a scheduler that ended before the batch."""
+    return FacerenderError("the scheduler has ended: restart it, and run the same command again")
+
+
+def default_workers() -> tuple[int, str]:
+    """Return the default number of workers, and a text that gives the reason.
+
+    The default is one worker per core that this process may use, or fewer if memory is too small.
+    """
+    cores, memory = _cores(), available()
+    fit = max(1, int(memory // _WORKER_MIB))
+    if fit < cores:
+        return fit, f"{memory:.0f} MiB of free memory, {_WORKER_MIB} MiB per worker"
+    return cores, f"one per core ({cores} cores)"
+
+
+def _cores() -> int:
+    """Return the number of cores that CPU affinity and the cgroup quota allow this process."""
+    cores = float(len(os.sched_getaffinity(0)))
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        cores = min(cores, float(quota) / float(period))
+    except (OSError, ValueError):  # no quota
+        pass
+    return max(1, round(cores))
+
+
+_AHEAD = 2  # queued chunks per worker
+_TRIES = 3  # attempts for a chunk whose supervisor was lost
+
+
+def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> int:
+    """Draw the remaining chunks, and return the number of drawn jobs.
+
+    Raises
+    ------
+    CannotDraw : nothing can be drawn or written
+    FacerenderError : the scheduler has ended, or a chunk was lost _TRIES times
+    """
+    drawn, renderers = 0, set[str]()
+    waiting = with_kept(work, Storage(settings.output))
+    report = progress.report if engine.workers else None
+    sent: dict[Future[Outcome], tuple[Chunk, int]] = {}
+
+    def send(chunk: Chunk, tries: int) -> None:
+        sent[engine.executor.submit(draw_chunk, settings, chunk, report)] = chunk, tries
+
+    while True:
+        free = (1 + _AHEAD) * engine.slots() - len(sent)
+        for chunk in islice(waiting, max(free, 0)):
+            send(chunk, 1)
+        if not sent:
+            return drawn
+        for future in wait(sent, return_when=FIRST_COMPLETED).done:
+            chunk, tries = sent.pop(future)
+            try:
+                outcome = future.result()
+            except FacerenderError:
+                raise
+            except CancelledError:
+                raise scheduler_gone() from None
+            except Exception as error:
+                if tries >= _TRIES:
+                    raise FacerenderError(
+                        f"{chunk} was lost {_TRIES} times ({error!r}); run the same command again"
+                    ) from error
+                send(chunk, tries + 1)
+                continue
+            drawn += outcome.drawn
+            if outcome.renderer and renderers and outcome.renderer not in renderers:
+                warn(
+                    f"{outcome.worker} draws with {outcome.renderer}, others with "
+                    f"{min(renderers)}: pixels may differ in the last digits"
+                )
+            renderers |= {outcome.renderer} - {""}
+            progress.finished(outcome)

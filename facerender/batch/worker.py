@@ -17,19 +17,28 @@ from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from facerender.batch.chunk import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import draw
-from facerender.batch.protocol import NO_MEMORY, Message, Order, failure, meta_of
-from facerender.batch.records import Writer
+from facerender.batch.records import (
+    NO_MEMORY,
+    Message,
+    Order,
+    Record,
+    Writer,
+    code_version,
+    failure,
+    forget_files,
+    key_of,
+    meta_of,
+)
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
 from facerender.job import MESH_PATHS, Job, MeshFile
-from facerender.loading.references import named_files
+from facerender.loading.source import named_files
 from facerender.scenes.file import ImageSettings
 from facerender.scenes.mesh import Mesh
-from facerender.system.atomic import CannotUse
-from facerender.system.signals import heed_the_coordinator
+from facerender.system.files import CannotUse
+from facerender.system.process import heed_the_coordinator
 
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
 

@@ -16,8 +16,14 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from facerender import __version__
-from facerender.commands.help import EXAMPLES, commands_of, usage_of
-from facerender.commands.streams import make_usable, print_message, print_result
+from facerender.commands.common import (
+    EXAMPLES,
+    commands_of,
+    make_usable,
+    print_message,
+    print_result,
+    usage_of,
+)
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
 
 COMMANDS = {

@@ -14,17 +14,23 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facerender.commands.common import SIDE, Options, check_outputs, part_materials
-from facerender.commands.help import Help
-from facerender.commands.streams import print_message, print_result
+from facerender.commands.common import (
+    SIDE,
+    Help,
+    Options,
+    check_outputs,
+    part_materials,
+    print_message,
+    print_result,
+)
 from facerender.errors import InputError
 from facerender.scenes.file import ImageSettings
 from facerender.scenes.scene import ONLY
 from facerender.terms.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
-    from facerender.batch.engine import Engine
     from facerender.batch.jobs import JobTable
+    from facerender.batch.supervisor import Engine
 
 _FAILED = 3
 _MOST_FILES = 100  # maximum number of invalid input files that --check names
@@ -102,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     _check_read(options)
     table = _table(options)
     if options.check:
-        from facerender.batch.inputs import file_faults
+        from facerender.batch.outputs import file_faults
 
         _check_faults(table, file_faults(table.valid()))
         print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
@@ -155,11 +161,11 @@ def _check_faults(table: JobTable, files: Sequence[str] = ()) -> None:
 
 
 def _draw(options: argparse.Namespace, table: JobTable) -> int:
-    from facerender.batch import coordinator, folder
-    from facerender.batch.chunk import Settings, code_version
-    from facerender.batch.parquet import check_parquet
-    from facerender.batch.progress import NAMED, Progress, failed_line
-    from facerender.batch.work import check_removed, spooled, work_of
+    from facerender.batch import folder, supervisor
+    from facerender.batch.folder import check_removed, spooled, work_of
+    from facerender.batch.formats import check_parquet
+    from facerender.batch.records import Settings, code_version
+    from facerender.batch.supervisor import NAMED, Progress, failed_line
 
     if options.table == "parquet":
         check_parquet()
@@ -186,7 +192,7 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
             with Progress(
                 work, engine.workers, options.json, print_message, options.quiet
             ) as progress:
-                drawn = coordinator.run(work, settings, engine, progress)
+                drawn = supervisor.run(work, settings, engine, progress)
             named, deaths = progress.failed, progress.deaths
         folder.finish(storage, options.table, options.transforms)
         if not options.json:
@@ -199,16 +205,16 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
 
 
 def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:
-    from facerender.batch import engine
+    from facerender.batch import supervisor
 
     if options.scheduler is not None:
-        return engine.dask(options.scheduler)
+        return supervisor.dask(options.scheduler)
     if options.workers is not None:
-        return engine.local(options.workers)
-    workers, why = engine.default_workers()
+        return supervisor.local(options.workers)
+    workers, why = supervisor.default_workers()
     if not options.quiet:
         print_message(f"facerender: {workers} worker{'s' if workers > 1 else ''}: {why}")
-    return engine.local(workers)
+    return supervisor.local(workers)
 
 
 def _print_status(

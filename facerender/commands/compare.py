@@ -12,17 +12,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from facerender.commands.common import Options, check_outputs, progress_bar
-from facerender.commands.help import Help
-from facerender.commands.streams import print_message, print_result
-from facerender.comparison import flip
-from facerender.comparison.checks import CHECKS
+from facerender.commands.common import (
+    Help,
+    Options,
+    check_outputs,
+    print_message,
+    print_result,
+    progress_bar,
+)
+from facerender.comparison import pictures
 from facerender.comparison.result import LIMITS, Limits
-from facerender.comparison.sources import HIGHEST
+from facerender.comparison.sources import CHECKS, HIGHEST
 from facerender.errors import InputError, clipped, warn
-from facerender.images.read import SUFFIXES, read_image
-from facerender.images.write import WRITTEN
-from facerender.system.atomic import write_text
+from facerender.images.files import SUFFIXES, WRITTEN, read_image
+from facerender.system.files import write_text
 from facerender.terms.ranges import Range
 
 # Suffixes of each output file, keyed by the option's name in Python.
@@ -91,9 +94,8 @@ def default_of(name: str) -> str:
 def run(options: argparse.Namespace) -> int:
     from facerender.comparison.calibration import read_limits
     from facerender.comparison.compare import Pair, pairs_of
-    from facerender.comparison.pictures import side_by_side
+    from facerender.comparison.pictures import save_heat_map, side_by_side
     from facerender.comparison.report import entry, write_report
-    from facerender.comparison.visualization import save_heat_map
 
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
     if options.calibrate:
@@ -165,7 +167,7 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
                 f"--{name} {clipped(path)}: unknown format {suffix!r}; give {', '.join(suffixes)}"
             )
     if options.heatmap:
-        flip.check_installed()
+        pictures.check_installed()
     written = [getattr(options, name) for name in OUTPUTS]
     check_outputs(written, [*images, options.mask, options.limits])
 

@@ -6,12 +6,17 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from facerender.commands.common import Options, check_outputs, import_trimesh, progress_bar
+from facerender.commands.common import (
+    Options,
+    check_outputs,
+    import_trimesh,
+    print_result,
+    progress_bar,
+)
 from facerender.commands.scene import add_scene, files_read, job_of, plays
-from facerender.commands.streams import print_result
 from facerender.errors import InputError
 from facerender.explorer.page import TERM_FACTORS, explorer_page
-from facerender.system.atomic import write_text
+from facerender.system.files import write_text
 from facerender.terms import LOBES
 
 _LOBE = "d16"

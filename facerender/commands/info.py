@@ -12,16 +12,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import Options, import_trimesh
-from facerender.commands.streams import print_result
+from facerender.commands.common import Options, import_trimesh, print_result
 from facerender.errors import FacerenderWarning, number_of
 from facerender.loading import load_mesh
 from facerender.loading.source import source_of
 from facerender.scenes import hints
-from facerender.scenes.material import MAPS, Material
+from facerender.scenes.material import MAPS, PRESETS, Material
 from facerender.scenes.mesh import Mesh, Part, clips_of
-from facerender.scenes.presets import PRESETS
-from facerender.system.data import data_dir
+from facerender.system.files import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults

@@ -11,13 +11,14 @@ from facerender.commands.common import (
     import_trimesh,
     mesh_files,
     part_materials,
+    print_message,
+    print_result,
     progress_bar,
 )
-from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.job import Job, MeshFile
 from facerender.scenes.material import Material
-from facerender.system.atomic import make_folder
+from facerender.system.files import make_folder
 from facerender.terms.ranges import range_of
 
 
@@ -45,7 +46,7 @@ def add(measure: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     from facerender.measure import report
-    from facerender.measure.run import measure
+    from facerender.measure.measurement import measure
 
     range_of(Material, "m").check("m", options.m)
     folder = make_folder(options.output)

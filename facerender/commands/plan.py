@@ -7,16 +7,23 @@ import json
 import math
 import time
 
-from facerender.commands.common import SIDE, Options, check_outputs, parse_sizes, progress_bar
+from facerender.commands.common import (
+    SIDE,
+    Options,
+    check_outputs,
+    parse_sizes,
+    print_message,
+    print_result,
+    progress_bar,
+)
 from facerender.commands.scene import add_scene, files_read, job_of, load
-from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.glsl.library import LANGUAGES, TARGETS
 from facerender.job import Output
-from facerender.system.atomic import write_text
-from facerender.system.progress import Progress, shows_bars
+from facerender.system.files import write_text
+from facerender.system.process import Progress, shows_bars
 
 
 def add(plan: argparse.ArgumentParser) -> None:

@@ -284,7 +284,7 @@ def sequence(pose: Pose, mesh: Mesh, fps: float) -> list[Pose]:
     InputError : the mesh has no such clip, the file cannot be used, or there are too many frames
     """
     if pose.vertices is not None:
-        from facerender.loading.vertices import frame_count
+        from facerender.loading.from_trimesh import frame_count
 
         return [replace(pose, frame=number) for number in range(frame_count(pose.vertices))]
     mesh.with_pose(clip=pose.clip)  # only checks the clip

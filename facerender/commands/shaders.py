@@ -7,9 +7,7 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import Options
-from facerender.commands.help import Help
-from facerender.commands.streams import print_result
+from facerender.commands.common import Help, Options, print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 from facerender.terms.lobe import SLOPES
@@ -57,7 +55,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
 
 
 def run_list(options: argparse.Namespace) -> int:
-    from facerender.glsl.catalogue import functions
+    from facerender.glsl.library import functions
 
     if options.json:
         listed = [dataclasses.asdict(function) for function in functions()]

@@ -25,17 +25,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.checks import CHECKS, decimal
 from facerender.comparison.compare import compare, pairs_of
-from facerender.comparison.neighbourhoods import FULL, filtered, shrunk
 from facerender.comparison.result import LIMITS, Limits
-from facerender.comparison.sources import HIGHEST
+from facerender.comparison.sources import CHECKS, HIGHEST, decimal
+from facerender.comparison.windows import FULL, filtered, shrunk
 from facerender.errors import InputError, check_range, reason, shown
-from facerender.images.image import Encoding, ImageData
-from facerender.images.read import read_image
-from facerender.images.srgb import encode_srgb8, srgb_to_linear
+from facerender.images.files import read_image
+from facerender.images.image import Encoding, ImageData, encode_srgb8, srgb_to_linear
 from facerender.system.files import read_file, tables_of
-from facerender.system.progress import Progress, no_progress
+from facerender.system.process import Progress, no_progress
 
 NAMES = tuple(limit.name for limit in fields(Limits))
 PREFIX = "facerender_"

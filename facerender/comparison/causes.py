@@ -21,10 +21,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.blocks import BLOCK, block_sums, cell_sums, common_squares, detail_of
-from facerender.comparison.neighbourhoods import FULL, MARGIN, Float, Mask, filtered, shrunk
-from facerender.images.image import ImageData
-from facerender.images.srgb import srgb_to_linear
+from facerender.comparison.windows import (
+    BLOCK,
+    FULL,
+    MARGIN,
+    Float,
+    Mask,
+    block_sums,
+    cell_sums,
+    common_squares,
+    detail_of,
+    filtered,
+    shrunk,
+)
+from facerender.images.image import ImageData, srgb_to_linear
 
 LOBE = "another slope, lobe or weight"
 LIGHT = "another light"

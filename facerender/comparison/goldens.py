@@ -17,7 +17,7 @@ from facerender import __version__
 from facerender.comparison.compare import Pair, compare
 from facerender.comparison.sources import Comparable, as_image
 from facerender.errors import InputError, reason
-from facerender.images.exr import save_exr
+from facerender.images.files import save_exr
 from facerender.images.image import ImageData
 
 _ROUNDED = 0.2  # largest rounding error of a golden, as a part of the point limit

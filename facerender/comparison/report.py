@@ -11,15 +11,15 @@ from html import escape
 
 import numpy as np
 
-from facerender.comparison import visualization
-from facerender.comparison.blocks import BLOCK
-from facerender.comparison.checks import CHECKS
+from facerender.comparison import pictures
 from facerender.comparison.compare import Pair
 from facerender.comparison.result import BLUR, HOLES, SURE, Comparison
+from facerender.comparison.sources import CHECKS
+from facerender.comparison.windows import BLOCK
 from facerender.errors import InputError, number_of
 from facerender.images.image import Encoding, ImageData
-from facerender.page.document import document, image_source, row, table
-from facerender.system.atomic import write_bytes
+from facerender.page import document, image_source, row, table
+from facerender.system.files import write_bytes
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the order of the page
 # Placeholder in the HTML of an entry; names do not contain this character.
@@ -48,8 +48,8 @@ def entry(pair: Pair) -> Entry:
     sources = {"A": pair.reference, "B": pair.image} if pair.status else {}
     images = {letter: image for letter, image in sources.items() if image}
     pixel_count = max((image.pixels[..., 0].size for image in images.values()), default=0)
-    large = pixel_count > visualization.MAX_PIXELS
-    displayed = {} if large else {key: visualization.displayed(x) for key, x in images.items()}
+    large = pixel_count > pictures.MAX_PIXELS
+    displayed = {} if large else {key: pictures.displayed(x) for key, x in images.items()}
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     cells = _verdict(pair), escape(_reasons(pair)[0])
     summary = row(name, cells, VERDICTS[pair.status])
@@ -109,10 +109,10 @@ def _reasons(pair: Pair) -> Sequence[str]:
     return (pair.error,) if result is None else result.reasons or (str(result),)
 
 
-def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
+def _section(pair: Pair, displayed: Mapping[str, pictures.Bytes], large: bool) -> str:
     checks = "" if pair.comparison is None else _check_table(pair.comparison)
     if pair.status == 0 and pair.reference:
-        source = _source(visualization.thumbnail(pair.reference, 160))
+        source = _source(pictures.thumbnail(pair.reference, 160))
         images = f"<p>{_image(source, 'the image')}</p>{_largest(pair)}"
     else:
         images = _viewer(pair, displayed, large)
@@ -205,22 +205,22 @@ def _fact(image: ImageData) -> dict[str, str]:
     return {"image": image.name, "pixels": pixels, **space, **converted, **image.metadata}
 
 
-def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
+def _viewer(pair: Pair, displayed: Mapping[str, pictures.Bytes], large: bool) -> str:
     """Return HTML of the available images and, if both were compared, their differences."""
     if large:
-        limit = visualization.MAX_PIXELS
+        limit = pictures.MAX_PIXELS
         return f'<p class="note">Images of more than {limit} pixels are not shown.</p>'
     if not displayed:
         return ""
     places, sources = _places(pair), {key: _source(pixels) for key, pixels in displayed.items()}
     areas = ""
     if pair.reference and pair.image and pair.comparison is not None:
-        colors, largest = visualization.difference(pair.reference, pair.image)
+        colors, largest = pictures.difference_colours(pair.reference, pair.image)
         shape = colors.shape
-        maps = {"difference": _source(visualization.brightest(colors, MAP))}
+        maps = {"difference": _source(pictures.brightest(colors, MAP))}
         flip = ""
         with suppress(InputError):  # FLIP needs an optional package
-            maps["FLIP"] = _source(visualization.small_heat_map(*displayed.values()))
+            maps["FLIP"] = _source(pictures.small_heat_map(*displayed.values()))
             flip = '<label><input type="checkbox" class="flip">FLIP</label>'
         caption = _legend(largest, pair.comparison.encoding, flip)
         figures = _figure("difference", caption, shape, maps, places)
@@ -263,9 +263,7 @@ def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
     return places
 
 
-def _enlarged(
-    name: str, place: tuple[int, int, int], images: Mapping[str, visualization.Bytes]
-) -> str:
+def _enlarged(name: str, place: tuple[int, int, int], images: Mapping[str, pictures.Bytes]) -> str:
     """Return a button that shows a place, cut out of each image, and enlarges the images there."""
     x, y, side = place
     crops = ""
@@ -319,14 +317,14 @@ def _image(source: str, alt: str) -> str:
     return f'<img src="{source}" alt="{alt}" loading="lazy" draggable="false">'
 
 
-def _source(pixels: visualization.Bytes) -> str:
-    return image_source(*visualization.lossless(pixels))
+def _source(pixels: pictures.Bytes) -> str:
+    return image_source(*pictures.lossless(pixels))
 
 
 def _legend(largest: float, encoding: Encoding, flip: str) -> str:
     """Return the caption of the difference, with a legend of its colours and the HTML ``flip``."""
-    floor = visualization.FLOORS[encoding]
-    dark, bright = (f"rgb{color}" for color in (visualization.DARKER, visualization.BRIGHTER))
+    floor = pictures.FLOORS[encoding]
+    dark, bright = (f"rgb{color}" for color in (pictures.DARKER, pictures.BRIGHTER))
     end = CHECKS["point"].amount(max(largest, floor), encoding)
     return (
         f"<span><b>B − A</b> to ±{end}, logarithmic above {floor:g}</span>{flip}"

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, fields
 from html import escape
 from typing import Any
 
-from facerender.comparison.blocks import MOVED
 from facerender.comparison.sources import HIGHEST
+from facerender.comparison.windows import MOVED
 from facerender.errors import check_range
 from facerender.images.image import Encoding
 
@@ -189,9 +189,8 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """Return the verdict, and A, B and their difference, which notebooks display."""
-        from facerender.comparison.pictures import side_by_side
-        from facerender.comparison.visualization import MAX_PIXELS
-        from facerender.page.document import image_source
+        from facerender.comparison.pictures import MAX_PIXELS, side_by_side
+        from facerender.page import image_source
 
         verdict = "" if self.same else "<b>differs</b>: "
         text = f"<p>{verdict}{escape(str(self))}</p>"

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
 from facerender.errors import InputError
-from facerender.scenes.camera import Camera
-from facerender.scenes.distortion import Coefficients, jacobian, undistort
+from facerender.scenes.camera import Camera, Coefficients, jacobian, undistort
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View

@@ -9,11 +9,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.passes.transparency import mask_features, unblended
+from facerender.drawing.passes import (
+    Draw,
+    Pass,
+    Target,
+    mask_features,
+    triangle_setup_of,
+    unblended,
+)
+from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, surface_features
-from facerender.drawing.resolve import ResolvedScene
-from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View

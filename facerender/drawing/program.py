@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import part_maps
-from facerender.drawing.resolve import LightGroup, Lighting, ResolvedScene
-from facerender.glsl.code import call, environment_call, prelude
-from facerender.glsl.library import resolve_includes
+from facerender.drawing.prepare import LightGroup, Lighting, ResolvedScene, part_maps
+from facerender.glsl.library import call, environment_call, prelude, resolve_includes
 from facerender.scenes.material import PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Part, base_slope, drawn_alpha
 from facerender.scenes.scene import Only, Scene

@@ -10,16 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
-from facerender.drawing.prepare import simplify
-from facerender.drawing.resolve import resolve
+from facerender.drawing.prepare import resolve, simplify
 from facerender.scenes.light import Light, half_sum
 from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import unit
 from facerender.shading import Shading, Term
-from facerender.terms.albedo import cook_torrance_albedo, cook_torrance_albedo_mean, diffuse_coupled
-from facerender.terms.model import dot
-from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
+from facerender.terms.environment import (
+    cook_torrance_albedo,
+    cook_torrance_albedo_mean,
+    diffuse_coupled,
+)
+from facerender.terms.model import cosine_disc, dot, slope_filtered, slope_variance_disc
 
 Float = NDArray[np.float64]
 
@@ -96,7 +98,7 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
     if terms.light is None or terms.albedo is None or gbuffer.facing is None:
         return change
     from facerender.scenes.scattering import scattering_of
-    from facerender.terms.scattering import scatter, scatter_area
+    from facerender.terms.transport import scatter, scatter_area
 
     size = gbuffer.part.shape[1], gbuffer.part.shape[0]
     if (scattering := scattering_of(simplify(scene, shading), size)) is None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import threading
-import warnings
 import weakref
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Never
@@ -16,31 +14,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.drawing.context import Backend, Context, create_context
-from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
-from facerender.drawing.metadata import scene_metadata, shading_metadata
+from facerender.drawing.context import Backend, create_context
+from facerender.drawing.frame import (
+    Frame,
+    GBuffer,
+    check_image,
+    data_view,
+    in_order,
+    scene_metadata,
+    shading_metadata,
+)
 from facerender.drawing.motion import check_before, motion_vectors, pixel_centres, triangle_pass
-from facerender.drawing.passes import Pass, Target
-from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import light_visibility_pass, with_shadows
-from facerender.drawing.passes.surface import surface_images, surface_pass
-from facerender.drawing.passes.transparency import (
+from facerender.drawing.passes import (
     BlendedPart,
+    Pass,
+    Target,
+    Visibility,
     blended_area,
     blended_parts,
-    with_blended,
-)
-from facerender.drawing.passes.visibility import (
-    Visibility,
     can_defer,
     deferred,
     deferred_is_cheaper,
+    with_blended,
 )
-from facerender.drawing.prepare import check_memory, cut_out, reduced, simplify, start_maps
+from facerender.drawing.prepare import (
+    Lighting,
+    ResolvedScene,
+    check_memory,
+    cut_out,
+    reduced,
+    simplify,
+    start_maps,
+)
 from facerender.drawing.program import ENVIRONMENT_MAP
-from facerender.drawing.resolve import Lighting, ResolvedScene
-from facerender.drawing.resources import Resources, read
-from facerender.errors import ContextError, InputError, check_switch, check_type, clipped, warn
+from facerender.drawing.resources import Resources, free, free_dropped, read
+from facerender.drawing.shade import (
+    light_visibility_pass,
+    shade_pass,
+    surface_images,
+    surface_pass,
+    with_shadows,
+)
+from facerender.errors import ContextError, check_switch, check_type, clipped
 from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
@@ -62,14 +77,14 @@ from facerender.scenes.scene import (
 )
 from facerender.scenes.sources import EnvironmentSource, MeshSource
 from facerender.scenes.vectors import Vector
-from facerender.scenes.view import View, hidden, sample_grid, view_of
+from facerender.scenes.view import View, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
 from facerender.terms.ranges import MEMORY, ranges_of
 
 if TYPE_CHECKING:
     from facerender.drawing.lens import Lens
-    from facerender.drawing.passes.refraction import Refraction
+    from facerender.drawing.refraction import Refraction
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
@@ -141,7 +156,7 @@ class Renderer:
         self._sizes: set[tuple[int, int]] = set()
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
-        self._free = weakref.finalize(self, _free_dropped, self.context, self._resources)
+        self._free = weakref.finalize(self, free_dropped, self.context, self._resources)
         self._free.atexit = False
         try:
             self._check_size()
@@ -175,7 +190,7 @@ class Renderer:
         """
         if self.context.released or self.context.inherited:
             return
-        _free(self.context, self._resources)
+        free(self.context, self._resources)
         self._free.detach()
 
     def __repr__(self) -> str:
@@ -243,7 +258,7 @@ class Renderer:
         ):
             shading_rate = "sample"
         linear, resolved = self._radiance(scene, shading, samples, only, shading_rate)
-        _check(linear, scene)
+        check_image(linear, scene)
         emit_all(resolved.scene.mesh)
         metadata = scene_metadata(scene, shading, self.albedo_kind)
         metadata |= shading_metadata(resolved, only) | self.metadata | {"samples": str(samples)}
@@ -281,7 +296,7 @@ class Renderer:
             linear = self._motion(scene, simpler)
         else:
             linear = data_view(self.gbuffer(scene, simpler, blended=False, cut=True), scene, only)
-        _check(linear, scene, self.alpha_threshold)
+        check_image(linear, scene, self.alpha_threshold)
         metadata = self.data_metadata(scene, shading, only)
         return Frame(linear, only, scene.background is None, metadata)
 
@@ -485,7 +500,7 @@ class Renderer:
         forward = shade_pass(resolved, view, samples, only, inputs, refraction=refraction)
         passes = deferred(visibility, forward)
         if scattering:
-            from facerender.drawing.passes.scatter import scatter_pass
+            from facerender.drawing.shade import scatter_pass
 
             background, mesh_area = None, None
             if inputs:
@@ -589,29 +604,6 @@ class Renderer:
             return [read(target, index) for index in range(sized.colors)]
 
 
-def _free(context: Context, resources: Resources) -> None:
-    with context.drawing():
-        resources.release()
-    context.release()
-
-
-def _free_dropped(context: Context, resources: Resources) -> None:
-    """Free the GPU objects of a renderer that was garbage-collected without release.
-
-    If the context belongs to the host and is not current, the objects remain until the host frees
-    the context.
-    """
-    if context.released or context.inherited:
-        return
-    warnings.warn(
-        "a Renderer was dropped without release(): create it in a with statement",
-        ResourceWarning,
-        stacklevel=2,
-    )
-    with suppress(ContextError):
-        _free(context, resources)
-
-
 # The next three functions import their modules only if a scene needs them.
 
 
@@ -628,7 +620,7 @@ def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction |
     """Return the refraction of a scene, or None."""
     if not any(material.refracts for material in scene.mesh.materials):
         return None
-    from facerender.drawing.passes.refraction import Refraction
+    from facerender.drawing.refraction import Refraction
 
     return Refraction.of(scene, view, size)
 
@@ -640,26 +632,6 @@ def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
     from facerender.drawing.lens import lens_of
 
     return lens_of(scene.camera, size)
-
-
-def _check(linear: NDArray[np.float32], scene: Scene, threshold: float | None = None) -> None:
-    """Raise InputError if a pixel is not finite, and warn if no pixel shows the mesh.
-
-    threshold : smallest opacity of blended parts in a data image; None for other images
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = linear.sum()  # a sum is three times as fast as isfinite on every value
-    if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
-        row, column = np.unravel_index(int(finite.argmin()), finite.shape)
-        raise InputError(
-            f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
-            f" {row}): a light stands on the surface, a triangle has no width, or lights and "
-            "weights are too strong for float32; move the light, repair the mesh, or lower the "
-            "lights or weights"
-        )
-    coverage = linear[..., 3]
-    if not coverage[len(coverage) // 2].any() and not coverage.any():
-        warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1], threshold)}")
 
 
 def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:

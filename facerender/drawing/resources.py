@@ -4,7 +4,9 @@ with these objects."""
 from __future__ import annotations
 
 import ctypes
+import warnings
 from collections.abc import Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.passes import Area, Draw, Pass, Target
+from facerender.drawing.passes import Area, Draw, Pass, Target, TriangleSetup, triangle_setup_of
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import (
     IN_ROW,
@@ -25,12 +27,11 @@ from facerender.drawing.program import (
     table_features,
     table_texels,
 )
-from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.errors import ContextError, InputError
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
 from facerender.scenes.texture import Texture, Wrap
-from facerender.system.memory import give_back, unload
+from facerender.system.process import give_back, unload
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
@@ -552,3 +553,27 @@ def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
             uniform.write(value.astype(np.float32).tobytes()[:size])
         else:
             uniform.value = value
+
+
+def free(context: Context, resources: Resources) -> None:
+    """Free the GPU objects of a renderer and its context."""
+    with context.drawing():
+        resources.release()
+    context.release()
+
+
+def free_dropped(context: Context, resources: Resources) -> None:
+    """Free the GPU objects of a renderer that was garbage-collected without release.
+
+    If the context belongs to the host and is not current, the objects remain until the host frees
+    the context.
+    """
+    if context.released or context.inherited:
+        return
+    warnings.warn(
+        "a Renderer was dropped without release(): create it in a with statement",
+        ResourceWarning,
+        stacklevel=2,
+    )
+    with suppress(ContextError):
+        free(context, resources)

@@ -1,30 +1,98 @@
-"""The GLSL library: its directory, and its files as flat text for a GLSL version or another
-language. ``catalogue.py`` lists the functions."""
+"""The GLSL library: its directory, its files as flat text for a GLSL version or another language,
+its catalogue of functions, and the code of specular terms (their macros, includes and calls).
+
+The catalogue is parsed from comments in the GLSL files. Each file has a header comment, and a
+function may have a comment above it. A comment begins with a sentence; lines ``//   key: text``
+follow. Deeper indented lines continue the text of a key."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facerender import __version__
 from facerender.errors import InputError, check_known, check_type
-from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
-from facerender.glsl.includes import Includes, decoded
-from facerender.glsl.preprocessor import Preprocessor
+from facerender.glsl.includes import Includes, Preprocessor, decoded
 from facerender.shading import SMALL_SLOPE, Term
-from facerender.system.data import data_dir
-from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
-from facerender.terms.entry import Entry
-from facerender.terms.lobe import SLOPES, TITLES
+from facerender.system.files import data_dir
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
+from facerender.terms.lobe import SLOPES, TITLES, Entry
 
 if TYPE_CHECKING:
     import moderngl
+
+
+_FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\(([^)]*)\) \{", re.MULTILINE)
+_KEYED = re.compile(r"^   (\w+(?:, \w+)*): +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Function:
+    """A public function of the library, with the texts of its comments."""
+
+    name: str  # such as "fr_ward"
+    signature: str  # GLSL declaration
+    file: str  # path in an include line
+    summary: str  # first sentence of the comment
+    parameters: dict[str, str]  # meaning, unit and domain, keyed by the parameter name
+    formula: str
+    unit: str
+    result: str  # text of the key "returns"; "" if the comment lacks this key
+    error: str
+    source: str
+
+
+@cache
+def functions() -> tuple[Function, ...]:
+    """Return all public functions of the library, in alphabetical order of the files."""
+    return tuple(function for name in library() for function in _functions(name))
+
+
+def _functions(name: str) -> list[Function]:
+    file = f"facerender/{name}.glsl"
+    text = (shader_dir() / file).read_text(encoding="utf-8")
+    header = _comment(text[: text.index("#ifndef")])
+    result = []
+    for comment, kind, function, parameters in _FUNCTION.findall(text):
+        description = _comment(comment)
+        texts = _keyed(header) | _keyed(description)
+        paragraph = (description or header).split("\n\n")[0]
+        parameters = " ".join(parameters.split())
+        names = [parameter.split()[1] for parameter in parameters.split(", ")]
+        result.append(
+            Function(
+                function,
+                f"{kind} {function}({parameters})",
+                file,
+                re.split(r"(?<=\.) (?=[A-Z])", " ".join(paragraph.split()))[0],
+                {name: texts[name] for name in names},
+                texts["formula"],
+                texts["unit"],
+                texts.get("returns", ""),
+                texts["error"],
+                texts["source"],
+            )
+        )
+    return result
+
+
+def _comment(lines: str) -> str:
+    return re.sub(r"^//", "", lines, flags=re.MULTILINE)
+
+
+def _keyed(comment: str) -> dict[str, str]:
+    return {
+        key: " ".join(text.split())
+        for keys, text in _KEYED.findall(comment)
+        for key in keys.split(", ")
+    }
+
 
 Target = Literal["330", "es300", "vulkan"]
 Language = Literal["hlsl", "msl", "wgsl"]
@@ -268,4 +336,108 @@ def _constant_slope(
         texts = [f"vec{len(a)}({', '.join(f'{x:#.9g}' for x in a)})" for a in vectors]
         choice = f"((k) == {powers[0]} ? {texts[0]} : {texts[-1]})"
         macros[f"{macro}(m, k)"] = choice if len(powers) > 1 else texts[0]
+    return macros
+
+
+def defines(macros: Mapping[str, str]) -> str:
+    """Return GLSL lines that define these macros."""
+    return "".join(f"#define {name} {value}\n" for name, value in macros.items())
+
+
+def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
+    """Return the macros that select a lobe for ``fr_lobe``."""
+    entry = lobe_entry(lobe)
+    return {"FR_LOBE": entry.macro, **entry.macros}
+
+
+def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
+    """Return the macros that make the function of a model, such as ``fr_cook_torrance``, compute a
+    term; ``smallest_m`` as in :func:`prelude`."""
+    macros = _macros(term, smallest_m)
+    if term.entry.factors:
+        macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro
+        macros["FR_MASKING"] = MASKING[term.masking].macro
+    if term.m is not None:
+        macros["FR_SLOPE(m)"] = repr(float(term.m))
+    return macros
+
+
+def prelude(term: Term, smallest_m: float, two_lobes: bool = False) -> str:
+    """Return the macros and the include that precede the call of a term in a program.
+
+    smallest_m : lowest m of the material; used if the term has no constant m
+    """
+    macros = _macros(term, smallest_m)
+    if term.m is not None:
+        macros["FR_CONSTANT_SLOPE"] = "1"
+    return f'{defines(macros)}#include "facerender/{file_of(term, two_lobes)}.glsl"\n'
+
+
+def file_of(term: Term, two_lobes: bool) -> str:
+    """Return the name of the library file that a term needs, such as "ward"."""
+    return term.entry.two.file if two_lobes and term.entry.two else term.entry.file
+
+
+def call(term: Term, second_slope: float | None = None) -> str:
+    """Return a term's GLSL expression, in 1/sr, of the variables vec3 n, l, v and float m, f0.
+
+    second_slope : ratio of the second lobe's m to the first lobe's m; the expression then also
+        uses float second_m and lobe_weight. None for materials with one lobe
+    """
+    if second_slope is not None and term.entry.two:
+        m, second = _slopes(term, second_slope)
+        return term.entry.two.call.format(m=m, second=second, **_names(term))
+    return _lobes(term.entry.call, term, second_slope)
+
+
+def environment_call(term: Term, second_slope: float | None = None) -> str:
+    """Return the GLSL expression of the radiance (vec3) that a term reflects from an environment.
+
+    The expression uses vec3 n, v and float m, f0. For second_slope see :func:`call`.
+
+    Raises
+    ------
+    InputError : the model does not support environment maps
+    """
+    if term.entry.environment is None:
+        raise InputError(
+            f"the model {term.model} has no specular term for environment maps: set "
+            "environment_samples to 0, or choose another model"
+        )
+    return _lobes(term.entry.environment.call, term, second_slope)
+
+
+def _names(term: Term) -> dict[str, str]:
+    """Return the names that the code of a call contains in braces, and their macros."""
+    return {
+        "lobe": lobe_entry(term.lobe).macro,
+        "fresnel": FRESNEL[term.fresnel].macro,
+        "masking": MASKING[term.masking].macro,
+    }
+
+
+def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
+    """Return m of both lobes as GLSL: numbers if the term has a constant m, otherwise variables.
+    The second string is "" if there is one lobe."""
+    second = None if second_slope is None else term.second(second_slope).slope("second_m")
+    slopes = term.slope("m"), second or ""
+    m, second_m = (x if isinstance(x, str) else repr(float(x)) for x in slopes)
+    return m, second_m
+
+
+def _lobes(code: str, term: Term, second_slope: float | None) -> str:
+    """Return the call for one lobe, or for two lobes the weighted mean of both calls."""
+    m, second = _slopes(term, second_slope)
+    first_call, second_call = (code.format(m=slope, **_names(term)) for slope in (m, second))
+    if not second:
+        return first_call
+    return f"lobe_weight * {first_call} + (1.0 - lobe_weight) * {second_call}"
+
+
+def _macros(term: Term, smallest_m: float) -> dict[str, str]:
+    """Return the macros that select the lobe of a term. FR_SMALL_SLOPE is 0 if the term has the
+    exact lobe and needs no accurate small angles."""
+    macros = lobe_macros(term.lobe)
+    if lobe_entry(term.lobe).of_tan2 and not term.keeps_small_slopes(smallest_m):
+        macros["FR_SMALL_SLOPE"] = "0"
     return macros

@@ -1,13 +1,15 @@
-"""Animations: Pillow writes GIF and WebP, imageio-ffmpeg (the extra ``mp4``) writes MP4."""
+"""Several images in one file: sheets and animations (GIF, WebP, MP4)."""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import struct
+import textwrap
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from itertools import chain
 from tempfile import TemporaryFile
@@ -22,13 +24,72 @@ from facerender.errors import (
     check_range,
     check_type,
     clipped,
+    number_of,
     reason,
     shown,
 )
-from facerender.images.write import FRAME_RATES, QUALITY, check_opaque
-from facerender.system.atomic import write_whole
-from facerender.system.files import check_suffix
-from facerender.system.standard_error import redirected_stderr
+from facerender.images.files import FRAME_RATES, QUALITY, check_opaque, check_pixels
+from facerender.system.files import check_suffix, write_whole
+from facerender.system.process import redirected_stderr
+
+MOST_COLUMNS = 4  # default largest number of images in a row
+_BYTES = 24  # per pixel: 8-bit RGB, and float32 RGBA of a Frame
+_TEXT = 11, 32  # smallest and largest size of the font, in pixels
+_PAPER, _INK = (255, 255, 255), (20, 20, 20)
+
+
+def arranged(
+    images: Sequence[NDArray[np.uint8]],
+    titles: Sequence[str] = (),
+    columns: int | None = None,
+) -> NDArray[np.uint8]:
+    """Return one image (H, W, 3) with ``images`` in rows, on white.
+
+    Parameters
+    ----------
+    images : (h, w, 3) each, of one size
+    titles : one text above each image; default: no titles
+    columns : number of images in a row; default: all, at most :data:`MOST_COLUMNS`
+
+    Raises
+    ------
+    InputError : the sheet is too large
+    """
+    columns = columns or min(len(images), MOST_COLUMNS)
+    rows = math.ceil(len(images) / columns)
+    height, width = images[0].shape[:2]
+    gap = max(width // 64, 2)
+    bands = [_text(title, width) for title in titles] if any(titles) else []
+    band = max(map(len, bands), default=0)
+    across, down = width + gap, band + height + gap
+    sheet_size = columns * across + gap, rows * down + gap
+    check_pixels(f"a sheet of {number_of(len(images), 'image')}", *sheet_size, _BYTES, math.inf)
+    pixels = np.full((*sheet_size[::-1], 3), _PAPER, dtype=np.uint8)
+    for number, image in enumerate(images):
+        top, left = gap + number // columns * down, gap + number % columns * across
+        if bands:
+            bottom = top + band
+            pixels[bottom - len(bands[number]) : bottom, left : left + width] = bands[number]
+        pixels[top + band : top + band + height, left : left + width] = image
+    return pixels
+
+
+def _text(title: str, width: int) -> NDArray[np.uint8]:
+    """Return a title (H, W, 3); a long one has a smaller font and, if needed, several lines."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    size, line = min(max(width // 20, _TEXT[0]), _TEXT[1]), clipped(title)
+    long = max(ImageFont.load_default(size).getlength(line), 1.0)
+    font = ImageFont.load_default(max(min(size * width / long, size), _TEXT[0]))
+    excess = font.getlength(line) / width
+    lines = textwrap.wrap(line, max(int(0.9 * len(line) / excess), 1)) if excess > 1.0 else [line]
+    step = round(1.5 * size)
+    image = Image.new("RGB", (width, step * len(lines)), _PAPER)
+    draw = ImageDraw.Draw(image)
+    for number, text in enumerate(lines):
+        draw.text((0, number * step + step // 2), text, _INK, font, "lm")
+    return np.asarray(image)
+
 
 MOVING = (".gif", ".webp", ".mp4")
 _HIGHEST = 16383  # largest side of a WebP, in pixels

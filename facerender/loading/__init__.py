@@ -16,8 +16,7 @@ from facerender.errors import InputError, check_path, check_switch, check_type, 
 from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.mesh_cache import LoadOptions, MeshFiles
-from facerender.loading.references import References
-from facerender.loading.source import GLTF, Source, source_of
+from facerender.loading.source import GLTF, References, Source, source_of
 from facerender.scenes.framing import find_regions
 from facerender.scenes.hints import remember
 from facerender.scenes.mesh import Mesh, names_of

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason, shown
+from facerender.loading.gltf import scene_nodes
 from facerender.loading.gltf_document import chunks, damaged, document_of
-from facerender.loading.gltf_nodes import scene_nodes
 from facerender.loading.source import GLTF
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene

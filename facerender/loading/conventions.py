@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import clipped, warn
-from facerender.images.srgb import linear_to_srgb
-from facerender.scenes.material import MAPS, SKIN_ALBEDO
-from facerender.scenes.presets import PRESETS, changed
+from facerender.images.image import linear_to_srgb
+from facerender.scenes.material import MAPS, PRESETS, SKIN_ALBEDO, changed
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, near
-from facerender.images.decode import MAX_BYTES, check_pixels
-from facerender.images.read import read_image
+from facerender.images.files import MAX_BYTES, check_pixels, read_image
 from facerender.scenes.environment import Environment, Panorama, studio
 from facerender.scenes.file import STUDIO, EnvironmentFile, environment_file
 from facerender.system.files import read_file, suffix_of

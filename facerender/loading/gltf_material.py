@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import clipped, warn
-from facerender.loading.gltf_buffers import Buffers
-from facerender.loading.gltf_document import Doc
-from facerender.loading.gltf_features import EXTENSIONS
-from facerender.loading.materials import WarnOnce, image_of, missing_image, unreadable
-from facerender.loading.references import inline
+from facerender.loading.gltf_accessors import Buffers
+from facerender.loading.gltf_document import EXTENSIONS, Doc
+from facerender.loading.source import WarnOnce, image_of, inline, missing_image, unreadable
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
 from facerender.scenes.vectors import MOST_RADIANCE

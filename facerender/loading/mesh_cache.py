@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from facerender import __version__
 from facerender.errors import FacerenderError, InputError, check_switch, warn
-from facerender.loading.references import content_of
-from facerender.loading.source import Source, check_normal_map_y
+from facerender.loading.source import Source, check_normal_map_y, content_of
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, Region
 from facerender.scenes.mips import Kind, Levels

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason
-from facerender.images.srgb import srgb_to_linear
+from facerender.images.image import srgb_to_linear
 from facerender.loading.conventions import preset_for
-from facerender.loading.materials import WarnOnce, image_of, unreadable
-from facerender.loading.references import References, text_of
+from facerender.loading.source import References, WarnOnce, image_of, text_of, unreadable
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.texture import Texture, with_green_turned
 from facerender.scenes.vectors import MOST_RADIANCE, Vector

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
-from facerender.images.srgb import srgb_to_linear
-from facerender.loading.materials import color_bytes
-from facerender.loading.references import text_of
+from facerender.images.image import srgb_to_linear
+from facerender.loading.source import color_bytes, text_of
 from facerender.scenes.repair import Piece
 
 # A face with a reference below 1. The reference -1 means the last element defined before the face;

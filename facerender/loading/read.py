@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, warn
-from facerender.images.srgb import srgb_to_linear
+from facerender.images.image import srgb_to_linear
 from facerender.loading.from_trimesh import has_normals, piece_of
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
-from facerender.loading.materials import color_bytes, image_of, missing_image, unreadable
 from facerender.loading.obj import (
     RELATIVE,
     normalized,
@@ -29,8 +28,18 @@ from facerender.loading.obj import (
     with_absolute,
     with_parts,
 )
-from facerender.loading.references import TEXTURE_FILE, References, text_of
-from facerender.loading.source import GLTF, Source, check_format
+from facerender.loading.source import (
+    GLTF,
+    TEXTURE_FILE,
+    References,
+    Source,
+    check_format,
+    color_bytes,
+    image_of,
+    missing_image,
+    text_of,
+    unreadable,
+)
 from facerender.scenes.material import Material
 from facerender.scenes.repair import Piece, check_count, subset, with_face_colors
 from facerender.scenes.texture import Texture

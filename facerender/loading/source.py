@@ -1,26 +1,40 @@
-"""Sources of meshes (files, bytes and open files) and their formats."""
+"""Sources of meshes (files, bytes and open files), their formats, and the files that a mesh file
+refers to: found, checked, and read. Missing and unreadable images are reported."""
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
 import struct
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote, unquote_to_bytes
 
-from facerender.errors import InputError, check_path, clipped, reason, shown
-from facerender.system.data import data_dir
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, check_path, clipped, reason, shown, warn
+from facerender.images.files import TooLarge, open_image
+from facerender.loading.gltf_document import chunks
+from facerender.scenes.texture import DECODERS
 from facerender.system.files import (
     MOST,
     check_downloaded,
     check_suffix,
+    data_dir,
     open_file,
     read_file,
     suffix_of,
 )
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 
 GLTF = (".glb", ".gltf")
 NORMAL_MAP_Y = ("up", "down")
@@ -181,3 +195,265 @@ def _json(data: bytes) -> str:
         if isinstance(document, dict) and "asset" in document:
             return "glTF; name it .gltf"
     return f"JSON ({clipped(data[:200].decode('utf-8', 'replace'), 60)}); give a mesh"
+
+
+ALLOW = "pass --allow-outside (allow_outside=True)"
+_MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
+_LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
+# The comment of a PLY header that names the texture.
+TEXTURE_FILE = re.compile(rb"^[ \t]*comment[ \t]+texturefile[ \t]+(.*\S)", re.MULTILINE | re.I)
+# Windows-1252, in which the five unused bytes are control characters.
+_WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte in range(256)}
+
+
+class References:
+    """The files that a mesh file refers to. Each referenced file is read once.
+
+    Only paths below the mesh file's folder are opened. For other paths, a file of the same name in
+    that folder is tried. Symbolic links are followed, because the user created the folder.
+
+    Attributes
+    ----------
+    name : name of the mesh file, for messages
+    folder : folder of the mesh file; None for a mesh in memory: its referenced files are not opened
+    files : contents of the referenced files, keyed by the name in the mesh file; None for a file
+        that was not read
+    """
+
+    def __init__(self, name: str, folder: Path | None, allow_outside: bool) -> None:
+        self.name = name
+        self.folder = folder
+        self.allow_outside = allow_outside
+        self.files: dict[str, bytes | None] = {}
+
+    def read(self, name: str, what: str) -> bytes:
+        """Return the content of a file.
+
+        name : name of the file, as in the mesh file
+        what : description of the expected file for messages, such as "an image file"
+
+        Raises
+        ------
+        FileNotFoundError : the file is missing, or its path is not allowed
+        InputError : the file is not a regular file, or all files together are too large
+        """
+        if (cached := self.files.get(name)) is not None:
+            return cached
+        self.files[name] = None
+        if not self.folder or (path := _place(self.folder, name, self.allow_outside)) is None:
+            raise FileNotFoundError(self.why_not(name))
+        if path not in (self.folder / spelling for spelling in _spellings(name)):
+            used = os.path.relpath(path, self.folder)
+            warn(
+                f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
+                "used, whose name differs in upper and lower case"
+            )
+        remaining = MOST - sum(map(len, filter(None, self.files.values())))
+        content = self.files[name] = read_file(path, what, remaining)
+        return content
+
+    def missing(self) -> list[str]:
+        return [name for name, content in self.files.items() if content is None]
+
+    def why_not(self, name: str) -> str:
+        """Return why a file was not found, as the end of a message."""
+        if self.folder is None:
+            return "cannot be opened, because a mesh given as bytes has no folder: give a path"
+        folder = clipped(str(self.folder), 120)
+        if not self.allow_outside and not _is_inside(self.folder, _spellings(name)[0]):
+            return f"lies outside {folder} and is not opened: {ALLOW}"
+        return f"not found in {folder}"
+
+
+def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
+    """Return the content of a file ``name`` to which a mesh file in ``folder`` refers, or None."""
+    path = _place(folder, name, allow_outside)
+    with suppress(InputError):
+        return None if path is None else read_file(path, "a file")
+    return None
+
+
+def inline(uri: str) -> bytes | None:
+    """Return the content of a data: URI, or None for another URI. Raise ValueError if the data are
+    damaged."""
+    head, comma, content = uri.partition(",")
+    if not head.lower().startswith("data:"):
+        return None
+    if not comma:
+        raise ValueError("a data: URI without data")
+    return (base64.b64decode if head.endswith(";base64") else unquote_to_bytes)(content)
+
+
+def text_of(content: bytes) -> str:
+    """Decode the text of a file: UTF-16 with a byte order mark, UTF-8, or else Windows-1252, which
+    decodes all bytes. All line ends become LF."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = content.decode("utf-16", "replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1").translate(_WINDOWS)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
+    """Find a referenced file at its path relative to ``folder``, or else by its file name in
+    ``folder``. Return its path, or None if it does not exist or is not allowed."""
+    for find in (_exact, _in_any_case):
+        for spelling in _spellings(name):
+            with suppress(ValueError, OSError):  # an invalid file name, or an unreadable folder
+                inside = allow_outside or _is_inside(folder, spelling)
+                if inside and (path := find(folder, spelling)) is not None:
+                    return path
+    return None
+
+
+def _exact(folder: Path, name: str) -> Path | None:
+    return folder / name if os.path.exists(folder / name) else None
+
+
+def _in_any_case(folder: Path, name: str) -> Path | None:
+    """Return the first file whose path differs from a path below `folder` in case only."""
+    path = folder
+    for part in PurePath(name).parts:
+        if not os.path.exists(path / part):
+            entries = sorted(os.listdir(path))
+            part = next((entry for entry in entries if entry.lower() == part.lower()), "")
+            if not part:
+                return None
+        path /= part
+    return path if path.is_file() else None
+
+
+def _spellings(name: str) -> tuple[str, ...]:
+    """Return the possible paths of a referenced file, relative to the mesh file's folder."""
+    path = name.replace("\\", "/").strip()
+    plain = unquote(path)
+    return path, plain, path.lstrip("/"), os.path.basename(path), os.path.basename(plain)
+
+
+def _is_inside(folder: Path, name: str) -> bool:
+    """Return whether a path lies below a folder, without resolving symbolic links."""
+    base = os.path.abspath(folder)
+    try:
+        place = os.path.abspath(os.path.join(base, name))
+        return place != base and os.path.commonpath([base, place]) == base
+    except ValueError:  # the paths are on different drives
+        return False
+
+
+def named_files(path: Path) -> list[Path]:
+    """Return the paths of the files to which a mesh file refers, whether they exist or not. The
+    list is empty if the mesh file cannot be read."""
+    try:
+        suffix = source_of(path).suffix
+        if suffix in GLTF:
+            return _paths(path.parent, [unquote(uri) for uri in _uris(path)])
+        if suffix == ".obj":
+            lines = _names(_LIBRARY, path)
+            names = [name for line in lines for name in (line, *line.split())]
+            libraries = _paths(path.parent, names)
+            return [*libraries, *(file for library in libraries for file in _maps(library))]
+        if suffix == ".ply":
+            return _paths(path.parent, _names(TEXTURE_FILE, path))
+    except (ValueError, TypeError, RecursionError):  # loading the file reports the error
+        pass
+    return []
+
+
+def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Return the paths of referenced files, and the paths of the files that are used instead."""
+    paths = ((folder / name, _place(folder, name, False)) for name in names)
+    return [*dict.fromkeys(path for pair in paths for path in pair if path is not None)]
+
+
+def _uris(path: Path) -> list[str]:
+    """Return the external URIs of a glTF file. The file may be invalid."""
+    document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
+    tables = document if isinstance(document, dict) else {}
+    entries = (entry for key in ("buffers", "images") for entry in tables.get(key) or ())
+    uris = [entry.get("uri") for entry in entries if isinstance(entry, dict)]
+    return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
+
+
+def _maps(library: Path) -> list[Path]:
+    """Return possible paths of the maps of an MTL file. Options may precede the name of a
+    map: both the whole text and the last word of each statement are used as names."""
+    with suppress(InputError):
+        lines = _names(_MAP, library)
+        names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
+        return _paths(library.parent, sorted(names))
+    return []
+
+
+def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:
+    names = pattern.findall(text_of(read_file(path, "a mesh file")).encode())
+    return [name.decode().replace("\\", "/") for name in names]
+
+
+class WarnOnce:
+    """A callable that emits each warning once."""
+
+    def __init__(self) -> None:
+        self.warned: set[str] = set()
+
+    def __call__(self, message: str) -> None:
+        if message not in self.warned:
+            self.warned.add(message)
+            warn(message)
+
+
+def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return colours of a mesh file as 8 bits. Programs write floats up to 1 or 255, and integers
+    of any type up to 255 or, in 16 bits, up to 65535."""
+    finite = np.where(np.isfinite(colors), colors, 0)
+    if colors.dtype.kind == "f":
+        lit = finite[finite > 0.0]
+        white = 255.0 if len(lit) and np.median(lit) > 1.0 else 1.0
+    else:
+        white = 65535.0 if colors.dtype.itemsize == 2 and finite.max(initial=0) > 255 else 255.0
+    return np.asarray(np.clip(finite * (255.0 / white), 0.0, 255.0).round(), dtype=np.uint8)
+
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
+
+
+def image_of(content: bytes) -> Image:
+    """Open an image; its texels are decoded later.
+
+    Raises
+    ------
+    TooLarge : the image has too many pixels; the message starts with "it"
+    ValueError : the format is not supported, or the image is damaged
+    """
+    try:
+        return open_image(content, "it", DECODERS, "PNG, JPEG, TIFF or WebP")
+    except TooLarge:
+        raise
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+def unreadable(shown: str, kind: str, error: ValueError, fatal: bool) -> None:
+    """Report an error of :func:`image_of`: raise InputError if ``fatal``, else warn."""
+    message, advice = f"{shown} is not an image that can be read", "replace it"
+    if isinstance(error, TooLarge):
+        message, _, advice = f"{shown} {str(error).removeprefix('it ')}".partition("; ")
+    if not fatal:
+        warn(f"{message}: ignored")
+        return
+    option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
+    remedy = f", or pass {option[kind]} FILE" if kind in option else ""
+    raise InputError(f"{message}; {advice}{remedy}")
+
+
+def missing_image(referred: References, name: str) -> None:
+    """Warn of a missing image. If the mesh file's folder contains exactly one image, suggest it."""
+    near = referred.folder.iterdir() if referred.folder else ()
+    beside = [path.name for path in near if path.suffix.lower() in SUFFIXES]
+    hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
+    warn(
+        f"{clipped(name, 80)} (named by {referred.name}) "
+        f"{referred.why_not(name)}: rendering without it; {hint}"
+    )

@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison import flip
-from facerender.comparison.blocks import FLOOR
+from facerender.comparison import pictures
+from facerender.comparison.windows import FLOOR
 from facerender.errors import InputError
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.image import linear_to_srgb
 from facerender.terms.ranges import EXPOSURES
 
 Unit = Literal["display", "relative", "flip"]
@@ -105,7 +105,7 @@ class Budget:
         shown, expected = self._displayed(image), self._displayed(reference)
         if self.unit == "display":
             return np.asarray(np.abs(shown - expected).max(axis=-1))
-        return flip.errors(expected, shown)
+        return pictures.errors(expected, shown)
 
     def spared(self, covered: int) -> int:
         """Return the number of an image's covered pixels that may exceed the limit."""

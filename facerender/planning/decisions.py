@@ -11,6 +11,7 @@ from typing import Any
 from facerender.planning.candidates import (
     DECISIONS,
     SINGLE,
+    DrawnViews,
     alone,
     changed,
     groups,
@@ -20,7 +21,6 @@ from facerender.planning.candidates import (
     with_decisions,
 )
 from facerender.planning.search import Choice
-from facerender.planning.views import DrawnViews
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading

@@ -1,41 +1,52 @@
 """Find a cheaper frame of a scene within an error budget: samples, triangles and shading.
 
-Other modules list the shadings (``candidates.py``), choose one (``search.py``), measure errors
-(``views.py``), price fragments (``pricing/table.py``) and time frames (``frame_times.py``).
-"""
+Other modules list the shadings and draw views (``candidates.py``), choose one and time frames
+(``search.py``), and price fragments (``pricing/table.py``). A disk cache of plans is keyed by a
+digest of scene, budget, full shading, renderer and prices."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender import __version__
+from facerender.drawing.prepare import resolve
 from facerender.drawing.renderer import Renderer
-from facerender.drawing.resolve import resolve
 from facerender.errors import InputError, check_type, each_of
-from facerender.glsl.code import call
-from facerender.glsl.library import Language, Target, term_source
-from facerender.images.write import save_png
+from facerender.glsl.library import Language, Target, call, term_source
+from facerender.images.files import save_png
 from facerender.planning.budget import ROUNDING, Budget, highest_but
-from facerender.planning.candidates import Constants
+from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
 from facerender.planning.decisions import Decision, decisions, details
-from facerender.planning.frame_times import measured_frames, relative_time
-from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_of, saves
-from facerender.planning.views import DrawnViews, Viewpoint
-from facerender.pricing.table import FRAME
+from facerender.planning.search import (
+    Choice,
+    Cost,
+    Region,
+    Witnesses,
+    constants_of,
+    measured_frames,
+    relative_time,
+    saves,
+)
+from facerender.pricing.table import FRAME, TABLE
 from facerender.scenes.camera import Camera, cameras_of, orbiting
 from facerender.scenes.file import scene_toml
 from facerender.scenes.lod import LevelOfDetail, Planned
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
+from facerender.scenes.texture import Texture
 from facerender.shading import Shading
-from facerender.system.progress import Progress, no_progress
+from facerender.system import cache as disk_cache
+from facerender.system.files import digest_of
+from facerender.system.process import Progress, no_progress
 
 # Colour ramp of an error map: errors as fractions of the budget, the colours of these errors, and
 # the colour of errors beyond the budget.
@@ -507,3 +518,62 @@ def _error(
         drawn=maximum,
         drawn_within=within,
     )
+
+
+def cached_plan(
+    scene: Scene,
+    budget: str | float,
+    full: Shading,
+    exposure: float,
+    within: str | float,
+    renderer: Renderer,
+    cache: bool = True,
+) -> dict[str, Any]:
+    """Return a plan in the form of :meth:`facerender.Plan.as_dict`, from the cache if possible.
+
+    ``cache`` enables the cache. The other parameters and the errors are the same as in
+    :func:`facerender.plan`.
+    """
+    allowed = Budget.parse(budget, exposure, within)
+    name = _digest(scene, allowed, full, renderer) if cache else ""
+    with suppress(ValueError, KeyError, TypeError):  # the file is damaged or has another format
+        if cache and (content := disk_cache.read("plans", name)) is not None:
+            cached: dict[str, Any] = json.loads(bytes(content))
+            Shading.from_dict(cached["shading"]).check_lights(len(scene.lights))
+            LevelOfDetail(**cached["detail"])
+            if isinstance(cached["text"], str):
+                return cached
+    new_plan = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
+    facts = new_plan.as_dict()
+    if cache:
+        disk_cache.write("plans", name, [json.dumps(facts).encode()])
+    return facts
+
+
+def _digest(*parts: Any) -> str:
+    pieces = (piece for part in (__version__, *parts) for piece in _pieces(part))
+    return digest_of(TABLE.read_bytes(), *pieces)
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    """Yield the content of a value as bytes; different values yield different bytes."""
+    yield type(value).__name__.encode()
+    if isinstance(value, np.ndarray):
+        yield repr((value.shape, value.dtype.str)).encode()
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, Texture):
+        yield repr((value.rgb().size, value.sampling)).encode()
+        yield value.rgb().tobytes()
+    elif isinstance(value, Renderer):
+        names = ("size", "samples", "anisotropy", "albedo_kind", "full_maps")
+        facts = [getattr(value, name) for name in names] + [value.context.renderer]
+        yield repr(facts).encode()
+    elif isinstance(value, tuple):
+        for element in value:
+            yield from _pieces(element)
+        yield b")"
+    elif hasattr(value, "__dataclass_fields__"):
+        for field in fields(value):
+            yield from _pieces(getattr(value, field.name))
+    else:
+        yield repr(value).encode() + b";"

@@ -1,27 +1,273 @@
-"""Costs measured on this machine: nanoseconds per evaluation of a term, milliseconds per frame.
+"""Costs measured on this machine: nanoseconds per evaluation of a term, milliseconds per frame,
+with bootstrap intervals.
 
-``benchmarks/prices`` estimates costs on other GPUs with the compilers of these GPUs.
-"""
+The measured GLSL has the forms as published by Romanyuk et al. (2020), and the library's forms.
+``benchmarks/prices`` estimates costs on other GPUs with the compilers of these GPUs."""
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.renderer import Renderer
-from facerender.glsl.library import resolve_includes
-from facerender.pricing.frame import seconds
-from facerender.pricing.interval import Interval, bootstrap
+from facerender.glsl.library import defines, lobe_macros, resolve_includes
+from facerender.scenes.camera import Camera
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.shading import SMALL_SLOPE, Shading
+from facerender.terms import LOBES, MODELS
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its 95 % interval, by bootstrap over the repeats of a measurement.
+
+    The interval of :func:`facerender.pricing.cost.relative` contains 80 % of the repeats instead.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+def bootstrap(
+    estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
+) -> list[Interval]:
+    """Return estimates (N,) with 95 % intervals; ``estimate`` takes indices of repeats."""
+    draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
+    low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
+    value = estimate(np.arange(repeats))
+    return [Interval(*map(float, row)) for row in zip(value, low, high, strict=True)]
+
+
+Draw = Callable[[], object]
+
+_FEWEST = 11  # smallest number of rounds before a time limit ends a measurement
+
+
+def seconds(
+    draws: Sequence[Draw],
+    repeats: int,
+    progress: Callable[[float], object] = lambda done: None,
+    limit: float = math.inf,
+) -> NDArray[np.float64]:
+    """Return the duration of each draw, (rounds, draws) in seconds.
+
+    The draws alternate. A first round, which compiles and uploads, is not measured.
+
+    limit : seconds after which no further round begins, once there are _FEWEST rounds
+    """
+    for draw in draws:
+        draw()
+    times = np.empty((repeats, len(draws)))
+    for turn in range(repeats):
+        if turn >= _FEWEST and times[:turn].sum() > limit:
+            return times[:turn]
+        for index, draw in enumerate(draws):
+            start = time.perf_counter()
+            draw()
+            times[turn, index] = time.perf_counter() - start
+        progress((turn + 1) / repeats)
+    return times
+
+
+def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
+    """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
+    times, baseline = seconds([draw, full], repeats).T
+    return bootstrap(lambda turns: np.median((times / baseline)[turns], keepdims=True), repeats)[0]
+
+
+def relative(draw: Draw, full: Draw, repeats: int, limit: float) -> Interval:
+    """Divide the time of ``draw`` by the time of ``full`` per round; return the median and the 10 %
+    and 90 % quantiles of the ratios.
+
+    The load of a machine changes within seconds, and more rounds of one load do not show that. So
+    these quantiles contain the median of a later measurement more often than a bootstrap interval.
+
+    limit : as in :func:`seconds`
+    """
+    times, baseline = seconds([draw, full], repeats, limit=limit).T
+    return Interval(*np.quantile(times / baseline, [0.5, 0.1, 0.9]).tolist())
+
+
+@dataclass(frozen=True)
+class Line:
+    """Milliseconds of a frame as a linear function of its fragment price.
+
+    Attributes
+    ----------
+    fixed : milliseconds that do not depend on the shading: geometry, coverage, maps, readback
+    slope : increase of the frame time in milliseconds per unit of the fragment price
+    """
+
+    fixed: float
+    slope: float
+
+    @classmethod
+    def through(cls, full: tuple[float, float], cheap: tuple[float, float]) -> Line:
+        """Return the line through two frames, each given by its fragment price and milliseconds.
+
+        The slope is 0 if the cheaper frame was not faster. If noise makes the line steep, the line
+        ends at the origin instead, so that no shading saves more than the whole frame.
+        """
+        (price, time), (low_price, low_time) = full, cheap
+        slope = (time - low_time) / (price - low_price) if price > low_price else 0.0
+        slope = min(max(slope, 0.0), time / price)
+        return cls(time - slope * price, slope)
+
+    def cost(self, total: float, specular: float) -> tuple[float, float]:
+        """Return milliseconds of a frame and of its specular terms, from their fragment prices."""
+        return self.fixed + self.slope * total, self.slope * specular
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frame times of a plan.
+
+    Attributes
+    ----------
+    full, own : time as a function of the fragment price, with the full and with the chosen
+        level of detail
+    taken : milliseconds of frames with the full shading, keyed by the last choice in effect:
+        "full", "cull_back_faces", "samples", "shading_rate" or "triangles"
+    source : origin of the times, as text
+    """
+
+    full: Line
+    own: Line
+    taken: Mapping[str, float]
+    source: str
+
+
+SLOPE = 0.3  # slope m of the priced terms
+# A sum of the inputs of a term; the cost of this sum is subtracted from the cost of the term.
+INPUTS = "dot(l, v) + n.x + m * f0"
+
+# Titles of the models in Romanyuk et al. (2020), keyed by the model's name.
+PRINTED = {model.name: model.title for model in MODELS.values() if model.printed}
+# Exact lobes as published by Romanyuk et al. (2020), with E = exp(-tan² γ / m²) and c = cos γ:
+# E/c^4 computed from c, and E computed from γ.
+_PRINTED_EXACT = {
+    "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
+    "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
+}
+
+
+def printed_lobe(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
+    """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020), in float64.
+
+    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1.
+    """
+    n = 2.0 / np.asarray(m, np.float64) ** 2 - k
+    return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
+
+
+PRINTED_D16 = replace(
+    LOBES["d16"],
+    name="d16 as published",
+    evaluate=lambda c, m, k: printed_lobe(c, LOBES["d16"].check(m, k), k, 16),
+)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A form of a model's specular term.
+
+    Attributes
+    ----------
+    model, lobe : name of the model, and name of the lobe
+    printed : whether the form is published by Romanyuk et al., not the library's form
+    plain : whether the exact lobe omits the extra precision at small angles, which is needed only
+        for m < SMALL_SLOPE
+    """
+
+    model: str
+    lobe: str
+    printed: bool = False
+    plain: bool = False
+
+    @property
+    def name(self) -> str:
+        """The label of the variant, unique among the variants of the model."""
+        if self.printed:
+            return f"printed, {self.lobe}"
+        return f"{self.lobe}, m >= {SMALL_SLOPE:g}" if self.plain else self.lobe
+
+    @property
+    def standard(self) -> bool:
+        """Whether the renderer draws this variant for :attr:`shading`."""
+        return not (self.printed or self.plain)
+
+    @property
+    def unclamped(self) -> bool:
+        """Whether the lobe is a power without a clamp, as published by Romanyuk et al."""
+        return self.printed and self.lobe != "exact"
+
+    @property
+    def k(self) -> int:
+        """The power k of 1/cos γ in the model's lobe."""
+        return MODELS[self.model].k
+
+    @property
+    def shading(self) -> Shading:
+        """A shading with this model and lobe. OpenGL cannot draw it if the lobe is unclamped."""
+        return Shading(self.model, PRINTED_D16 if self.unclamped else self.lobe)
+
+    @property
+    def term(self) -> tuple[str, str]:
+        """GLSL prelude and expression of the whole term, in 1/sr."""
+        model = MODELS[self.model]
+        call = model.printed if self.printed else model.printed.replace("printed_", "")
+        folder = "printed" if self.printed else "facerender"
+        small = "#define FR_SMALL_SLOPE 0\n" if self.plain else ""
+        return (
+            f'{defines(lobe_macros(self.lobe))}{small}#include "{folder}/{model.file}.glsl"',
+            call,
+        )
+
+    @property
+    def lobe_term(self) -> tuple[str, str]:
+        """GLSL prelude and expression of the lobe as a function of float c and m; no unit."""
+        if self.unclamped:
+            power = f"fr_printed_g_power(c, 2.0 / (m * m) - {self.k}.0, 16)"
+            return '#include "printed/g_power.glsl"', power
+        if self.printed:
+            return "", _PRINTED_EXACT[self.model]
+        prelude = f'{defines(lobe_macros(self.lobe))}#include "facerender/lobe.glsl"'
+        return prelude, f"fr_lobe(c, m, {self.k})"
+
+
+def of_model(model: str) -> tuple[Variant, ...]:
+    """Return the variants of a model, the published variants first."""
+    printed = [Variant(model, lobe, printed=True) for lobe in ("exact", "d16")]
+    library = [
+        Variant(model, lobe, plain=plain)
+        for lobe in LOBES
+        for plain in ((False, True) if lobe == "exact" else (False,))
+    ]
+    return *printed, *library
+
+
+def terms(model: str) -> dict[str, tuple[str, str]]:
+    """Return GLSL prelude and expression of each whole term, keyed by the variant's name."""
+    return {variant.name: variant.term for variant in of_model(model)}
+
+
+def lobe_terms(model: str) -> dict[str, tuple[str, str]]:
+    """Return GLSL prelude and expression of each lobe, keyed by the variant's name."""
+    return {variant.name: variant.lobe_term for variant in of_model(model) if not variant.plain}
+
 
 SIZE = (512, 256)
 # Other processes can lengthen a time but never shorten it. So the lower quartile of the repeats is
@@ -206,3 +452,34 @@ def _gpu_clock(gl: moderngl.Context) -> Iterator[list[float]]:
     with query:
         yield elapsed
     elapsed.append(1e-9 * query.elapsed)
+
+
+PARTS = ("scattering", "sample of scattering")
+_MEASURED = (8, 64)  # subsurface samples per pixel of the two measured frames
+_SIZE = 512
+
+
+def scene() -> Scene:
+    """Return a scene of a skin wall that fills a square image at four pixels per millimetre."""
+    corners = 80.0 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
+    wall = Part(corners, np.tile((0.0, 0.0, 1.0), (4, 1)), faces)
+    skin = Material(scattering="skin", ks=0.0)
+    bounds = np.array([(-80.0, -80.0, -80.0), (80.0, 80.0, 80.0)])
+    mesh = Mesh("wall", (wall,), (skin,), bounds, 139.0, np.array([(0.5, 0.5)]), 1.0)
+    camera = Camera(position=(0.0, 0.0, 288.7), target=(0.0, 0.0, 0.0), fov=25.0)
+    return Scene(mesh, camera)
+
+
+def by_frames(repeats: int = 9) -> dict[str, float]:
+    """Measure the cost of PARTS on this machine, in nanoseconds per pixel; raise like
+    :func:`facerender.pricing.cost.frames`."""
+    shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
+    none, *scattered = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
+    return parts(_MEASURED, [1e6 * (time.value - none.value) / _SIZE**2 for time in scattered])
+
+
+def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
+    """Return the costs of PARTS, given the costs of scattering with two numbers of samples."""
+    price = (costs[1] - costs[0]) / (samples[1] - samples[0])
+    return dict(zip(PARTS, (max(costs[0] - samples[0] * price, 0.0), price), strict=True))

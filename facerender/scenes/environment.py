@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, clipped, shown
-from facerender.images.srgb import encode_srgb8
-from facerender.images.write import png_bytes
+from facerender.images.files import png_bytes
+from facerender.images.image import encode_srgb8
 from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, direction_to
 from facerender.terms.environment import harmonics
 from facerender.terms.ranges import Range, check_fields, ranged

@@ -13,19 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_path, check_type, clipped, shown
-from facerender.images.decode import MAX_SIDE
+from facerender.errors import InputError, check_path, check_type, clipped, short_repr, shown
+from facerender.images.files import MAX_SIDE
 from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.lod import Planned
-from facerender.scenes.material import MAPS, Material
+from facerender.scenes.material import MAPS, PRESETS, Material, preset
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.presets import PRESETS, preset
 from facerender.scenes.scene import Scene, background_of
 from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, SHAPE_WEIGHTS
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
-from facerender.system.reprs import short_repr
 from facerender.terms.ranges import (
     FRACTION,
     IntegerRange,

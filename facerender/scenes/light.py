@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, each_of, shown
+from facerender.errors import InputError, each_of, short_repr, shown
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.vectors import (
     AZIMUTHS,
@@ -24,9 +24,8 @@ from facerender.scenes.vectors import (
     direction_to,
     within_reach,
 )
-from facerender.system.reprs import short_repr
+from facerender.terms.model import MAX_RADIUS
 from facerender.terms.ranges import Range, check_fields, ranged
-from facerender.terms.slope_variance import MAX_RADIUS
 
 Float = NDArray[np.float64]
 

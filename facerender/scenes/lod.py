@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, shown, warn
-from facerender.images.decode import MAX_SIDE
+from facerender.images.files import MAX_SIDE
 from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import TRIANGLES, Mesh, Part, moved, reference_of
 from facerender.scenes.repair import VERTEX_ARRAYS, double_areas

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_range, check_type, each_of, shown, warn
-from facerender.scenes.arrays import piece_of
-from facerender.scenes.material import Alpha, Material, check_maps
-from facerender.scenes.normals import Corners, unit_or
-from facerender.scenes.presets import changed, without_effect
+from facerender.scenes.arrays import Corners, piece_of, unit_or
+from facerender.scenes.material import Alpha, Material, changed, check_maps, without_effect
 from facerender.scenes.repair import Piece, are_closed, clean, unique, used
 from facerender.scenes.vectors import MOST_RADII, check_array, rows_of, unit
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
@@ -457,7 +455,7 @@ class Mesh:
         FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
             the mesh has baked occlusion, see :meth:`with_positions`
         """
-        from facerender.scenes.rig_pose import posed  # only for poses, as above
+        from facerender.scenes.rig import posed  # only for poses, as above
 
         rest_mesh = reference_of(self)
         positions, normals = posed(rest_mesh, weights, clip, time)

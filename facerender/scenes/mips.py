@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.images.decode import texels
-from facerender.images.srgb import linear_to_srgb, srgb_to_linear
-from facerender.terms.slope_variance import MAP_DEVIATION
+from facerender.images.files import texels
+from facerender.images.image import linear_to_srgb, srgb_to_linear
+from facerender.terms.model import MAP_DEVIATION
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -11,7 +11,7 @@ from facerender.errors import InputError
 from facerender.scenes.hints import HEAD, SCALE, emit, millimetres_of, option, wrong_unit
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import target_of, view_of
-from facerender.terms.scattering import Gaussians, wide_gaussians
+from facerender.terms.transport import Gaussians, wide_gaussians
 
 
 @dataclass(frozen=True)

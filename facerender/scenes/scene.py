@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Never, NoReturn, get_args
 
-from facerender.errors import InputError, check_known, check_type, near, shown
+from facerender.errors import InputError, check_known, check_type, near, short_repr, shown
 from facerender.scenes import sources
 from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.light import LIGHTS, Light, lights_of
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
-from facerender.system.reprs import short_repr
 from facerender.terms.ranges import check_fields, range_of, ranged
 
 if TYPE_CHECKING:

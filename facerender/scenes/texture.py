@@ -27,12 +27,11 @@ from facerender.errors import (
     shown,
     warn,
 )
-from facerender.images.decode import check_pixels, in_srgb, open_image
-from facerender.images.srgb import linear_to_srgb
-from facerender.images.write import png_bytes
+from facerender.images.files import check_pixels, in_srgb, open_image, png_bytes
+from facerender.images.image import linear_to_srgb
 from facerender.scenes.mips import CHAIN, Kind, Levels, Rows, coarse_base, coarse_chain, coarse_data
 from facerender.system.files import open_file
-from facerender.system.memory import give_back
+from facerender.system.process import give_back
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -238,7 +237,7 @@ class Texture:
         Raises
         ------
         InputError : the image is damaged, or too large for
-            :func:`facerender.images.decode.check_pixels`
+            :func:`facerender.images.files.check_pixels`
         """
         with self._lock:
             if self._rgb is not None:

@@ -11,8 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
-from facerender.scenes.camera import Camera
-from facerender.scenes.distortion import distort
+from facerender.scenes.camera import Camera, distort
 from facerender.scenes.framing import region_of
 from facerender.scenes.mesh import Mesh, Part, largest_opacity
 from facerender.scenes.scene import Scene

@@ -15,8 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from facerender.errors import InputError
-from facerender.system.atomic import ABANDONED, write_whole
-from facerender.system.files import open_file
+from facerender.system.files import ABANDONED, open_file, write_whole
 
 _LIMIT = "FACERENDER_CACHE_MIB"
 _DEFAULT_LIMIT = 1024

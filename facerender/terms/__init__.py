@@ -3,14 +3,14 @@
 Each entry contains the GLSL call, float64 reference, domain and error bounds of a term. The command
 line, the documents, the prices, the planner and the tests enumerate the entries."""
 
-from facerender.terms.fresnel import FRESNEL as FRESNEL
-from facerender.terms.fresnel import Fresnel as Fresnel
 from facerender.terms.lobe import LOBES as LOBES
 from facerender.terms.lobe import AnyLobe as AnyLobe
 from facerender.terms.lobe import GPower as GPower
 from facerender.terms.lobe import Lobe as Lobe
 from facerender.terms.lobe import lobe_entry as lobe_entry
-from facerender.terms.masking import MASKING as MASKING
-from facerender.terms.masking import Masking as Masking
+from facerender.terms.model import FRESNEL as FRESNEL
+from facerender.terms.model import MASKING as MASKING
 from facerender.terms.model import MODELS as MODELS
+from facerender.terms.model import Fresnel as Fresnel
+from facerender.terms.model import Masking as Masking
 from facerender.terms.model import Model as Model

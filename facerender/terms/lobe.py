@@ -1,9 +1,10 @@
-"""The lobe E/c^k and its approximations: registry entries and float64 references.
+"""The lobe E/c^k and its approximations: registry entries, float64 references and fits.
 
 All models use the slope factor E = exp(-tan² γ / m²) divided by c^k with c = cos γ: k = 4 in
 Cook-Torrance, k = 0 in Ward. Every lobe has the value 1 at c = 1 (γ = 0); the models (``model.py``)
 multiply the lobe by their scale. ``lobes.NAME`` is ``fr_lobe_NAME`` in GLSL.
-"""
+``tools/fits/lobes.py`` computes the constants of the lobes "fitted" and "fitted-fine" with the fits
+at the end of the file."""
 
 from __future__ import annotations
 
@@ -11,13 +12,56 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError
-from facerender.terms.entry import ULP, Entry, named, registry
+from facerender.errors import InputError, check_known
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
+
+ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Entry:
+    """A term of the registry.
+
+    Attributes
+    ----------
+    name : name in options and scene files, for example "v-cavity"
+    file : library file that defines the term, for example "masking/v_cavity"
+    call : GLSL expression of the term; each subclass documents the variables of the expression
+    """
+
+    name: str
+    file: str
+    call: str
+
+    @property
+    def word(self) -> str:
+        """Name of the term in GLSL macros, for example "V_CAVITY"."""
+        return self.name.upper().replace("-", "_")
+
+
+E = TypeVar("E", bound=Entry)
+
+
+def registry(*entries: E) -> dict[str, E]:
+    """Return the entries keyed by their names, in the given order."""
+    return {entry.name: entry for entry in entries}
+
+
+def named(kind: str, entries: Mapping[str, E], name: object) -> E:
+    """Return the entry with this name.
+
+    Raises
+    ------
+    InputError : an unknown name
+    """
+    check_known(kind, name, entries)
+    return entries[str(name)]
+
 
 Float = NDArray[np.float64]
 Float64Lobe = Callable[[ArrayLike, ArrayLike, int], Float]
@@ -571,3 +615,48 @@ def in_domain(m: ArrayLike, name: AnyLobe, k: int) -> NDArray[np.bool_]:
 def check_slope(m: ArrayLike, name: AnyLobe, k: int) -> Float:
     """Return m as float64, or raise InputError if a value is outside the domain of the lobe."""
     return lobe_entry(name).check(m, k)
+
+
+G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # Each power needs few products.
+
+
+@lru_cache(maxsize=1024)
+def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | None:
+    """Return the g-power lobe that fits a range of m best; None if the range leaves the lobe's
+    domain.
+
+    For one m the lobe is the best uniform approximation of the exact lobe. For a range, least
+    squares fit the steepness to the best steepness at each of five values of m.
+
+    Parameters
+    ----------
+    k : 4 for Cook-Torrance, 0 for Ward
+    g : power, in 1 to 31
+    smallest, largest : ends of the range of m, in the domain of the exact lobe
+    """
+    slopes = np.unique(np.geomspace(smallest, largest, 5)) if smallest < largest else [smallest]
+    best = np.array([_steepness(k, g, m) for m in slopes])
+    # Least squares minimise the relative error of steepness = factor/m² - offset.
+    terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
+    relative = terms[:, : len(slopes)] / best[:, None]  # one m determines no offset
+    solution = np.linalg.lstsq(relative, np.ones(len(slopes)), rcond=None)[0]
+    factor, offset = (*solution, 0.0)[:2]
+    lobe = GPower(g, float(factor), float(offset))
+    return lobe if in_domain([smallest, largest], lobe, k).all() else None
+
+
+def _steepness(k: int, g: int, m: float) -> float:
+    """Return the steepness of the g-power lobe whose largest errors above and below the exact lobe
+    are equal. Bisection finds this steepness, because a steeper lobe is lower at every
+    angle."""
+    c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # The lobe is tiny at larger angles.
+    target = exact(c, m, k)
+    low, high = 0.0, 40.0 / (g * m * m)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        difference = clamped_power(c, middle, g) - target
+        if difference.max() > -difference.min():
+            low = middle
+        else:
+            high = middle
+    return middle

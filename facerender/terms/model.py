@@ -1,12 +1,14 @@
-"""Specular BRDFs: registry entries and float64 references for the BRDFs of ``shaders/facerender``.
+"""Specular BRDFs with their Fresnel and masking terms: registry entries and float64 references.
 
 ``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same arguments in the same order. Directions are unit
-vectors (..., 3) that broadcast against one another: ``n`` is the normal, ``l`` the direction to
-the light, ``v`` the direction to the camera. BRDFs are in 1/sr, without N.L, for a specular weight
-of 1. As in the shaders, BRDFs are exactly 0 if N.L or N.V is at most 0. Cook-Torrance with Kelemen
+vectors (..., 3) that broadcast against one another: ``n`` is the normal, ``l`` the direction to the
+light, ``v`` the direction to the camera. BRDFs are in 1/sr, without N.L, for a specular weight of
+1. As in the shaders, BRDFs are exactly 0 if N.L or N.V is at most 0. Cook-Torrance with Kelemen
 masking or without masking is also 0 if N.L or N.V is at most 1e-6. Ward is also 0 if (N.L)(N.V) is
 at most 1e-12.
-"""
+
+A slope variance is the variance of the slopes along each tangent axis. Variances of independent
+slopes add; the variance of detail that a pixel does not resolve thus widens m."""
 
 from __future__ import annotations
 
@@ -17,12 +19,274 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_range
-from facerender.terms.entry import Entry, named, registry
-from facerender.terms.fresnel import fresnel
-from facerender.terms.lobe import AnyLobe, lobe_entry
-from facerender.terms.masking import MASKING, MIN_COSINE
+from facerender.terms.lobe import (
+    MAX_SLOPE,
+    MIN_SLOPE,
+    ULP,
+    AnyLobe,
+    Entry,
+    lobe_entry,
+    named,
+    registry,
+)
 
 Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fresnel(Entry):
+    """A Fresnel term. The GLSL call uses float f0 and v_dot_h; the macro is FR_FRESNEL_NAME.
+
+    Attributes
+    ----------
+    number : value of the macro, unique
+    evaluate : float64 reference; checks the domain
+    rounding : float32 error bounds, relative and absolute, as a function of f0 and V.H
+    exactness : rank among Fresnel terms; a plan may replace a term by terms of equal or lower rank
+    """
+
+    number: int
+    evaluate: Callable[[ArrayLike, ArrayLike], Float]
+    rounding: Callable[[Float, Float], tuple[Float | float, Float | float]]
+    exactness: int
+
+    @property
+    def macro(self) -> str:
+        return f"FR_FRESNEL_{self.word}"
+
+
+def _check_f0(f0: ArrayLike) -> Float:
+    value = np.asarray(f0, dtype=np.float64)
+    inside = (value >= 0.0) & (value < 1.0)
+    if not inside.all():
+        raise InputError(f"f0 = {value[~inside].flat[0]:g} is outside [0, 1): give 0.028 for skin")
+    return value
+
+
+def fresnel_schlick(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    """Return Schlick's Fresnel reflectance f0 + (1 - f0)(1 - V.H)^5, in [0, 1].
+
+    Parameters
+    ----------
+    f0 : reflectance at normal incidence, in [0, 1)
+    v_dot_h : cosine of the angle between the direction to the camera and the unit half vector;
+        clamped to [0, 1]
+
+    Raises
+    ------
+    InputError : f0 outside its domain
+
+    References: Schlick (1994), eq. 15.
+    """
+    base = _check_f0(f0)
+    u = np.clip(1.0 - np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
+    return np.asarray(base + (1.0 - base) * u**5)
+
+
+def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    """Return the exact Fresnel reflectance of a dielectric in air for unpolarised light, in [0, 1].
+
+    For the parameters and exceptions see :func:`fresnel_schlick`. The index of refraction is
+    (1 + sqrt(f0)) / (1 - sqrt(f0)).
+
+    References: Cook and Torrance (1982).
+    """
+    root = np.sqrt(_check_f0(f0))
+    q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1.
+    c = np.clip(np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
+    g = np.sqrt(q + c**2)  # eta times the cosine of the angle of refraction.
+    # Amplitudes (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g): with c - g = -q/(c + g) no digits
+    # cancel. At c = 0 and f0 = 0 both amplitudes are 0/0; their limit for c > 0 is 0.
+    total = np.maximum(c + g, 1e-300)
+    s = q / total / total
+    p = q * (c - 1.0 / total) / np.maximum((1.0 + q) * c + g, 1e-300)
+    return np.asarray(np.where(c + g > 0.0, 0.5 * (s**2 + p**2), 0.0))
+
+
+def _constant(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    return np.broadcast_to(_check_f0(f0), np.broadcast(f0, v_dot_h).shape)
+
+
+FRESNEL: dict[str, Fresnel] = registry(
+    Fresnel(
+        name="schlick",
+        number=0,
+        file="fresnel/schlick",
+        call="fr_fresnel_schlick(f0, v_dot_h)",
+        evaluate=fresnel_schlick,
+        rounding=lambda f0, v_dot_h: (8.0 * ULP, 8.0 * ULP),
+        exactness=1,
+    ),
+    Fresnel(
+        name="dielectric",
+        number=1,
+        file="fresnel/dielectric",
+        call="fr_fresnel_dielectric(f0, v_dot_h)",
+        evaluate=fresnel_dielectric,
+        # Square root, division and square: 10 ulp. The cancellation in c (g + c) - 1 causes an
+        # absolute error.
+        rounding=lambda f0, v_dot_h: (16.0 * ULP, 16.0 * ULP * f0),
+        exactness=2,
+    ),
+    Fresnel(
+        name="constant",
+        number=2,
+        file="constants",
+        call="f0",
+        evaluate=_constant,
+        rounding=lambda f0, v_dot_h: (0.0, 0.0),
+        exactness=0,
+    ),
+)
+
+
+def fresnel(f0: ArrayLike, v_dot_h: ArrayLike, kind: str = "schlick") -> Float:
+    """Return the reflectance of the Fresnel term `kind`; "constant" returns f0."""
+    return named("Fresnel term", FRESNEL, kind).evaluate(f0, v_dot_h)
+
+
+MIN_COSINE = 1e-6  # Value of FR_MIN_COSINE in shaders/facerender/constants.glsl.
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Masking(Entry):
+    """A masking term; its macro is FR_MASKING_NAME.
+
+    The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised.
+    The call returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
+
+    Attributes
+    ----------
+    number : value of the macro, unique
+    cut : the BRDF is exactly 0 if N.L or N.V is at most this cosine
+    evaluate : G in float64 as a function of n_dot_h, v_dot_h, n_dot_l, n_dot_v, for a unit half
+        vector
+    """
+
+    number: int
+    cut: float = 0.0
+    evaluate: Callable[[Float, Float, Float, Float], Float]
+
+    @property
+    def macro(self) -> str:
+        return f"FR_MASKING_{self.word}"
+
+
+def masking_v_cavity(
+    n_dot_h: ArrayLike, v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike
+) -> Float:
+    """Return the masking term of V-shaped cavities, min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), in
+    [0, 1].
+
+    Parameters
+    ----------
+    n_dot_h, v_dot_h : N.H and V.H > 0 for a half vector H of any length
+    n_dot_l, n_dot_v : N.L and N.V for the directions L to the light and V to the camera, in (0, 1]
+
+    References: Torrance and Sparrow (1967); Cook and Torrance (1982).
+    """
+    ratio = 2.0 * np.asarray(n_dot_h, dtype=np.float64) / np.asarray(v_dot_h, dtype=np.float64)
+    return np.asarray(np.minimum(1.0, ratio * np.minimum(n_dot_l, n_dot_v)))
+
+
+def masking_kelemen(v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike) -> Float:
+    """Return Kelemen masking (N.L)(N.V)/(V.H)², which cancels (N.L)(N.V) in the BRDF's divisor.
+
+    The value is between 0.5 and 1 times :func:`masking_v_cavity`.
+
+    Parameters
+    ----------
+    v_dot_h : cosine of the angle between the direction to the camera and the unit half vector; at
+        least (N.L + N.V)/2, a condition that all unit vectors meet
+    n_dot_l, n_dot_v : N.L and N.V for the directions L to the light and V to the camera, in (0, 1]
+
+    References: Kelemen and Szirmay-Kalos (2001); for skin: d'Eon and Luebke (2007), GPU Gems 3,
+    chapter 14.
+    """
+    product = np.multiply(n_dot_l, n_dot_v, dtype=np.float64)
+    return np.asarray(product / np.asarray(v_dot_h, dtype=np.float64) ** 2)
+
+
+MASKING: dict[str, Masking] = registry(
+    Masking(
+        name="v-cavity",
+        number=0,
+        file="masking/v_cavity",
+        call="fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v)",
+        evaluate=masking_v_cavity,
+    ),
+    Masking(
+        name="kelemen",
+        number=1,
+        file="masking/kelemen",
+        call="fr_masking_kelemen_ratio(n_dot_l, n_dot_v)",
+        cut=MIN_COSINE,
+        evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: masking_kelemen(
+            v_dot_h, n_dot_l, n_dot_v
+        ),
+    ),
+    Masking(
+        name="none",
+        number=2,
+        file="constants",
+        call="vec2("
+        "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR)",
+        cut=MIN_COSINE,
+        evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
+    ),
+)
+
+
+MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # FR_MAP_DEVIATION, and default of FR_MAP_SHARE.
+MAX_RADIUS = 20.0  # Largest angular radius of a disc light, in degrees.
+_LEAST_V_DOT_H2 = 0.05
+
+
+def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
+    """Return m after adding unresolved slope variance, clamped to [1e-4, 2].
+
+    Parameters
+    ----------
+    m : RMS slope of the microfacets, in [0, 2]
+    variance : unresolved slope variance, >= 0; broadcasts with m
+    """
+    slope = np.asarray(m, dtype=np.float64)
+    return np.clip(np.sqrt(slope**2 + 2.0 * np.asarray(variance)), MIN_SLOPE, MAX_SLOPE)
+
+
+def slope_variance_map(alpha: ArrayLike) -> Float:
+    """Return the slope variance that alpha, in [0, 1], encodes in a prepared normal map."""
+    return np.asarray(MAP_SHARE * (MAP_DEVIATION * np.asarray(alpha, dtype=np.float64)) ** 2)
+
+
+def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    """Return the slope variance that represents the extent of a disc light.
+
+    Parameters
+    ----------
+    s, k : sin R and (1 + cos R)/2 for the angle R between the centre and the rim of the disc, at
+        most 20 degrees
+    v_dot_h : cosine of the angle between the direction to the camera and the unit half vector, in
+        [0, 1]; broadcasts with s and k
+    """
+    width = np.asarray(s, dtype=np.float64) / np.asarray(k, dtype=np.float64)
+    along = np.maximum(np.asarray(v_dot_h, dtype=np.float64) ** 2, _LEAST_V_DOT_H2)
+    return np.asarray(width**2 / 32.0 * (1.0 + 1.0 / along))
+
+
+def cosine_disc(c: ArrayLike, s: ArrayLike, k: ArrayLike) -> Float:
+    """Return the mean of max(N.L, 0) over the directions of a disc light.
+
+    Parameters
+    ----------
+    c : N.L of the centre of the disc, in [-1, 1]
+    s, k : see :func:`slope_variance_disc`; broadcast with c
+    """
+    cosine, sine = np.asarray(c, dtype=np.float64), np.asarray(s, dtype=np.float64)
+    above = np.maximum(cosine + sine, 0.0)
+    part = above**2 / (4.0 * np.maximum(sine, 1e-300))
+    return np.where(cosine >= sine, cosine, part) * np.asarray(k, dtype=np.float64)
+
 
 K_COOK_TORRANCE = 4
 K_WARD = 0

@@ -18,21 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
-from facerender.glsl import code
+from facerender.glsl import library
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
-from facerender.terms import (
-    FRESNEL,
-    LOBES,
-    MASKING,
-    MODELS,
-    environment,
-    lobe_entry,
-    scattering,
-    shadow,
-)
-from facerender.terms.entry import ULP
-from facerender.terms.lobe import TINY, power_error
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, environment, lobe_entry, transport
+from facerender.terms.lobe import TINY, ULP, power_error
 from tests.verification.evaluate import WIDTH, Inputs
 
 Floats = NDArray[np.float64]
@@ -141,7 +131,7 @@ flat = cache(resolve_includes)
 
 def include(name: str, **macros: str) -> str:
     """Return macros, followed by a file of the library with its includes resolved."""
-    return code.defines(macros) + flat(f'#include "facerender/{name}.glsl"\n')
+    return library.defines(macros) + flat(f'#include "facerender/{name}.glsl"\n')
 
 
 def grid(*axes: ArrayLike) -> list[Singles]:
@@ -183,7 +173,7 @@ def lobe_case(file: str, macros: Mapping[str, str], call: str, lobe: AnyLobe, k:
 
 EVERY = {"FR_LOBE": "FR_LOBE_EVERY"}
 for _lobe in ALL_LOBES:
-    _entry, _own = lobe_entry(_lobe), code.lobe_macros(_lobe)
+    _entry, _own = lobe_entry(_lobe), library.lobe_macros(_lobe)
     _alone, _within = _entry.call.split("(")[0], "(c, m, 1.0 / (m * m)"
     for _k in _entry.ends:
         for _group, _file, _macros, _call in (
@@ -497,7 +487,7 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
     plane = np.hstack([random.uniform(-2.0, 2.0, (PLACES, 2)), np.zeros((PLACES, 1))])
     image = map_.reshape(-1, WIDTH).astype(float)
     ends = [
-        shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC, START)
+        transport.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC, START)
         for aside in (-5e-5, [5e-5, -5e-5, 0.0], [-5e-5, 5e-5, 0.0], 5e-5)
     ]
     differs = np.ptp(ends, axis=0)
@@ -511,7 +501,7 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
 def shadow_hard(function: str, arguments: str) -> Case:
     tile, inputs, map_, differs = shadows()
     places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
-    expected = shadow.shadow_hard(map_, tile, *places, np.array(2.4), HARD)
+    expected = transport.shadow_hard(map_, tile, *places, np.array(2.4), HARD)
     expected = repeated(expected, len(inputs["p"]))
     call = f"{function}(map_texels, ivec3{tile}, {arguments})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
@@ -520,7 +510,7 @@ def shadow_hard(function: str, arguments: str) -> Case:
 @case()
 def shadow_depth() -> Case:
     tile, inputs, map_, _ = shadows()
-    expected = shadow.shadow_depth(map_, tile, 8.0 * inputs["p"][:PLACES, :2] + 8.0)
+    expected = transport.shadow_depth(map_, tile, 8.0 * inputs["p"][:PLACES, :2] + 8.0)
     call = f"2.0 + fr_shadow_depth(map_texels, ivec3{tile}, 8.0 * p.xy + 8.0)"
     expected = 2.0 + repeated(expected, len(inputs["p"]))
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-6)
@@ -530,7 +520,7 @@ def shadow_depth() -> Case:
 def shadow_weight() -> Case:
     _, inputs, _, _ = shadows()
     p, plane = (inputs[name][:PLACES, :2].astype(float) for name in ("p", "plane"))
-    expected = shadow.shadow_weight(p, plane, np.array(2.4))
+    expected = transport.shadow_weight(p, plane, np.array(2.4))
     call = "fr_shadow_weight(p.xy, plane.xy, 2.4)"
     return Case(include("shadow"), call, inputs, repeated(expected, len(inputs["p"])), 0.0, 1e-6)
 
@@ -539,7 +529,7 @@ def shadow_weight() -> Case:
 def shadow_disc() -> Case:
     tile, inputs, map_, differs = shadows()
     places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
-    expected = repeated(shadow.shadow_disc(map_, tile, *places, *DISC, START), len(inputs["p"]))
+    expected = repeated(transport.shadow_disc(map_, tile, *places, *DISC, START), len(inputs["p"]))
     numbers = ", ".join(map(str, DISC))
     call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {numbers}, vec2{START})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
@@ -549,7 +539,7 @@ def shadow_disc() -> Case:
 
 
 GAUSSIANS = ((0.6, 0.2, 0.1, 0.0), (2.0, 0.5, 0.2, 0.05))
-SIXTEEN = scattering.spiral(GAUSSIANS, 16)
+SIXTEEN = transport.spiral(GAUSSIANS, 16)
 
 
 def array(kind: str, rows: ArrayLike) -> str:
@@ -566,17 +556,17 @@ def gaussians() -> str:
 @case((0,), (1,), (2,))
 def scatter_profile(channel: int) -> Case:
     r2 = singles([0.0, *np.logspace(-6, 18, 500)])
-    expected = scattering.scatter_profile(r2, GAUSSIANS)[:, channel]
+    expected = transport.scatter_profile(r2, GAUSSIANS)[:, channel]
     call = f"fr_scatter_profile(r2, {gaussians()})[{channel}]"
     prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")
-    highest = scattering.scatter_profile(0.0, GAUSSIANS)[channel]
+    highest = transport.scatter_profile(0.0, GAUSSIANS)[channel]
     return Case(prelude, call, {"r2": r2}, expected, 0.0, 1e-6 * highest)
 
 
 @case()
 def scatter_area() -> Case:
     c = singles(np.linspace(-1.0, 1.0, 401))
-    expected = scattering.scatter_area(c.astype(float))
+    expected = transport.scatter_area(c.astype(float))
     return Case(include("scatter"), "fr_scatter_area(c)", {"c": c}, expected, 4 * ULP)
 
 
@@ -585,7 +575,7 @@ def scatter_turn() -> Case:
     x, y = (each.ravel() for each in np.mgrid[0:16000:37, 0:16000:311])
     inputs = {"x": singles(x), "y": singles(y)}
     call = "fr_scatter_turn(ivec2(int(x), int(y))) + 4.0"
-    return Case(include("scatter"), call, inputs, scattering.scatter_turn(x, y) + 4.0, 4 * ULP)
+    return Case(include("scatter"), call, inputs, transport.scatter_turn(x, y) + 4.0, 4 * ULP)
 
 
 @cache
@@ -604,9 +594,9 @@ def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
     one, every = np.ones(shape), np.ones(shape, dtype=bool)
     scale = 4.0 * one.ravel()
     images = light, place, one, one, every
-    expected = scattering.scatter(*images, scale=scale, unit=1.0, gaussians=GAUSSIANS, samples=16)
+    expected = transport.scatter(*images, scale=scale, unit=1.0, gaussians=GAUSSIANS, samples=16)
     spiral = 4.0 * (SIXTEEN[:, 0] + 1j * SIXTEEN[:, 1])
-    turned = spiral * np.exp(1j * scattering.scatter_turn(x, y))[..., None]
+    turned = spiral * np.exp(1j * transport.scatter_turn(x, y))[..., None]
     borders = np.stack([turned.real, turned.imag]) + 0.5
     reach = 1e-4 + 2.0**-11 * np.abs(spiral)  # Vulkan's sine and cosine have errors of 2^-11
     unsure = (np.abs(borders - np.round(borders)) < reach).any(axis=(0, -1))
@@ -617,7 +607,7 @@ def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
 @case((0,), (1,), (2,))
 def scatter(channel: int) -> Case:
     inputs, expected, bounds = scattered()
-    rest = f"vec3({', '.join(map(repr, map(float, scattering.rest(GAUSSIANS))))})"
+    rest = f"vec3({', '.join(map(repr, map(float, transport.rest(GAUSSIANS))))})"
     call = (
         f"fr_scatter(light_texels, place_texels, ivec2(gl_FragCoord.xy), 4.0, {gaussians()}, "
         f"{rest}, {array('vec3', SIXTEEN)})[{channel}] + 0.0 * (light.x + place.x)"
@@ -831,8 +821,8 @@ def brdf_case(
     if term.entry.factors:
         bound += 3.0 * off / (f0 + NO_MORE) ** 0.2  # error of (1 - V.H)^5
     return Case(
-        f"const float f0 = {f0};\n" + (prelude or flat(code.prelude(term, 0.0))),
-        call or code.call(term),
+        f"const float f0 = {f0};\n" + (prelude or flat(library.prelude(term, 0.0))),
+        call or library.call(term),
         inputs,
         term.brdf(n, l, v, m, f0),
         0.0,
@@ -884,20 +874,20 @@ def among_all(
     """Return the case of a term with one or two lobes, in a program that contains every lobe."""
     term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
     small = {} if small_slope else {"FR_SMALL_SLOPE": "0"}
-    prelude = include(code.file_of(term, two), **code.lobe_macros(lobe) | EVERY | small)
+    prelude = include(library.file_of(term, two), **library.lobe_macros(lobe) | EVERY | small)
     if two:
-        return two_lobes(term, prelude, code.call(term, 1.0))
-    return in_domain(term, prelude, code.call(term))
+        return two_lobes(term, prelude, library.call(term, 1.0))
+    return in_domain(term, prelude, library.call(term))
 
 
 def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
     """Return the case of a model's function whose terms are chosen by the host's macros."""
     term = Term(model, lobe, fresnel, masking)
-    macros = code.term_macros(Term("cook-torrance", lobe, fresnel, masking), 0.0)
+    macros = library.term_macros(Term("cook-torrance", lobe, fresnel, masking), 0.0)
     files = "".join(f'#include "facerender/{entry.file}.glsl"\n' for entry in MODELS.values())
     own = f"fr_{term.entry.file}(n, l, v, m"
     call = f"{own}, f0)" if term.entry.factors else f"f0 * {own})"
-    return in_domain(term, code.defines(macros) + flat(files), call)
+    return in_domain(term, library.defines(macros) + flat(files), call)
 
 
 @cache
@@ -929,13 +919,13 @@ def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -
     entry = term.entry.two
     assert entry is not None
     call = f"fr_{entry.file}(n, l, v, m, second_m, lobe_weight, f0)"
-    return two_lobes(term, include(entry.file, **code.term_macros(term, 0.0)), call)
+    return two_lobes(term, include(entry.file, **library.term_macros(term, 0.0)), call)
 
 
 def in_colour(lobe: AnyLobe, f0: float) -> Case:
     """Return the case of fr_cook_torrance_rgb with f90 = 1."""
     term = Term("cook-torrance", lobe)
-    prelude = include("cook_torrance", **code.lobe_macros(lobe))
+    prelude = include("cook_torrance", **library.lobe_macros(lobe))
     call = f"fr_cook_torrance_rgb(n, l, v, m, vec3({f0}), vec3(1.0)).z"
     end = lobe_entry(lobe).end(4)
     return brdf_case(term, directions_and_extremes(end), prelude, call, f0)
@@ -943,7 +933,7 @@ def in_colour(lobe: AnyLobe, f0: float) -> Case:
 
 def of_parts(lobe: AnyLobe) -> Case:
     term = Term("cook-torrance", lobe, "constant")
-    prelude = include("cook_torrance", **code.lobe_macros(lobe))
+    prelude = include("cook_torrance", **library.lobe_macros(lobe))
     call = "f0 * fr_cook_torrance_scale(FR_DEFAULT_LOBE)"
     call += " * fr_cook_torrance_parts(n, l, v, m, FR_DEFAULT_LOBE, FR_MASKING).x"
     return in_domain(term, prelude, call)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.images.srgb import linear_to_srgb
+from facerender.images.image import linear_to_srgb
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.material import SKIN_ALBEDO
@@ -20,7 +20,7 @@ from facerender.scenes.mesh import Mesh
 from facerender.scenes.scattering import scattering_of
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
-from facerender.terms.scattering import Gaussians, rest, scatter, scatter_area
+from facerender.terms.transport import Gaussians, rest, scatter, scatter_area
 from tests.verification.shadows import tracer_of
 
 Float = NDArray[np.float64]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.comparison import flip
-from facerender.images.srgb import linear_to_srgb
+from facerender.comparison import pictures
+from facerender.images.image import linear_to_srgb
 
 Float = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def lost(image: NDArray[np.floating], reference: NDArray[np.floating]) -> Lost:
     return Lost(
         float(value[bright].sum() / total - 1.0),
         float(np.abs(value - expected)[bright].sum() / total),
-        float(flip.errors(*shown)[whole].mean()),
+        float(pictures.errors(*shown)[whole].mean()),
     )
 
 

@@ -14,8 +14,7 @@ from facerender.measure.measurement import (
     Measurement,
     Settings,
 )
-from facerender.pricing.interval import Interval
-from facerender.pricing.variants import Variant, of_model
+from facerender.pricing.cost import Interval, Variant, of_model
 
 
 def measurement_of(content: Mapping[str, Any]) -> Measurement:

@@ -29,7 +29,7 @@ import facerender as fr
 from benchmarks.skin import subjects
 from benchmarks.skin_environment import sky
 from facerender.commands import main as main_command
-from facerender.images.srgb import encode_srgb8
+from facerender.images.image import encode_srgb8
 from facerender.scenes.environment import studio
 from facerender.scenes.texture import Texture
 from tests.verification.scan import load_scan, scan_folder

@@ -1,7 +1,7 @@
 """The directional albedo of Cook-Torrance as an integral, and its polynomial fit.
 
-``python -m tools.fits.albedo`` computes FITS of ``facerender/terms/albedo.py`` and the coefficients
-of ``shaders/facerender/albedo.glsl``, and prints them. It takes two minutes.
+``python -m tools.fits.albedo`` computes FITS of ``facerender/terms/environment.py`` and the
+coefficients of ``shaders/facerender/albedo.glsl``, and prints them. It takes two minutes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from facerender.terms.albedo import ENDS, LOWEST
+from facerender.terms.environment import ENDS, LOWEST
 
 Float = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
-from facerender.images.exr import save_exr
+from facerender.images.files import save_exr
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene

@@ -21,11 +21,11 @@ import numpy as np
 import facerender as fr
 from facerender.batch.jobs import JobTable
 from facerender.commands import main
-from facerender.drawing.passes import shadow
+from facerender.drawing import shade
 from facerender.errors import FacerenderError, InputError
-from facerender.images.read import read_image
+from facerender.images.files import read_image
 from facerender.loading.environment import load_environment
-from facerender.loading.vertices import posed
+from facerender.loading.from_trimesh import posed
 from facerender.scenes import framing
 from facerender.scenes.file import EnvironmentFile, load_scene
 from tests.verification.fuzz import seeds
@@ -38,8 +38,8 @@ LONGEST = 600  # characters in a message, which has one line
 REDUCED = (
     (framing, "_SAMPLES", framing._SAMPLES // 16),
     (framing, "_FACE_SAMPLES", framing._FACE_SAMPLES // 16),
-    (shadow, "_FEWEST_TEXELS", shadow._FEWEST_TEXELS // 8),
-    (shadow, "_BLOCKS", shadow._BLOCKS // 8),
+    (shade, "_FEWEST_TEXELS", shade._FEWEST_TEXELS // 8),
+    (shade, "_BLOCKS", shade._BLOCKS // 8),
 )
 _HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")

@@ -16,7 +16,7 @@ from PIL import Image, ImageCms, ImageFilter, ImageOps
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 import facerender as fr
-from facerender.images.write import png_bytes
+from facerender.images.files import png_bytes
 from facerender.scenes.mesh import Part
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
 

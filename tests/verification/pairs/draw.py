@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.srgb import linear_to_srgb
-from facerender.images.write import lossy_bytes, save_png
-from facerender.system.atomic import write_bytes
+from facerender.images.files import lossy_bytes, save_png
+from facerender.images.image import linear_to_srgb
+from facerender.system.files import write_bytes
 from tests.verification.pairs.changes import Against, Change, Encode, Encoded, Format, Must
 from tests.verification.pairs.room import Linear, Room
 from tests.verification.pairs.scenes import Group

@@ -9,8 +9,8 @@ import numpy as np
 
 from facerender import lobes
 from facerender.lobes import AnyLobe
-from facerender.measure import error
-from facerender.terms.fitting import G_POWERS, fit_g_power
+from facerender.measure import measurement
+from facerender.terms.lobe import G_POWERS, fit_g_power
 from tools.docs.tables import load, machine, markdown_table, published, table
 
 MODELS = {4: "Cook-Torrance", 0: "Ward"}
@@ -47,7 +47,7 @@ def lobe_error(name: AnyLobe, m: float, k: int) -> float:
     degrees = np.concatenate(
         [np.linspace(0.0, 90.0, 20001), np.degrees(np.linspace(0, 8 * m, 20001))]
     )
-    return 100.0 * float(np.abs(error.lobe_error(name, m, k, degrees[degrees <= 90.0])).max())
+    return 100.0 * float(np.abs(measurement.lobe_error(name, m, k, degrees[degrees <= 90.0])).max())
 
 
 def lobe_table(k: int) -> str:

@@ -7,8 +7,8 @@ from itertools import chain, product
 from typing import Any
 
 from benchmarks.pairs.verdicts import FACERENDER, FORMATS, OWN, UNNAMED, Summary, read_summary
-from facerender.comparison.checks import CHECKS
 from facerender.comparison.result import FOREIGN, HOLES, LIMITS
+from facerender.comparison.sources import CHECKS
 from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.scenes import Group
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from facerender.loading.gltf_features import FEATURES
+from facerender.loading.gltf_document import FEATURES
 
 
 def blocks() -> dict[str, str]:

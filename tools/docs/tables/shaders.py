@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import groupby
 
-from facerender.glsl.catalogue import Function, functions
+from facerender.glsl.library import Function, functions
 from facerender.terms import FRESNEL, LOBES, MASKING
 from tools.docs.tables import markdown_table
 

@@ -7,17 +7,16 @@ from typing import Any
 
 from benchmarks.prices.amd import FAMILIES, Statistics
 from benchmarks.prices.offline import GPUS
+from facerender.measure.chart import CostKind
 from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
-from facerender.measure.pareto import CostKind
-from facerender.measure.tables import (
+from facerender.measure.report import (
     Table,
     cost_tables,
     error_tables,
     tables_of,
 )
-from facerender.pricing.interval import Interval
+from facerender.pricing.cost import SLOPE, Interval, Variant
 from facerender.pricing.table import shipped, term_name
-from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
 from tools.docs.measurement import measurement_of
 from tools.docs.tables import load, markdown_table, published

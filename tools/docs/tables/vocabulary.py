@@ -8,17 +8,16 @@ from dataclasses import fields
 from functools import cache
 
 from facerender.commands import parser_of
-from facerender.commands.help import commands_of, groups_of
+from facerender.commands.common import commands_of, groups_of
 from facerender.job import MeshFile
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
 from facerender.scenes.file import STUDIO, EnvironmentFile, ImageSettings, Pose
 from facerender.scenes.light import LIGHTS, Light
-from facerender.scenes.material import MAPS, Material
-from facerender.scenes.presets import PRESETS
+from facerender.scenes.material import MAPS, PRESETS, Material
 from facerender.scenes.scene import ONLY, Scene
 from facerender.shading import DIFFUSE, OUTSIDE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
-from facerender.terms.scattering import PROFILES
+from facerender.terms.transport import PROFILES
 from tools.docs.tables import markdown_table
 
 KINDS: tuple[type, ...] = (

@@ -1,32 +1,200 @@
-"""The shadow map pass, and the pass that draws each light's visible fraction at pixel centres. The
-reference reads this fraction."""
+"""The passes that shade: the G-buffer (``shaders/host/gbuffer.frag``), radiance of all parts under
+all lights (``shade.frag``), subsurface scattering (``scatter.frag``), and shadow maps.
+
+Scattering reads the images of the shading pass: radiance, irradiance, position and albedo. The
+reference reads each light's visible fraction at pixel centres."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Hashable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 from weakref import ref
 
 import numpy as np
 
-from facerender.drawing.passes import Area, Draw, Pass, Target
-from facerender.drawing.passes.transparency import BlendedPart, mask_features, visible_draws
+from facerender.drawing.passes import (
+    Area,
+    BlendedPart,
+    Draw,
+    Pass,
+    Target,
+    blended_parts,
+    mask_features,
+    unblended,
+    visible_draws,
+)
+from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import (
     Program,
     part_uniforms,
     scene_uniforms,
+    shade_program,
     shadow_features,
     surface_features,
 )
-from facerender.drawing.resolve import ResolvedScene
 from facerender.errors import InputError
 from facerender.scenes.light import LightSpace
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import drawn_alpha
-from facerender.scenes.scene import Scene
+from facerender.scenes.scattering import Scattering
+from facerender.scenes.scene import Only, Scene
+from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View
 from facerender.shading import Shading
+from facerender.terms.transport import scatter_uniforms
+
+if TYPE_CHECKING:
+    from facerender.drawing.refraction import Refraction
+
+
+def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
+    """Return the names of the images of a G-buffer in drawing order:
+
+    - position: position, index of the part plus 1
+    - normal: normal, m
+    - albedo: albedo, specular weight
+    - uv: texture coordinates, occlusion, and either facing (if a part scatters) or opacity (of a
+      layer)
+    - lobes: m of the second lobe and weight of the first lobe, if a part has two lobes
+    - emitted: emission, with the refracted light, if a part emits or refracts light
+    - layer: depth, and index of the triangle in drawing order, of a layer
+
+    layer : whether the G-buffer is one layer of a blended part
+    """
+    materials = scene.mesh.materials
+    optional = {
+        "lobes": any(material.two_lobes for material in materials),
+        "emitted": any(material.emits for material in materials),
+        "layer": layer,
+    }
+    names = [name for name, is_drawn in optional.items() if is_drawn]
+    return ("position", "normal", "albedo", "uv", *names)
+
+
+def surface_pass(
+    resolved: ResolvedScene,
+    view: View,
+    scatters: bool,
+    blended_part: BlendedPart | None,
+    refraction: Refraction | None,
+) -> Pass:
+    """Return the pass that draws the G-buffer of a scene, see :func:`surface_images`.
+
+    scatters : whether to draw facing, the cosine between the mesh's normal and the direction to
+        the camera
+    blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn
+    refraction : refraction of the scene; None if no part refracts
+    """
+    scene, shading = resolved.scene, resolved.shading
+    images, draws = surface_images(scene, blended_part is not None), []
+    further = ["SCATTER"] if scatters else []
+    further += [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    for number, (part, material) in enumerate(parts, 1):
+        features = (
+            *surface_features(part, material, shading),
+            *("EMISSIVE",) * any(material.emissive),
+            # Every program must write all images of the pass, also for parts with one lobe.
+            *("TWO_LOBES",) * ("lobes" in images and not material.two_lobes),
+            *further,
+        )
+        program = Program("gbuffer.frag", features=features)
+        draws.append(Draw.of_part(program, part, material, part=number))
+    if refraction:
+        draws = refraction.refracted(draws)
+    target = Target(colors=len(images))
+    if blended_part is not None:  # two targets alternate, as each layer reads the previous one
+        target = replace(target, sampled=True, number=blended_part.layer % 2)
+    visible = visible_draws(scene, draws, blended_part)
+    return Pass("surface", target, visible, uniforms=scene_uniforms(scene, view))
+
+
+def shade_pass(
+    resolved: ResolvedScene,
+    view: View,
+    samples: int,
+    only: Only | None = None,
+    scattering: Scattering | None = None,
+    apart: bool = False,
+    refraction: Refraction | None = None,
+) -> Pass:
+    """Return the pass that shades a scene. Blended parts are drawn last.
+
+    samples : samples per pixel
+    only : term to draw, "specular" or "diffuse"; None for the whole image
+    scattering : scattering of the scene. If given, the pass also draws the input images of the
+        scatter pass, and omits background and blended parts
+    apart : whether to draw only the input images of the scatter pass
+    refraction : refraction of the scene; None to leave out the light that parts refract
+
+    For errors see ``ResolvedScene.terms`` and ``ResolvedScene.slopes``.
+    """
+    scene, draws = resolved.scene, []
+    specular, count = only != "diffuse", len(scene.mesh.parts)
+    slopes = resolved.slopes if specular else [(0.0, 0.0)] * count
+    terms = resolved.terms if specular and resolved.lighting.shining else [None] * count
+    rows = zip(scene.mesh.parts, scene.mesh.materials, terms, slopes, strict=True)
+    for part, material, term, (smallest_m, _) in rows:
+        program = shade_program(resolved, part, material, term, smallest_m, only)
+        if samples > 1 and "ALPHA_MASK" in program.features:
+            program = program.having(f"TO_COVERAGE {samples}")
+        draws.append(Draw.of_part(program, part, material))
+    if refraction:
+        draws = refraction.refracted(draws)
+    uniforms = scene_uniforms(scene, view, resolved.lighting)
+    if scattering:
+        for index, (draw, number) in enumerate(zip(draws, scattering.numbers, strict=True)):
+            program = draw.program.having("SCATTER", *("APART",) * apart)
+            values = {**draw.uniforms, "profile": number}
+            draws[index] = replace(draw, program=program, uniforms=values)
+        target = Target(3 if apart else 4, samples, sampled=True)
+        names = ("albedo", "light", "place") if apart else ("image", "light", "place", "albedo")
+        opaque = unblended(scene, draws)
+        return Pass(names[0], target, opaque, uniforms=uniforms, others=names[1:])
+    background = (only is None and scene.background) or (0.0, 0.0, 0.0)
+    blends = (
+        replace(draws[blended.part], order=blended.order, depth="blend")
+        for blended in blended_parts(scene, view)
+    )
+    all_draws = (*unblended(scene, draws), *blends)
+    return Pass("shade", Target(samples=samples), all_draws, (*background, 0.0), uniforms)
+
+
+def scatter_pass(
+    view: View,
+    scattering: Scattering,
+    samples: int,
+    background: Vector | None = None,
+    several: bool = False,
+    area: Area | None = None,
+) -> Pass:
+    """Return the pass that adds subsurface scattering to an image.
+
+    samples : subsurface samples per pixel
+    background : linear RGB behind the image; None if the image already contains the background
+    several : whether the image has several samples per pixel
+    area : rectangle of the image that contains the mesh; None for the whole image
+    """
+    behind = background or (0.0, 0.0, 0.0)
+    shared = {
+        "camera_position": view.position,
+        "forward": view.forward,
+        "pixels": scattering.pixels,
+        "background": np.asarray(behind),
+    }
+    draws = [Draw(Program("background.frag", "screen.vert"), {"depth": 1.0}, area=area)]
+    mask_program = Program("scatter_mask.frag", "screen.vert", ("SEVERAL",) * several)
+    for number, gaussians in enumerate(scattering.profiles, 1):
+        mask = {"profile": number, "depth": 1.0 / (1.0 + number)}
+        draws.append(Draw(mask_program, mask, area=area, depth="mark"))
+        counts = f"FR_SCATTER_SAMPLES {samples}", f"FR_SCATTER_GAUSSIANS {len(gaussians)}"
+        program = Program("scatter.frag", "screen.vert", counts + mask_program.features)
+        uniforms = {**mask, **scatter_uniforms(gaussians, samples, scattering.millimetres)}
+        draws.append(Draw(program, uniforms, area=area, depth="marked"))
+    return Pass("scatter", Target(), tuple(draws), (*behind, 0.0), shared)
+
 
 MOST = 16  # largest number of lights that cast shadows; one texture holds their maps in a row
 _FEWEST_TEXELS, _MOST_TEXELS = 512, 4096  # width and height of a light's shadow map

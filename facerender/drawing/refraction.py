@@ -11,10 +11,9 @@ from weakref import WeakKeyDictionary, ref
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Area, Draw, Pass, Target
+from facerender.drawing.passes import Area, Draw, Pass, Target, TriangleSetup, triangle_setup_of
+from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, scene_uniforms, shade_program
-from facerender.drawing.resolve import ResolvedScene
-from facerender.drawing.triangle_setup import TriangleSetup, triangle_setup_of
 from facerender.scenes.mesh import Mesh, drawn_alpha
 from facerender.scenes.repair import joined
 from facerender.scenes.scene import Scene
