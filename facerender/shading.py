@@ -123,7 +123,15 @@ class Term:
         return self.entry.evaluate(*arguments, f0, lobe=lobe, **factors)
 
 
-_OF_TERM: Any = object()  # Default of a parameter: the field of `term` is kept.
+class _OfTerm:
+    """Default of a parameter: the field of `term` is kept. An instance has it as attribute, because
+    :func:`dataclasses.replace` reads the attribute of every parameter."""
+
+    def __repr__(self) -> str:
+        return "a field of Shading.term"
+
+
+_OF_TERM: Any = _OfTerm()
 
 
 @dataclass(frozen=True)

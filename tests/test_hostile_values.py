@@ -335,7 +335,7 @@ def test_non_finite_pixels_raise(value, monkeypatch):
 def test_large_pixels_are_accepted(monkeypatch):
     """The sum of an image may overflow although every pixel is finite."""
     image = np.full((8, 8, 4), 3e38, np.float32)
-    drawing._check(image, fr.Scene(HEAD))
+    drawing.check_image(image, fr.Scene(HEAD))
 
 
 STRONG = {"irradiance": 1e9}

@@ -91,6 +91,7 @@ def objects(egl: Any) -> Iterator[dict[str, Any]]:
 
 def right(call: str, name: str, annotation: str) -> list[Any]:
     """Return those VALUES that may be valid for a parameter."""
+    annotation = re.sub(r"^InitVar\[(.*)\]$", r"\1", annotation)
     values = [
         value for words, some in ALLOWED.items() if re.search(words, annotation) for value in some
     ]

@@ -1,4 +1,4 @@
-"""What several commands share: options and their help texts, parsing of values, checks of output
+"""Code shared by the commands: options and their help texts, parsing of values, checks of output
 files, and printing of results and messages, even if a stream is closed, is full or cannot encode a
 character."""
 
