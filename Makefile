@@ -6,9 +6,10 @@
 # make docs        regenerate the tables of README and docs from their data
 # make site        build the documentation as a web site in out/site
 # make head        regenerate assets/head.glb
+# make lines       print the lines of code by package
 # make npm         build the npm package of the shaders in out/npm
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   install the GLSL library for pkg-config and CMake
-# All targets except install-shaders create .venv if it is missing. All of these except npm also
+# All targets except lines and install-shaders create .venv if it is missing. All of these except npm also
 # install missing system libraries with apt (tools/system-libraries).
 
 PYTHON ?= python3
@@ -24,7 +25,7 @@ PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
 
-.PHONY: render test test-all test-rest fuzz docs site head npm install-shaders system test-system
+.PHONY: render test test-all test-rest fuzz docs site head lines npm install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -52,6 +53,12 @@ site: .venv/installed-dev
 
 head: .venv/installed-dev
 	$(VENV)/python -m tools.head -o assets/head.glb
+
+lines:
+	@git ls-files facerender shaders tools benchmarks tests | grep -E '\.(py|js|css|html|glsl|frag|vert)$$' \
+	    | xargs wc -l | awk '$$2 != "total" { split($$2, path, "/"); lines[path[1]] += $$1; \
+	        if (path[1] == "facerender") lines["facerender/" path[2]] += $$1 } \
+	        END { for (name in lines) print lines[name], name }' | sort -rn
 
 npm: .venv/installed
 	$(VENV)/python tools/npm-package -o out/npm

@@ -15,11 +15,14 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 import facerender as fr
 from facerender.drawing.prepare import start_maps
 from facerender.loading.mtl import DEPTH
 from facerender.scenes.material import SKIN_ALBEDO
+from facerender.scenes.repair import joined
 from tests import awkward_files as files
 from tests.awkward_files import Head, flat, mini_head, texels
 from tests.test_hostile_mesh import loaded
@@ -775,3 +778,12 @@ def test_hostile_statements(tmp_path):
     for mtl in ("map_Kd", "map_Kd -s", "bump -bm", "Ns inf", "Ke 1e308 0 0", "d 1e400", "Ks -1"):
         mesh, _ = load(tmp_path, mtl)
         assert math.isfinite(mesh.materials[0].m)
+
+
+@pytest.mark.parametrize("edges", [0, 500, 1000, 3000])
+def test_connected_components_are_those_of_scipy(edges):
+    pairs = np.random.default_rng(edges).integers(0, 2000, (edges, 2))
+    graph = coo_array((np.ones(edges), pairs.T), shape=(2000, 2000))
+    _, label = connected_components(graph, directed=False)
+    _, first, index = np.unique(label, return_index=True, return_inverse=True)
+    np.testing.assert_array_equal(joined(pairs, 2000), first[index])

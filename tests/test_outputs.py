@@ -20,7 +20,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import facerender as fr
 from facerender.commands import main
+from facerender.commands.common import check_outputs
 from facerender.drawing.renderer import Renderer
 from facerender.system import files as atomic
 from facerender.system.process import Bar
@@ -444,3 +446,21 @@ def test_batch_prints_its_progress_unless_quiet(tmp_path, capsys, egl):
     assert capsys.readouterr().err.startswith("facerender: ")
     assert main(["batch", str(jobs), "-o", str(tmp_path / "b"), "--quiet"]) == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.slow
+def test_many_outputs_are_checked_in_linear_time(tmp_path):
+    names = [tmp_path / f"{number}.png" for number in range(2000)]
+    names[0].touch()
+
+    def seconds(count):
+        began = time.process_time()
+        check_outputs(names[:count], [tmp_path / "mesh.glb"])
+        return time.process_time() - began
+
+    few, many = (min(seconds(count) for _ in range(3)) for count in (250, 2000))
+    assert many < 24.0 * few  # 8 times as many outputs; quadratic time would be 64 times
+    with pytest.raises(fr.InputError, match=r"/0.png is written twice"):
+        check_outputs([*names, tmp_path / "." / "0.png"])
+    with pytest.raises(fr.InputError, match=r"/0.png is both input and output"):
+        check_outputs(names, [tmp_path / "9.png", names[0]])

@@ -623,3 +623,28 @@ def test_lobe_of_each_part_depends_on_its_slopes(transparent, pair):
     assert set(gbuffer.part[covered]) == {0, 1}
     # Smaller slopes have larger errors, due to float32 maps and normals; see the shader headers.
     assert error[gbuffer.m[covered] > 0.1].max() < 1e-4
+
+
+@pytest.mark.memory
+def test_released_renderers_free_their_memory(backend, head):
+    scene = fr.Scene(head)
+
+    def resident() -> int:
+        with fr.Renderer((256, 256), backend=backend) as renderer:
+            renderer.render(scene)
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)  # free memory that malloc retains varies
+        return _resident()
+
+    first, last = ([resident() for _ in range(8)] for _ in range(2))
+    assert min(last) - min(first) < 24
+
+
+def test_images_are_reproducible(egl, head):
+    scene = fr.Scene(head, SIDE)
+    with fr.Renderer((128, 128), backend=egl) as renderer:
+        first = renderer.render(scene).linear
+        renderer.render(fr.Scene(head))
+        np.testing.assert_array_equal(renderer.render(scene).linear, first)
+    with fr.Renderer((128, 128), backend=egl) as renderer:
+        np.testing.assert_array_equal(renderer.render(scene).linear, first)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -927,3 +928,16 @@ def test_info_lists_shapes_and_clips(tmp_path, capsys):
     assert lines[first + 10 : first + 12] == ["2 clips:", "  walk damaged, grow 1.25 s"]
     assert main(["info", str(files.MINI_HEAD)]) == 0
     assert "shapes" not in capsys.readouterr().out
+
+
+def test_a_million_keys():
+    file = Glb({"mesh": 0})
+    file.mesh(file.primitive(*cube()))
+    times = np.linspace(0, 1000, 10**6).astype("<f4")
+    file.clip((0, "translation", times, np.stack([times, 0 * times, 0 * times], axis=1)))
+    mesh = file.load()
+    start = time.perf_counter()
+    for at in np.linspace(0, 1000, 100):
+        centre = mesh.with_pose(time=at).parts[0].positions.mean(axis=0)
+        np.testing.assert_allclose(centre, (at, 0, 0), atol=1e-3)
+    assert time.perf_counter() - start < 2.0  # 20 ms each; reading all keys takes longer

@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
+import weakref
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
+from facerender.commands.render import sheet
 from facerender.images.animation import MOVING
 from facerender.images.files import read_image
 from tests.awkward_files import MINI_HEAD
@@ -389,3 +392,16 @@ def test_display_of_frames(frame: fr.Frame):
         output = repr(renderer.gbuffer(fr.Scene(fr.load_mesh(MINI_HEAD))))
     assert output.startswith("<GBuffer 24 x 20, ")
     assert len(output) < 50
+
+
+def test_sheet_does_not_keep_its_images(frame: fr.Frame):
+    alive: weakref.WeakSet[fr.Frame] = weakref.WeakSet()
+
+    def frames() -> Iterator[fr.Frame]:
+        for _ in range(7):
+            image = replace(frame)
+            alive.add(image)
+            yield image
+            assert len(alive) <= 2
+
+    assert sheet(frames(), 7, None).linear.shape == (60, 72, 4)
