@@ -1,5 +1,5 @@
 """Images of a distorting lens: the undistorted image that the renderer draws for them, and its
-resampling. ``scenes.distortion`` has the model. No OpenGL here."""
+resampling. ``scenes.camera`` has the model. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Lens:
     wide : width and height of the undistorted image, which contains every pixel of the distorted
         image and resolves it at least as finely
     intrinsics : matrix K of the undistorted image
-    coefficients : see ``scenes.distortion``
+    coefficients : see ``scenes.camera``
     focal : (fx, fy) of the distorted image in its pixels
     places : (H * W, 2) float32, position of each pixel's centre in the undistorted image
     taps : (H * W,) uint8, taps per side of each pixel

@@ -278,7 +278,7 @@ def _timed(
 
 
 TABLE = Path(__file__).with_name("prices.json")
-FRAME = "frame"  # prices whole frames; see ``planning/frame_times.py``
+FRAME = "frame"  # prices whole frames; see ``planning/search.py``
 HERE = "here"
 
 Pair = tuple[float, float]
