@@ -167,7 +167,7 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
                 f"--{name} {clipped(path)}: unknown format {suffix!r}; give {', '.join(suffixes)}"
             )
     if options.heatmap:
-        pictures.check_installed()
+        pictures.check_flip_installed()
     written = [getattr(options, name) for name in OUTPUTS]
     check_outputs(written, [*images, options.mask, options.limits])
 

@@ -248,7 +248,7 @@ def image_error(
     steps = np.abs(displayed.astype(int) - expected)[covered].max(axis=-1)
     flip_error = None
     with suppress(InputError):  # the package for FLIP may be missing
-        flip_error = float(pictures.errors(expected / 255.0, displayed / 255.0).mean())
+        flip_error = float(pictures.flip_errors(expected / 255.0, displayed / 255.0).mean())
     return ImageError(
         point=point_error(image, reference),
         block=block_error(image, reference, covered.astype(np.float64)),

@@ -105,7 +105,7 @@ class Budget:
         shown, expected = self._displayed(image), self._displayed(reference)
         if self.unit == "display":
             return np.asarray(np.abs(shown - expected).max(axis=-1))
-        return pictures.errors(expected, shown)
+        return pictures.flip_errors(expected, shown)
 
     def spared(self, covered: int) -> int:
         """Return the number of an image's covered pixels that may exceed the limit."""

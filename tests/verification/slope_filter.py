@@ -114,7 +114,7 @@ def lost(image: NDArray[np.floating], reference: NDArray[np.floating]) -> Lost:
     return Lost(
         float(value[bright].sum() / total - 1.0),
         float(np.abs(value - expected)[bright].sum() / total),
-        float(pictures.errors(*shown)[whole].mean()),
+        float(pictures.flip_errors(*shown)[whole].mean()),
     )
 
 
