@@ -14,8 +14,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing.context import is_software
 from facerender.errors import InputError
-from facerender.measure import measurement as error
-from facerender.measure import measurement as run
+from facerender.measure import measurement as measuring
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError
 from facerender.measure.report import content
 from facerender.pricing import cost
@@ -63,16 +62,17 @@ def test_software_drivers_are_known(renderer, software):
 
 def test_lobe_error_is_signed_and_relative_to_the_peak():
     degrees = np.linspace(0.0, 90.0, 9001)
-    d16 = error.lobe_error("d16", 0.4, 4)
+    d16 = measuring.lobe_error("d16", 0.4, 4)
     assert 100.0 * np.abs(d16).max() == pytest.approx(9.50, abs=0.01)
     assert d16[0] == 0.0
-    np.testing.assert_array_equal(d16[::100], error.lobe_error("d16", 0.4, 4, degrees[::100]))
+    np.testing.assert_array_equal(d16[::100], measuring.lobe_error("d16", 0.4, 4, degrees[::100]))
 
 
 def test_brdf_error():
-    assert error.brdf_error(fr.Shading(), 0.3) == 0.0
+    assert measuring.brdf_error(fr.Shading(), 0.3) == 0.0
     fine, fitted, d16 = (
-        error.brdf_error(fr.Shading("ward", lobe), 0.3) for lobe in ("fitted-fine", "fitted", "d16")
+        measuring.brdf_error(fr.Shading("ward", lobe), 0.3)
+        for lobe in ("fitted-fine", "fitted", "d16")
     )
     assert 0.0 < fine < fitted < d16 < 0.1
 
@@ -80,16 +80,16 @@ def test_brdf_error():
 def test_image_error_separates_pixels_from_weights():
     reference = np.full((64, 64, 3), 0.5)
     covered = np.ones((64, 64), bool)
-    same = error.image_error(reference.astype(np.float32), reference, covered)
+    same = measuring.image_error(reference.astype(np.float32), reference, covered)
     assert (same.point, same.block, same.largest, same.steps, same.flip) == (0, 0, 0, 0, 0)
     spot = reference.copy()
     spot[20, 20] += 0.2
-    pixel = error.image_error(spot.astype(np.float32), reference, covered)
+    pixel = measuring.image_error(spot.astype(np.float32), reference, covered)
     assert pixel.point == pytest.approx(0.2)
     assert pixel.block < 0.002
     assert pixel.largest == pytest.approx(0.4)
     assert pixel.percentile == 0.0
-    weight = error.image_error((reference * 1.04).astype(np.float32), reference, covered)
+    weight = measuring.image_error((reference * 1.04).astype(np.float32), reference, covered)
     assert weight.block == pytest.approx(0.04, rel=1e-4)
     assert weight.steps == weight.steps_percentile == 3
 
@@ -98,7 +98,7 @@ def test_image_error_separates_pixels_from_weights():
 def test_image_errors_are_in_the_order_of_the_lobes(egl, head):
     scene = fr.Scene(head.with_material(m=0.4))
     shadings = [fr.Shading(lobe=lobe) for lobe in ("exact", "fitted", "d16")]
-    exact, fitted, d16 = error.image_errors(scene, shadings, (128, 128), egl)[2]
+    exact, fitted, d16 = measuring.image_errors(scene, shadings, (128, 128), egl)[2]
     assert exact.largest < 1e-4
     assert exact.largest < fitted.largest < d16.largest
     assert exact.steps <= 1 < d16.steps
@@ -108,12 +108,12 @@ def test_image_errors_are_in_the_order_of_the_lobes(egl, head):
 def test_image_of_the_published_d16_has_no_clamp(egl, coarse_head, model, m):
     scene = fr.Scene(coarse_head.with_material(m=m))
     clamped, published = (Variant(model, "d16", printed).shading for printed in (False, True))
-    _, images, errors = error.image_errors(scene, [clamped], (64, 64), egl, [published])
+    _, images, errors = measuring.image_errors(scene, [clamped], (64, 64), egl, [published])
     assert len(images) == 1
     d16, unclamped = errors
     assert 0.0 < 100.0 * d16.largest < unclamped.largest
-    assert error.brdf_error(published, m) > 1.0 > error.brdf_error(clamped, m)
-    assert error.brdf_error(published, 0.4) == pytest.approx(error.brdf_error(clamped, 0.4))
+    assert measuring.brdf_error(published, m) > 1.0 > measuring.brdf_error(clamped, m)
+    assert measuring.brdf_error(published, 0.4) == pytest.approx(measuring.brdf_error(clamped, 0.4))
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -177,7 +177,7 @@ def quickest(quicker, monkeypatch):
 def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     stages = []
-    measurement, triptychs = run.measure(
+    measurement, triptychs = measuring.measure(
         coarse_head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
     )
     assert measurement.not_measured == [
@@ -214,7 +214,7 @@ def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
         return frames(scene, *rest)
 
     monkeypatch.setattr(cost, "frames", record)
-    measurement, _ = run.measure(head, 0.25, quick=True, backend=egl)
+    measurement, _ = measuring.measure(head, 0.25, quick=True, backend=egl)
     assert [[each.m for each in mesh.materials] for mesh in drawn] == 2 * [[0.25, 0.9]]
     assert drawn[0].materials[0].roughness_map is None
     images = {row.variant.name: row.image_error for row in measurement.of_model("ward")}
@@ -226,10 +226,10 @@ def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
 def test_command_writes_everything(speed, egl, tmp_path, capsys, monkeypatch, request):
     request.getfixturevalue(speed)
     if speed == "quickest":
-        errors = error.image_errors
-        monkeypatch.setattr(run, "SLOPES", (0.3,))
+        errors = measuring.image_errors
+        monkeypatch.setattr(measuring, "SLOPES", (0.3,))
         monkeypatch.setattr(
-            error,
+            measuring,
             "image_errors",
             lambda scene, own, size, *rest: errors(scene, own, (64, 64), *rest),
         )

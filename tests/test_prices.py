@@ -21,7 +21,6 @@ from facerender.glsl.library import term_macros
 from facerender.lobes import GPower
 from facerender.pricing import cost
 from facerender.pricing import cost as scatter
-from facerender.pricing import table as fragment
 from facerender.pricing import table as prices
 from facerender.pricing.cost import INPUTS, Interval
 from facerender.pricing.table import (
@@ -41,7 +40,7 @@ from tests.verification.lights import PLAIN
 
 COMPILER = pytest.mark.compiler
 KEY = (PLAIN["key"],)
-PRICED = {part for part in (*fragment.PARTS, *scatter.PARTS) if "specular" not in part}
+PRICED = {part for part in (*prices.PARTS, *scatter.PARTS) if "specular" not in part}
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5), shadow=False)
 MAPS = ("albedo_map", "normal_map", *PROPERTY_MAPS)
 WHOLE = (  # scenes, and whether their lights have specular terms
@@ -175,8 +174,8 @@ def test_prices_of_lights_add_up_to_a_program(family, bare):
     scene = fr.Scene(mesh, lights=(PLAIN["rim"], *KEY, PLAIN["fill"]), ambient=0.0)
     factors = {"fresnel": "constant", "masking": "none"}
     wanted = [Shading(**each) for each in ({}, {"m": 0.3}, {"lobe": "d8"}, factors)]
-    lit = fragment.scene_with(directional=3)
-    whole = cycles([fragment.program_of(lit, shading) for shading in wanted], family)
+    lit = prices.scene_with(directional=3)
+    whole = cycles([prices.program_of(lit, shading) for shading in wanted], family)
     table = compiled_for(family, wanted)
     for shading, expected in zip(wanted, whole, strict=True):
         assert table.cost(scene, shading)[0] == pytest.approx(expected, rel=0.03), shading
@@ -201,7 +200,7 @@ def test_measured_prices_include_the_shared_part(egl, bare, monkeypatch):
     def times(names, first):
         return {name: Interval(i, i, i) for i, name in enumerate(names, first)}
 
-    monkeypatch.setattr(fragment, "by_slope", lambda **_: times(PARTS, 100))
+    monkeypatch.setattr(prices, "by_slope", lambda **_: times(PARTS, 100))
     monkeypatch.setattr(cost, "by_slope", lambda terms, **_: times(terms, 1))
     monkeypatch.setattr(scatter, "by_frames", lambda repeats: dict.fromkeys(scatter.PARTS, 7.0))
     found = load_prices("here", fr.Scene(bare.with_material(m=0.3), lights=KEY), [Shading()])
@@ -250,13 +249,13 @@ def test_parts_add_up_to_a_program(family, parts, shading, error):
         program_of(scene, shading, stub) if lit else program_of(scene) for scene, lit in WHOLE
     ]
     costs = compiled_parts(family, shading) if shading else parts
-    estimates = [fragment.estimate(program, costs) for program in programs]
+    estimates = [prices.estimate(program, costs) for program in programs]
     assert estimates == pytest.approx(cycles(programs, family), rel=error)
 
 
 def test_programs_determine_all_parts():
     matrix = np.array([list(parts_of(program).values()) for _, program in samples()])
-    assert abs(np.linalg.det(matrix)) == pytest.approx(fragment.FEW)
+    assert abs(np.linalg.det(matrix)) == pytest.approx(prices.FEW)
 
 
 def test_bad_input_is_named(family):
