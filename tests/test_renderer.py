@@ -7,6 +7,7 @@ import ctypes
 import gc
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tracemalloc
@@ -32,6 +33,7 @@ from facerender.lobes import GPower
 from facerender.measure.measurement import block_error
 from facerender.scenes.environment import studio
 from facerender.scenes.material import MAPS
+from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
 from tests.test_reference import (
@@ -39,6 +41,7 @@ from tests.test_reference import (
     around,
     compared,
     lit,
+    mixed,
     programs_of,
     shadows,
     skin,
@@ -648,3 +651,37 @@ def test_images_are_reproducible(egl, head):
         np.testing.assert_array_equal(renderer.render(scene).linear, first)
     with fr.Renderer((128, 128), backend=egl) as renderer:
         np.testing.assert_array_equal(renderer.render(scene).linear, first)
+
+
+def test_a_model_may_call_a_term_twice(egl, head, monkeypatch, tmp_path):
+    """The model has two lobes like skin, with slopes m and m/2."""
+    shaders = tmp_path / "shaders"
+    shutil.copytree(fr.shader_dir(), shaders)
+    (shaders / "facerender/two_lobes.glsl").write_text(
+        '#include "facerender/cook_torrance.glsl"\n'
+        "float two_lobes(vec3 n, vec3 l, vec3 v, float m, float f0, int lobe, int f, int g) {\n"
+        "    return 0.7 * fr_cook_torrance_terms(n, l, v, m, f0, lobe, f, g)\n"
+        "        + 0.3 * fr_cook_torrance_terms(n, l, v, 0.5 * m, f0, lobe, f, g);\n"
+        "}\n"
+    )
+
+    def two_lobes(n, l, v, m, f0, /, **terms):
+        one, other = (fr.brdf.cook_torrance(n, l, v, x, f0, **terms) for x in (m, 0.5 * m))
+        return 0.7 * one + 0.3 * other
+
+    entry = Model(
+        name="two-lobes",
+        title="Two lobes",
+        file="two_lobes",
+        call="two_lobes(n, l, v, {m}, f0, {lobe}, {fresnel}, {masking})",
+        k=4,
+        evaluate=two_lobes,
+        factors=True,
+        family="physical",
+    )
+    monkeypatch.setitem(MODELS, "two-lobes", entry)
+    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
+    with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
+        for terms in ({}, {"lobe": "d16", "fresnel": "constant", "masking": "none"}):
+            shading = fr.Shading("two-lobes", small_slope=True, **terms)
+            assert compared(renderer, mixed(head), shading)[2].max() < 1e-4
