@@ -21,6 +21,7 @@ from facerender.commands import main
 from facerender.loading import read as reading
 from facerender.scenes.framing import find_regions
 from facerender.system import cache
+from facerender.system.files import data_dir
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
 from tests.test_cli import assert_error
@@ -161,6 +162,14 @@ def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(
     assert images[0] == images[1] == images[2]
     assert imported[1] == "PIL"  # reading glTF does not need trimesh
     assert imported[2] == ""
+
+
+def test_property_maps_of_cached_meshes_are_not_packed_again(place):
+    head = data_dir("assets") / "head.glb"
+    load(head)
+    maps = [material.property_map for material in load(head).materials]
+    assert any(maps)
+    assert all(packed.levels("data").done() for packed in maps if packed)
 
 
 def test_cached_meshes_repeat_warnings(tmp_path, reads):

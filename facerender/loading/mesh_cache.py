@@ -169,6 +169,7 @@ def _start(mesh: Mesh) -> Chains:
 
 def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
     """Return the pieces of a cache entry: length of the facts, facts as JSON, arrays."""
+    materials = {id(material): material for material in mesh.materials}.values()  # as objects
     writer = _Writer({texture: i for i, texture in enumerate(chains)})
     textures = []
     for texture, futures in chains.items():
@@ -180,7 +181,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
     facts |= {
         "textures": writer.packed(textures),
         "mesh": writer.packed(mesh),
-        "property_maps": writer.packed([material.property_map for material in mesh.materials]),
+        "property_maps": writer.packed([material.property_map for material in materials]),
         "objects": writer.objects,
         "arrays": [(array.dtype.str, array.shape) for array in writer.arrays],
     }
@@ -252,13 +253,14 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         return lists[kind][content]
 
     lists["texture"] += [_texture(*unpacked(texture)) for texture in facts["textures"]]
+    property_maps = iter(unpacked(facts["property_maps"]))
     for name, attributes in facts["objects"]:
-        lists["object"].append(_type_of(name)(**unpacked({"table": attributes})))
+        value = _type_of(name)(**unpacked({"table": attributes}))
+        if name == "Material" and (packed := next(property_maps)) is not None:
+            # Sets the cached property before Mesh reads it, which would pack the maps again.
+            vars(value)["property_map"] = pack(*value.properties, packed)
+        lists["object"].append(value)
     mesh: Mesh = unpacked(facts["mesh"])
-    for material, packed in zip(mesh.materials, unpacked(facts["property_maps"]), strict=True):
-        if packed is not None:
-            property_map = pack(*material.properties, packed)
-            vars(material)["property_map"] = property_map  # sets the cached property
     return mesh
 
 
