@@ -258,7 +258,8 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         value = _type_of(name)(**unpacked({"table": attributes}))
         if name == "Material" and (packed := next(property_maps)) is not None:
             # Sets the cached property before Mesh reads it, which would pack the maps again.
-            vars(value)["property_map"] = pack(*value.properties, packed)
+            red, green, blue = value.properties
+            vars(value)["property_map"] = pack(red, green, blue, packed)
         lists["object"].append(value)
     mesh: Mesh = unpacked(facts["mesh"])
     return mesh
