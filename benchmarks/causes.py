@@ -30,9 +30,7 @@ from facerender.comparison.causes import (
     cause_of,
     strips,
 )
-from facerender.comparison.causes import (
-    Change as Changed,
-)
+from facerender.comparison.causes import Change as Changed
 from facerender.comparison.compare import compare
 from facerender.images.image import ImageData, image_from_array
 from facerender.scenes.lod import simplified

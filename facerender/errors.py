@@ -154,6 +154,11 @@ def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
     return elements
 
 
+def parameters(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass. As ``__getstate__``, pickles omit its cached properties."""
+    return {field.name: getattr(value, field.name) for field in fields(value)}
+
+
 def short_repr(value: Any) -> str:
     """Return the repr of a dataclass with only the fields that differ from their defaults."""
     words = []

@@ -36,16 +36,7 @@ from facerender.scenes.material import MAPS
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
-from tests.test_reference import (
-    SIDE,
-    around,
-    compared,
-    lit,
-    mixed,
-    programs_of,
-    shadows,
-    skin,
-)
+from tests.test_reference import SIDE, around, compared, lit, mixed, programs_of, shadows, skin
 from tests.verification.eye import CLEAR, eye
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.parts_head import parts_head

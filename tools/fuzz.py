@@ -89,13 +89,7 @@ def work(share: Share) -> NoReturn:
         from PIL import Image
 
         from tests.verification.fuzz.mutate import mutate
-        from tests.verification.fuzz.subjects import (
-            FAULTS,
-            OUTCOMES,
-            REDUCED,
-            examine,
-            subjects,
-        )
+        from tests.verification.fuzz.subjects import FAULTS, OUTCOMES, REDUCED, examine, subjects
 
         # Modules that are normally imported lazily.
         Image.init()

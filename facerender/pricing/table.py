@@ -34,7 +34,8 @@ from facerender.drawing.resources import Resources, set_uniforms
 from facerender.drawing.shade import with_shadows
 from facerender.errors import InputError, check_known
 from facerender.glsl.library import call, prelude
-from facerender.pricing.cost import INPUTS, SLOPE, Interval, clock_of, slopes
+from facerender.pricing import cost
+from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock_of, slopes
 from facerender.scenes.environment import Environment, studio
 from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import PROPERTY_MAPS, Material
@@ -45,7 +46,6 @@ from facerender.scenes.view import View
 from facerender.shading import Shading, Term
 from facerender.terms import lobe_entry
 
-SIZE = (512, 256)
 FEW = 2  # environment samples; compilers unroll a loop over two samples
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
 Timed = Callable[[int], float]  # draws N times and returns the seconds
@@ -517,7 +517,6 @@ def measured(
     ContextError : no OpenGL context
     """
     from facerender.drawing.context import create_context
-    from facerender.pricing import cost
 
     parts = {name: time.value for name, time in by_slope(repeats=repeats).items()}
     calls = {name: (prelude(term, SLOPE), call(term)) for name, term in terms.items()}

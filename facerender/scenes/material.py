@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_known, check_type, short_repr, shown
+from facerender.errors import InputError, check_known, check_type, parameters, short_repr, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import COLORS, MOST_RADIANCE, Vector
 from facerender.shading import WEIGHTS
@@ -106,6 +106,7 @@ class Material:
     double_sided: bool | None = None
 
     __repr__ = short_repr
+    __getstate__ = parameters
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -129,10 +130,6 @@ class Material:
             none = isinstance(self.scattering, str) and self.scattering == "none"
             profile = None if none else profile_of(self.scattering)
             object.__setattr__(self, "scattering", profile)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle only the parameters, not the cached properties."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def two_lobes(self) -> bool:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, each_of, shown, warn
+from facerender.errors import InputError, check_range, check_type, each_of, parameters, shown, warn
 from facerender.scenes.arrays import Corners, piece_of, unit_or
 from facerender.scenes.material import Alpha, Material, changed, check_maps, without_effect
 from facerender.scenes.repair import Piece, are_closed, clean, unique, used
@@ -176,9 +176,7 @@ class Mesh:
             raise InputError(f"regions = {shown(regions)}: give auto, head and face, or None")
         check_maps(self.name, self.materials)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle only the parameters, not the cached properties."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+    __getstate__ = parameters
 
     def __repr__(self) -> str:
         count = len(self.parts)

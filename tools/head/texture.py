@@ -17,13 +17,7 @@ from .lids import Lids, find_lids
 from .mouth import GUMS_RING, TEETH_RING, TONGUE_RING, Lining, find_lining
 from .noise import Noise, nearest, scatter
 from .regions import Regions, find_regions
-from .shape import (
-    fine_head_distance,
-    gradient,
-    head_distance,
-    in_blocks,
-    unit,
-)
+from .shape import fine_head_distance, gradient, head_distance, in_blocks, unit
 from .surface import Mesh
 from .unwrap import MOUTH_CENTRE, MOUTH_RADIUS, Texels, Unwrapped, find_texels
 

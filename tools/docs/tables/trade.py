@@ -9,12 +9,7 @@ from benchmarks.prices.amd import FAMILIES, Statistics
 from benchmarks.prices.offline import GPUS
 from facerender.measure.chart import CostKind
 from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
-from facerender.measure.report import (
-    Table,
-    cost_tables,
-    error_tables,
-    tables_of,
-)
+from facerender.measure.report import Table, cost_tables, error_tables, tables_of
 from facerender.pricing.cost import SLOPE, Interval, Variant
 from facerender.pricing.table import shipped, term_name
 from facerender.shading import Term
