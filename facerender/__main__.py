@@ -3,7 +3,7 @@ the imports, which take most of a short run."""
 
 from typing import NoReturn
 
-from facerender.system.process import heed_signals
+from facerender.system.signals import heed_signals
 
 
 def console() -> NoReturn:

@@ -15,7 +15,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.commands.common import groups_of
+from facerender.commands.output import groups_of
 from facerender.images.files import read_image
 from tests.awkward_files import MINI_HEAD
 from tests.test_help import PARSERS

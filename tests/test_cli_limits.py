@@ -17,7 +17,7 @@ import pytest
 
 import facerender as fr
 from facerender.commands import main
-from facerender.commands.common import Help, groups_of
+from facerender.commands.output import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.files import FRAME_RATES

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from facerender.commands import COMMANDS, main, parser_of
-from facerender.commands.common import EXAMPLES, Help, commands_of, groups_of
+from facerender.commands.output import EXAMPLES, Help, commands_of, groups_of
 from tests.awkward_files import MINI_HEAD
 
 SIZE = ("--size", "16", "--samples", "1")

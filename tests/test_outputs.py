@@ -318,7 +318,7 @@ def test_signal_during_imports(sent, word, tmp_path):
 ENDED = """
 import os, signal, subprocess, sys, threading
 from pathlib import Path
-from facerender.system.process import heed_signals, if_ended, temporary_folder
+from facerender.system.signals import heed_signals, if_ended, temporary_folder
 from facerender.system.files import write_whole
 from facerender.system.process import Bar
 
@@ -359,7 +359,7 @@ def test_signal_removes_partial_results(tmp_path):
 DRIVEN = """
 import os, signal, sys, time
 from pathlib import Path
-from facerender.system.process import heed_the_coordinator
+from facerender.system.signals import heed_the_coordinator
 from facerender.system.files import write_whole
 
 heed_the_coordinator()

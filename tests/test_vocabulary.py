@@ -14,7 +14,7 @@ import pytest
 
 import facerender as fr
 from facerender.commands import parser_of
-from facerender.commands.common import commands_of, groups_of
+from facerender.commands.output import commands_of, groups_of
 from facerender.commands.scene import job_of
 from facerender.scenes.camera import AZIMUTHS_BY_NAME
 from facerender.scenes.file import KEYS, STUDIO, scene_value, toml_text

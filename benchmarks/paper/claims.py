@@ -31,7 +31,7 @@ from facerender.pricing.cost import (
     bootstrap,
     by_slope,
 )
-from facerender.system.process import temporary_folder
+from facerender.system.signals import temporary_folder
 
 Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
 

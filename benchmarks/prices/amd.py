@@ -22,7 +22,7 @@ from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS
-from facerender.system.process import temporary_folder
+from facerender.system.signals import temporary_folder
 
 FAMILIES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
 ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))

@@ -23,7 +23,7 @@ from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS
-from facerender.system.process import temporary_folder
+from facerender.system.signals import temporary_folder
 
 # The compilers' names of the GPUs, and their architectures.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}

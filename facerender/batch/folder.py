@@ -37,7 +37,7 @@ from facerender.batch.records import (
 )
 from facerender.errors import InputError, reason
 from facerender.system.files import reported
-from facerender.system.process import if_ended
+from facerender.system.signals import if_ended
 
 _IN_MEMORY = 1 << 20  # maximum bytes of a temporary file in memory; a larger file is on disk
 

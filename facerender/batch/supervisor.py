@@ -50,7 +50,8 @@ from facerender.batch.records import (
     failure,
 )
 from facerender.errors import FacerenderError, InputError, clipped, warn
-from facerender.system.process import available, hold, if_ended, shows_bars
+from facerender.system.process import available, shows_bars
+from facerender.system.signals import hold, if_ended
 
 NAMED = 5  # maximum number of failed jobs, and of workers that ended, that are named
 

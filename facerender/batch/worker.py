@@ -38,7 +38,7 @@ from facerender.loading.source import named_files
 from facerender.scenes.file import ImageSettings
 from facerender.scenes.mesh import Mesh
 from facerender.system.files import CannotUse
-from facerender.system.process import heed_the_coordinator
+from facerender.system.signals import heed_the_coordinator
 
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
 

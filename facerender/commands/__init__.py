@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from facerender import __version__
-from facerender.commands.common import (
+from facerender.commands.output import (
     EXAMPLES,
     commands_of,
     make_usable,

@@ -14,15 +14,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facerender.commands.common import (
-    SIDE,
-    Help,
-    Options,
-    check_outputs,
-    part_materials,
-    print_message,
-    print_result,
-)
+from facerender.commands.common import SIDE, Options, check_outputs, part_materials
+from facerender.commands.output import Help, print_message, print_result
 from facerender.errors import InputError
 from facerender.scenes.file import ImageSettings
 from facerender.scenes.scene import ONLY

@@ -10,13 +10,13 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
-from facerender.errors import FacerenderError, InputError, reason, shown
+from facerender.commands.output import Help, print_message
+from facerender.errors import InputError, shown
 from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.loading.source import FORMATS, GLTF, named_files, source_of
 from facerender.scenes.file import STUDIO, ImageSettings, parse_part
@@ -24,172 +24,6 @@ from facerender.scenes.material import PRESETS
 from facerender.system.files import check_file, check_writable, remove_abandoned
 from facerender.system.process import Bar
 from facerender.terms.ranges import IntegerRange, Range, range_of
-
-
-def make_usable() -> None:
-    """Open closed standard streams, so that no other file gets their descriptors (0, 1 and 2), and
-    escape characters that a stream cannot encode."""
-    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(number, True)
-    os.close(number)
-    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
-    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
-
-
-def print_result(*lines: object, end: str = "\n") -> None:
-    """Print results.
-
-    Raises
-    ------
-    FacerenderError : standard output cannot be written
-    """
-    with _reported():
-        _print("\n".join(map(str, lines)) + end, sys.stdout)
-
-
-def print_bytes(content: bytes) -> None:
-    """Write bytes to standard output. For errors see :func:`print_result`."""
-    with _reported():
-        sys.stdout.buffer.write(content)
-        sys.stdout.buffer.flush()
-
-
-@contextmanager
-def _reported() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        _mute(sys.stdout)
-        raise FacerenderError(
-            f"cannot write standard output: {reason(error)}; redirect it to another place"
-        ) from None
-
-
-def print_message(*lines: object) -> None:
-    """Print messages on standard error, and ignore errors of this stream."""
-    try:
-        _print("\n".join(map(str, lines)) + "\n", sys.stderr)
-    except OSError:
-        _mute(sys.stderr)
-
-
-def _print(text: str, stream: TextIO) -> None:
-    bars: Any = sys.modules.get("tqdm")  # tqdm.write() prints without breaking progress bars
-    if bars is None:
-        stream.write(text)
-    else:
-        bars.tqdm.write(text, file=stream, end="")
-    stream.flush()
-
-
-def _mute(stream: TextIO) -> None:
-    """Discard the buffer of a stream, so that the interpreter does not fail to flush it at exit."""
-    with suppress(OSError), open(os.devnull, "wb") as nothing:
-        os.dup2(nothing.fileno(), stream.fileno())
-
-
-EXAMPLES = {
-    "render": (
-        "facerender render -o head.png",
-        "facerender render scan.obj --albedo skin.jpg --camera three-quarter -o scan.png",
-        "facerender render head.glb --hide '*lash*,hair' --m 0.25 --light key -o head.exr",
-        "facerender render head.obj --part 'eye*=cornea' --part 'lash*,opacity=0.8' -o eyes.png",
-        "facerender render --camera front --camera profile -o 'head-{name}.jpg'",
-        "facerender render --camera turntable:24 --frame head -o head.gif",
-        "facerender render --budget 1/255 --size 512 -o cheap.png",
-    ),
-    "info": ("facerender info head.glb", "facerender info scan.obj --json"),
-    "batch": (
-        "facerender batch jobs.csv -o out --size 256 --outputs image,mask,depth",
-        "facerender batch jobs.toml --check",
-        "facerender batch --status out",
-    ),
-    "plan": (
-        "facerender plan head.glb --budget 1/255",
-        "facerender plan --budget 0.5% --within 99% --camera turntable --size 256..1024",
-        "facerender plan --budget 1/255 --save-scene planned.toml --emit cheap.glsl --target 330",
-    ),
-    "measure": ("facerender measure --quick", "facerender measure head.glb --m 0.25 -o out/head"),
-    "compare": (
-        "facerender compare golden.exr new.exr",
-        "facerender compare goldens out --report report.html",
-        "facerender compare --calibrate runs -o limits.toml",
-    ),
-    "explore": ("facerender explore head.glb -o head.html",),
-    "shaders": (
-        "facerender shaders list",
-        "facerender shaders flatten cook_torrance --target 330 --lobe d16",
-    ),
-    "shaders list": ("facerender shaders list --json",),
-    "shaders path": ("facerender shaders path",),
-    "shaders flatten": (
-        "facerender shaders flatten cook_torrance --target es300 --lobe d16 --m 0.3 > skin.frag",
-        "facerender shaders flatten mine.frag > flat.frag",
-    ),
-    "doctor": ("facerender doctor",),
-}
-
-
-class Help(str):
-    """Help text of an option: "text, values unit (default). Note."
-
-    Attributes
-    ----------
-    text : effect of the option
-    default : value if the option is not given, or "required"
-    values : range, such as "0 to 1"; "" for a file, a switch or a choice
-    unit : unit of the values
-    note : further sentences, without the period at the end
-    """
-
-    text: str
-    default: str
-    values: str
-    unit: str
-    note: str
-
-    def __new__(
-        cls, text: str, default: str, values: str = "", unit: str = "", note: str = ""
-    ) -> Help:
-        limits = " ".join(filter(None, [values, unit]))
-        line = f"{', '.join(filter(None, [text, limits]))} ({default})"
-        line += f". {note}." if note else ""
-        help_text = super().__new__(cls, line.replace("%", "%%"))
-        vars(help_text).update(text=text, default=default, values=values, unit=unit, note=note)
-        return help_text
-
-
-def groups_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[argparse.Action]]]:
-    """Yield title and options of each group of a parser, read from private attributes."""
-    for group in parser._action_groups:
-        yield group.title or "", list(group._group_actions)
-
-
-def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    """Return the parsers of a parser's commands, keyed by command name."""
-    for _, actions in groups_of(parser):
-        for action in actions:
-            if isinstance(action.choices, dict):
-                return dict(action.choices)
-    return {}
-
-
-def usage_of(parser: argparse.ArgumentParser) -> str:
-    """Return a usage line with the positional arguments and the required options."""
-    words, optional = [parser.prog], False
-    for _, actions in groups_of(parser):
-        for action in actions:
-            name = str(action.metavar or "|".join(action.choices or ()))
-            if action.option_strings and action.required:
-                words.append(f"{action.option_strings[0]} {name}")
-            elif action.option_strings:
-                optional = optional or action.dest != "help"
-            else:
-                words.append(f"[{name}]" if action.nargs == "?" else name)
-    return " ".join([*words, *["[OPTION ...]"] * optional])
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:

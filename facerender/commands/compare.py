@@ -12,14 +12,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from facerender.commands.common import (
-    Help,
-    Options,
-    check_outputs,
-    print_message,
-    print_result,
-    progress_bar,
-)
+from facerender.commands.common import Options, check_outputs, progress_bar
+from facerender.commands.output import Help, print_message, print_result
 from facerender.comparison import pictures
 from facerender.comparison.result import LIMITS, Limits
 from facerender.comparison.sources import CHECKS, HIGHEST

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from facerender import __version__
-from facerender.commands.common import Help, print_result
+from facerender.commands.output import Help, print_result
 from facerender.drawing.context import AUTO, Finding, probe
 from facerender.system import cache
 

@@ -6,13 +6,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from facerender.commands.common import (
-    Options,
-    check_outputs,
-    import_trimesh,
-    print_result,
-    progress_bar,
-)
+from facerender.commands.common import Options, check_outputs, import_trimesh, progress_bar
+from facerender.commands.output import print_result
 from facerender.commands.scene import add_scene, files_read, job_of, plays
 from facerender.errors import InputError
 from facerender.explorer.page import TERM_FACTORS, explorer_page

@@ -12,7 +12,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import Options, import_trimesh, print_result
+from facerender.commands.common import Options, import_trimesh
+from facerender.commands.output import print_result
 from facerender.errors import FacerenderWarning, number_of
 from facerender.loading import load_mesh
 from facerender.loading.source import source_of

@@ -11,10 +11,9 @@ from facerender.commands.common import (
     import_trimesh,
     mesh_files,
     part_materials,
-    print_message,
-    print_result,
     progress_bar,
 )
+from facerender.commands.output import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.job import Job, MeshFile
 from facerender.scenes.material import Material

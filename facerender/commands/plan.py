@@ -7,15 +7,8 @@ import json
 import math
 import time
 
-from facerender.commands.common import (
-    SIDE,
-    Options,
-    check_outputs,
-    parse_sizes,
-    print_message,
-    print_result,
-    progress_bar,
-)
+from facerender.commands.common import SIDE, Options, check_outputs, parse_sizes, progress_bar
+from facerender.commands.output import print_message, print_result
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer

@@ -17,16 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from facerender.commands.common import (
-    SIDE,
-    Options,
-    check_inputs,
-    check_outputs,
-    print_bytes,
-    print_message,
-    print_result,
-    step_log,
-)
+from facerender.commands.common import SIDE, Options, check_inputs, check_outputs, step_log
+from facerender.commands.output import print_bytes, print_message, print_result
 from facerender.commands.scene import add_scene, files_read, job_of, load, plays, sequence
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import IMAGE_FORMATS, Frame

@@ -7,7 +7,8 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import Help, Options, print_result
+from facerender.commands.common import Options
+from facerender.commands.output import Help, print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 from facerender.terms.lobe import SLOPES

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from facerender.errors import InputError, clipped, reason
-from facerender.system.process import if_ended
+from facerender.system.signals import if_ended
 
 ABANDONED = 3600.0  # age in seconds at which a temporary file counts as abandoned
 TEMPORARY = ".facerender-"  # prefix of temporary files

@@ -7,7 +7,7 @@ from argparse import Action, ArgumentParser
 from collections.abc import Iterator
 
 from facerender.commands import COMMANDS, parser_of
-from facerender.commands.common import EXAMPLES, Help, commands_of, groups_of, usage_of
+from facerender.commands.output import EXAMPLES, Help, commands_of, groups_of, usage_of
 from tools.docs.tables import markdown_table
 
 HEAD = ("option", "value", "effect", "unit", "range", "default")

@@ -8,7 +8,7 @@ from dataclasses import fields
 from functools import cache
 
 from facerender.commands import parser_of
-from facerender.commands.common import commands_of, groups_of
+from facerender.commands.output import commands_of, groups_of
 from facerender.job import MeshFile
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
 from facerender.scenes.file import STUDIO, EnvironmentFile, ImageSettings, Pose
