@@ -91,6 +91,16 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
     assert "--quiet and --verbose exclude each other" in err
 
 
+def test_version_and_signal_handlers_do_not_wait_for_numpy():
+    code = (
+        "import sys, facerender.__main__\n"
+        "assert 'numpy' not in sys.modules, 'handlers are installed after this import'\n"
+        "from facerender.commands import main\n"
+        "assert main(['--version']) == 0 and 'numpy' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+
+
 @pytest.mark.slow
 def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
     code = (

@@ -1,5 +1,5 @@
-"""What the command line prints: help texts, results and messages, even if a stream is closed, is
-full or cannot encode a character.
+"""Text of the command line: help, results and messages, also if a stream is closed, is full or
+cannot encode a character.
 
 Every run imports this module, also ``--help`` and ``--version``, so it imports little."""
 
