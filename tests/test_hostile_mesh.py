@@ -23,7 +23,6 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.loading.obj import with_absolute
 from facerender.system import cache
 from facerender.system.files import data_dir
 from tests import awkward_files as files
@@ -345,8 +344,10 @@ def test_negative_indices_of_obj(tmp_path):
     (part,) = mesh.parts
     assert not any("dropped" in each for each in messages)
     np.testing.assert_array_equal(part.positions[part.faces].max(axis=1)[:, 2], [0, 9])
-    text, dropped = with_absolute(b"vt 0 0\n" + TRIANGLE + b"f -3/-1 -2/1 3/-1/\nf 1 2 # 3\n")
-    assert (text.splitlines()[-2:], dropped) == ([b"f 1/1 2/1 3/1/", b""], 1)
+    text = b"vt 0.5 1\n" + TRIANGLE + b"f -3/-1 -2/1 3/-1/\nf 1 2 # 3\nvt 0 0\n"
+    mesh, messages = loaded(write(tmp_path / "a.obj", text))
+    np.testing.assert_array_equal(mesh.parts[0].uv, [[0.5, 1]] * 3)
+    assert "a.obj has 1 faces with invalid vertex indices: dropped" in messages
 
 
 def test_a_vertex_far_out_is_named(tmp_path):

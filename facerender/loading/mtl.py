@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -94,7 +94,6 @@ def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.zeros_like(rows) if flat else np.asarray(np.gradient(rows, axis=axis))
 
 
-_LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 # Keyed by statement: field of the material, name in messages. If a material has several statements
 # for a field, the first of them in this table is used.
 _MAPS = {
@@ -147,28 +146,20 @@ class _Map:
 
 
 class Library:
-    """The materials of an OBJ file.
+    """The materials of an OBJ file."""
 
-    For trimesh, this is the resolver of an MTL file, which contains only the names of materials.
-    """
-
-    def __init__(self, data: bytes, referred: References, name: str, albedo_given: bool) -> None:
-        """Read the MTL files that an OBJ file names; errors as of :meth:`References.read`."""
+    def __init__(self, names: Iterable[str], referred: References, albedo_given: bool) -> None:
+        """Read the MTL files with the names after mtllib; errors as of :meth:`References.read`."""
         self.referred = referred
-        self.name = name
+        self.name = referred.name
         self.albedo_given = albedo_given
         self.materials: dict[str, dict[str, str]] = {}
         self.looks: dict[tuple[str, bool], tuple[Material, UvSpread]] = {}
         self.textures: dict[tuple[Any, ...], Texture | None] = {}
         self.warn = WarnOnce()
-        for line in dict.fromkeys(_LIBRARIES.findall(data)):
-            for content in self._contents(text_of(line)):
+        for line in dict.fromkeys(names):
+            for content in self._contents(line):
                 self._parse(content)
-
-    def get(self, _: str) -> bytes:
-        return "".join(f"newmtl {material}\n" for material in self.materials).encode()
-
-    __getitem__ = get
 
     def _contents(self, line: str) -> list[str]:
         """Return the content of the MTL file with the name ``line`` or, if this file is missing,
@@ -252,7 +243,7 @@ class Library:
         changes |= self._opacity(statements, "map_d" in statements)
         if changes["alpha"] == "mask" and preset_for(name) in _FINE:
             changes["alpha"] = "blend"
-        changes |= self._highlight(statements)
+        changes |= self._highlight(name, statements)
         if "normal_map" in uses:
             changes["normal_strength"] = uses["normal_map"].strength
         return Material(**changes), first.uv
@@ -303,7 +294,7 @@ class Library:
         kind = "blend" if opacity < 1.0 else "mask" if has_map else "opaque"
         return {"alpha": kind, "opacity": opacity}
 
-    def _highlight(self, statements: Mapping[str, str]) -> dict[str, Any]:
+    def _highlight(self, name: str, statements: Mapping[str, str]) -> dict[str, Any]:
         """Return the fields ks and m. m is Pr^2 or, without Pr, sqrt(2 / (Ns + 2)) with the
         Blinn-Phong exponent Ns.
 
@@ -311,7 +302,7 @@ class Library:
         """
         fields: dict[str, Any] = {}
         ks, ns, pr = (self._numbers(statements, key) for key in ("ks", "ns", "pr"))
-        if self.ignores_ks(statements):
+        if self.ignores_ks(name):
             ns = []
         elif any(ks):
             mean = sum(ks[:3]) / len(ks[:3])
@@ -322,9 +313,10 @@ class Library:
             fields["m"] = min(max(math.sqrt(2.0 / (ns[0] + 2.0)), MIN_SLOPE), MAX_SLOPE)
         return fields
 
-    def ignores_ks(self, statements: Mapping[str, str]) -> bool:
-        """Return whether Ks is 0 without a map. Many exporters write this by default, so that skin
-        gets its highlights nevertheless; :func:`facerender.scenes.hints.no_ks` hints at it."""
+    def ignores_ks(self, name: str) -> bool:
+        """Return whether Ks of a material is 0 without a map. Many exporters write this by default,
+        so that skin gets its highlights nevertheless; see :func:`facerender.scenes.hints.no_ks`."""
+        statements = self.materials.get(name, {})
         ks = self._numbers(statements, "ks")
         return bool(ks) and not any(ks) and "map_ks" not in statements
 

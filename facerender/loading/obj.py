@@ -1,218 +1,339 @@
-"""Prepare OBJ files for trimesh, which neither resolves negative references of faces nor keeps
-groups of the same material apart."""
+"""Read OBJ files. Lines are classified and parsed as arrays of bytes: an interpreted loop over the
+lines of a scan takes seconds. The reader keeps the objects, groups and materials of the faces, and
+the number that each vertex has in the file, which files of landmarks and of vertex positions use.
+
+References: Wavefront Technologies (1992), Advanced Visualizer, appendix B1, Object Files.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
 from facerender.images.image import srgb_to_linear
-from facerender.loading.source import color_bytes, text_of
-from facerender.scenes.repair import Piece
+from facerender.loading.mtl import Library
+from facerender.loading.source import References, color_bytes, no_faces, text_of
+from facerender.scenes.material import MAPS
+from facerender.scenes.repair import Piece, check_count
 
-# A face with a reference below 1. The reference -1 means the last element defined before the face;
-# the reference 0 is invalid.
-RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
-_LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
-_FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
-# A statement that sets the object, group or material of the following faces.
-_OWNER = re.compile(rb"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\r\n]*?))?[ \t]*\r?$", re.MULTILINE)
-_MOST_GROUPS = 256  # maximum number of parts: each part needs a draw call
-_KINDS = (b"v", b"vt", b"vn")  # vertex, texture coordinate, normal: the references of a corner
+_INDENT, _COMMENT = re.compile(r"^ +", re.MULTILINE), re.compile(rb"#[^\n]*")
+_MAX_GROUPS = 256  # maximum number of parts: each part needs a draw call
+_SPACE, _NEWLINE = b" \n"
+_Keys = tuple[str, str, str]  # names of object, group and material
 
 
-def normalized(data: bytes, file: str) -> bytes:
-    """Return an OBJ file as UTF-8 with the line ends and spaces that trimesh expects: it reads
-    neither tabs after keywords nor indented lines nor comments behind numbers.
+def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
+    """Return a piece for each combination of object, group and material that has faces. Its
+    vertices are the different corners of its faces, in the order of the vertices of the file.
+
+    Parameters
+    ----------
+    data : content of the file
+    references : reader of the MTL files and maps
+    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
 
     Raises
     ------
-    InputError : the file is UTF-16 without a byte order mark
+    InputError : the file has no faces, too many parts, or is UTF-16 without a byte order mark
+    ValueError : a vertex is not three numbers, or no face has valid references
     """
+    name = references.name
+    lines = _Lines(_normalized(data, name))
+    vertices, counts = lines.table(b"v", 7)
+    if not len(vertices) or not len(lines.numbers(b"f")):
+        raise no_faces(name, points=len(vertices) > 0 and not len(lines.numbers(b"f")))
+    if counts.min() < 3:
+        raise ValueError("its vertices do not have three coordinates")
+    colors = _colors(vertices, counts, name)
+    uv, normals = lines.table(b"vt", 2)[0], lines.table(b"vn", 3)[0]
+    libraries, owners, owner_lines = _owners(lines)
+    corners, faces, dropped = _faces(lines, (len(vertices), len(uv), len(normals)))
+    if not len(faces):
+        raise ValueError(f"none of its {dropped} faces has valid references")
+    spans = np.searchsorted(owner_lines, faces[:, 0]) - 1
+    parts, numbers = _parts(owners, spans, name)
+    check_count(len(parts), name)
+    library = Library(libraries, references, albedo_given)
+    materials = library.matched([" ".join(key[2].split()) for key in parts])
+    pieces = []
+    for index, (part_name, material_name) in enumerate(zip(_names(parts), materials, strict=True)):
+        material, transform = library.look(material_name, colors is not None)
+        triangles = _triangles(*faces[numbers == index, 1:].T)
+        part_corners, triangles = _vertices(corners, triangles)
+        sources = part_corners[:, 0]
+        part_uv = _at(uv, part_corners[:, 1])
+        if part_uv is None:
+            if any(getattr(material, key) for key in MAPS):
+                warn(f"{name} has no texture coordinates: its texture is ignored")
+        else:
+            if lacking := int((part_corners[:, 1] < 0).sum()):
+                warn(f"{name} has {lacking} vertices without texture coordinates: set to 0")
+            library.warn_of_tiles(material_name, part_uv[triangles])
+            part_uv = transform.applied(part_uv)
+        colored = colors is not None and material.albedo_map is None
+        piece = Piece(
+            positions=vertices[sources, :3],
+            faces=triangles,
+            normals=_at(normals, part_corners[:, 2]),
+            uv=part_uv,
+            colors=srgb_to_linear(colors[sources] / 255.0) if colored else None,
+            material=material,
+            name=part_name,
+            material_name=material_name,
+            sources=sources,
+            source_count=len(vertices),
+            ks_ignored=library.ignores_ks(material_name),
+        )
+        pieces.append(piece)
+    pieces[0].out_of_range = dropped
+    return pieces
+
+
+def _at(rows: NDArray[np.float64], indices: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Return the rows at indices; 0 at the index -1, and None if all indices are -1."""
+    lacking = indices < 0
+    return None if lacking.all() else np.where(lacking[:, None], 0.0, rows[indices])
+
+
+def _normalized(data: bytes, name: str) -> str:
+    """Return the text of an OBJ file with spaces instead of tabs, and without continuation lines
+    and indentation."""
     if any(half and not half.strip(b"\0") for half in (data[:128:2], data[1:128:2])):
-        raise InputError(f"{file} is UTF-16 without a byte order mark: save it as UTF-8")
+        raise InputError(f"{name} is UTF-16 without a byte order mark: save it as UTF-8")
     if b"#MRGB" in data:
-        warn(f"{file} has colours of ZBrush (#MRGB), which are not read: export it as .ply or .glb")
-    data = text_of(data).replace("\t", " ").replace("\\\n", "").encode()
-    for pattern in (_INDENTED, _COMMENT):
-        if pattern.search(data):
-            data = pattern.sub(rb"\1", data)
-    return data
+        warn(f"{name} has colours of ZBrush (#MRGB), which are not read: export it as .ply or .glb")
+    return _INDENT.sub("", text_of(data).replace("\t", " ").replace("\\\n", ""))
 
 
-def vertex_colors(data: bytes, file: str) -> NDArray[np.uint8] | None:
-    """Return the sRGB colour (N, 3) of each vertex of a normalised OBJ file, which follows its
-    position; None without colours. trimesh drops them in files with texture coordinates or
-    materials."""
-    columns = np.array(_COLORS.findall(data), dtype=np.bytes_).reshape(-1, 3)
-    missing = columns[:, 0] == b""
+class _Lines:
+    """The lines of an OBJ file.
+
+    Attributes
+    ----------
+    characters : (N,), the bytes of the file; a newline ends the last line
+    starts, ends : (L,), indices of the first byte and of the newline of each line
+    """
+
+    def __init__(self, text: str) -> None:
+        self.characters = np.frombuffer(text.encode() + b"\n", dtype=np.uint8)
+        self.ends = np.flatnonzero(self.characters == _NEWLINE)
+        self.starts = np.concatenate([[0], self.ends[:-1] + 1])
+
+    def numbers(self, key: bytes) -> NDArray[np.int64]:
+        """Return the indices of the lines whose first word is ``key``."""
+        lines = np.flatnonzero(self.ends - self.starts > len(key))
+        for offset, character in enumerate(key + b" "):
+            lines = lines[self.characters[self.starts[lines] + offset] == character]
+        return lines
+
+    def content(self, key: bytes) -> bytes:
+        """Return the lines whose first word is ``key``, with spaces instead of this word and
+        without comments."""
+        lines = self.numbers(key)
+        if not len(lines):
+            return b""
+        first, last = lines[0], lines[-1]
+        span = self.characters[self.starts[first] : self.ends[last] + 1]
+        lengths = self.ends[first : last + 1] - self.starts[first : last + 1] + 1
+        if len(lines) < len(lengths):
+            mask = np.zeros(len(lengths), dtype=bool)
+            mask[lines - first] = True
+            span, lengths = span[np.repeat(mask, lengths)], lengths[mask]
+        content = span.copy()
+        for offset in range(len(key)):
+            content[np.cumsum(lengths) - lengths + offset] = _SPACE
+        text = content.tobytes()
+        return _COMMENT.sub(b"", text) if b"#" in text else text
+
+    def table(self, key: bytes, width: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return the first ``width`` numbers of the lines whose first word is ``key``, (N, width),
+        and the count of numbers in each line, (N,). Missing numbers are 0."""
+        content = self.content(key)
+        characters = np.frombuffer(content, dtype=np.uint8)
+        begins = _word_starts(characters)
+        rows = np.cumsum(characters == _NEWLINE, dtype=np.int32)[begins]
+        values = _numbers(content, np.float64)
+        if len(values) != len(begins):
+            values = np.array(content.split(), dtype=np.float64)  # names the invalid number
+        counts = np.bincount(rows, minlength=content.count(b"\n"))
+        columns = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+        table = np.zeros((len(counts), width))
+        used = columns < width
+        table[rows[used], columns[used]] = values[used]
+        return table, counts
+
+
+def _word_starts(characters: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return the indices of the first characters of words; the text begins with a space."""
+    solid = characters > _SPACE
+    return np.flatnonzero(solid[1:] & ~solid[:-1]) + 1
+
+
+def _numbers(text: bytes, dtype: type[np.number[Any]]) -> NDArray[Any]:
+    """Return the numbers of a text up to the first invalid one."""
+    try:
+        return np.fromstring(text, dtype, sep=" ")
+    except (ValueError, DeprecationWarning):
+        return np.empty(0, dtype)
+
+
+def _colors(
+    vertices: NDArray[np.float64], counts: NDArray[np.int64], name: str
+) -> NDArray[np.uint8] | None:
+    """Return the sRGB colour (N, 3) of each vertex, which follows its position and, in some files,
+    its weight; None without colours."""
+    missing = (counts != 6) & (counts != 7)
     if missing.all():
         return None
-    try:
-        colors = color_bytes(np.where(missing[:, None], b"nan", columns).astype(np.float64))
-    except ValueError:
-        return None
+    columns = np.where((counts == 7)[:, None], vertices[:, 4:7], vertices[:, 3:6])
+    colors = color_bytes(np.where(missing[:, None], np.nan, columns))
     if missing.any():
-        warn(f"{file} has vertices without colour ({missing.sum()}): drawn white")
+        warn(f"{name} has vertices without colour ({missing.sum()}): drawn white")
         colors[missing] = 255
     return colors
 
 
-def with_absolute(data: bytes) -> tuple[bytes, int]:
-    """Convert the references in an OBJ file to absolute references. Return the new content, and the
-    number of faces dropped because of invalid references."""
-    totals = {
-        key: len(re.findall(rb"^[ \t]*" + key + rb"[ \t]", data, re.MULTILINE)) for key in _KINDS
-    }
-    counts = dict.fromkeys(_KINDS, 0)
-    dropped = 0
-
-    def repaired(line: re.Match[bytes]) -> bytes:
-        nonlocal dropped
-        if line[1] != b"f":
-            counts[line[1]] += 1
-            return line[0]
-        text, hash_, comment = line[2].partition(b"#")
-        corners = [_absolute(corner, counts, totals) for corner in text.split()]
-        if len(corners) < 3 or not all(corners):
-            dropped += 1
-            return b""
-        return b" ".join([b"f", *corners]) + hash_ + comment
-
-    return _LINE.sub(repaired, data), dropped
+def _owners(lines: _Lines) -> tuple[list[str], list[_Keys], list[int]]:
+    """Return the names of the MTL files, the names of object, group and material after each line
+    that changes one of them, and the indices of these lines. The first names are empty."""
+    libraries: list[str] = []
+    names = dict.fromkeys(("o", "g", "usemtl"), "")
+    owners, numbers = [("", "", "")], [-1]
+    for number in np.flatnonzero(np.isin(lines.characters[lines.starts], [*b"ogum"])).tolist():
+        line = lines.characters[lines.starts[number] : lines.ends[number]].tobytes().decode()
+        key, _, value = line.partition(" ")
+        if key == "mtllib":
+            libraries.append(value.strip())
+        elif key in names:
+            names[key] = value.strip()
+            owners.append((names["o"], names["g"], names["usemtl"]))
+            numbers.append(number)
+    return libraries, owners, numbers
 
 
-def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes, int]) -> bytes:
-    """Convert the references of a corner to absolute; return b"" if a reference is invalid."""
-    references: list[bytes] = []
-    for reference, key in zip(corner.split(b"/"), _KINDS, strict=False):
-        if not reference and key != b"v":
-            references.append(reference)
-            continue
-        try:
-            number = int(reference)
-        except ValueError:
-            return b""
-        number += counts[key] + 1 if number < 0 else 0
-        if not 1 <= number <= totals[key]:
-            return b""
-        references.append(b"%d" % number)
-    return b"/".join(references)
+def _parts(
+    owners: Sequence[_Keys], spans: NDArray[np.int64], name: str
+) -> tuple[list[_Keys], NDArray[np.int64]]:
+    """Return the names of the parts in file order, and the part of each face.
 
-
-# A vertex: position, in some files a weight, and a colour or nothing.
-_COLORS = re.compile(rb"^v(?: +\S+){3,4}?(?: +(\S+) +(\S+) +(\S+))? *$", re.MULTILINE)
-_INDENTED = re.compile(rb"^ +()", re.MULTILINE)
-_COMMENT = re.compile(rb"^((?:v[tn]?|f) [^\n#]*)#[^\n]*", re.MULTILINE)
-
-Owners = tuple[bytes, ...]  # names of object, group and material
-
-
-def with_parts(data: bytes, file: str) -> tuple[bytes, list[str], list[str]]:
-    """Rewrite an OBJ file to have one numbered object for each combination of object, group and
-    material that has faces. Return the content, and in order of object numbers the names of the
-    parts and of their materials, which are "" without usemtl.
-
-    A part is named after its group, or else its object, or else its material. Parts with the same
-    name are renamed to group.material or, if they share this name, too, to object.group.material.
+    spans : for each face, the index of its names in ``owners``
     """
-    owners = {b"o": b"", b"g": b"", b"usemtl": b""}
-    starts, ends, keys, heads = [0], [0], [tuple(owners.values())], [b""]
-    for line in _OWNER.finditer(data):
-        owners[line[1]] = line[2] or b""
-        starts.append(line.start())
-        ends.append(line.end())
-        keys.append(tuple(owners.values()))
-        heads.append(line[0] if line[1] == b"usemtl" else b"")
-    starts.append(len(data))
-    spans = [*zip(ends, starts[1:], strict=True)]
-    has_faces = [_FACE.search(data, *span) is not None for span in spans]
-    parts = _with_faces(keys, has_faces)
-    if len(parts) > _MOST_GROUPS:
-        keys = [(b"", b"", key[2]) for key in keys]
-        joined = _with_faces(keys, has_faces)
+    used, inverse = np.unique(spans, return_inverse=True)
+    keys = [owners[i] for i in used]
+    parts = [*dict.fromkeys(keys)]
+    if len(parts) > _MAX_GROUPS:
+        keys = [("", "", material) for *_, material in keys]
+        joined = [*dict.fromkeys(keys)]
         if len(joined) < len(parts):
             warn(
-                f"{file} has {len(parts)} groups with faces, but the limit is {_MOST_GROUPS} "
+                f"{name} has {len(parts)} groups with faces, but the limit is {_MAX_GROUPS} "
                 "parts: groups of the same material are joined"
             )
         parts = joined
-    materials = [" ".join(material.decode().split()) for *_, material in parts]
-    if len(parts) < 2:
-        return data, _names(parts), materials
     numbers = {key: number for number, key in enumerate(parts)}
-    lines = [
-        b"o %d\n%b%b" % (numbers.get(key, len(parts)), head, data[slice(*span)])
-        for key, head, span in zip(keys, heads, spans, strict=True)
-    ]
-    return b"".join(lines), _names(parts), materials
+    return parts, np.array([numbers[key] for key in keys])[inverse]
 
 
-def _with_faces(keys: Sequence[Owners], has_faces: Sequence[bool]) -> list[Owners]:
-    return [*dict.fromkeys(key for key, has_face in zip(keys, has_faces, strict=True) if has_face)]
-
-
-def _names(parts: Sequence[Owners]) -> list[str]:
+def _names(parts: Sequence[_Keys]) -> list[str]:
+    """Return the names of parts. A part is named after its group, or else its object, or else its
+    material. Parts with the same name are renamed to group.material or, if they share this name,
+    too, to object.group.material."""
     names = [group or owner or material for owner, group, material in parts]
     for which in (slice(1, 3), slice(0, 3)):
         counts = Counter(names)
         names = [
-            name if counts[name] == 1 else b".".join(filter(None, key[which]))
+            name if counts[name] == 1 else ".".join(filter(None, key[which]))
             for name, key in zip(names, parts, strict=True)
         ]
-    return [name.decode() for name in names]
+    return names
 
 
-_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
-_TRIANGLE = re.compile(rb"^[ \t]*f" + 3 * rb"[ \t]+(\d+)(?:/\S*)?" + rb"[ \t]*\r?$", re.MULTILINE)
-_MULTIPLIERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+def _faces(
+    lines: _Lines, totals: Sequence[int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Return the corners of the faces, the faces, and the number of dropped faces: those with
+    fewer than three corners or an invalid reference.
 
+    totals : numbers of vertices, texture coordinates and normals of the file
 
-def number_vertices(
-    data: bytes, pieces: Sequence[Piece], colors: NDArray[np.uint8] | None = None
-) -> None:
-    """Set the sources of the pieces of an OBJ file: the index of each vertex in the file. Set the
-    colours of pieces without albedo map.
-
-    trimesh splits vertices at texture seams and does not return the indices, so that positions
-    identify the vertices. If several vertices of the file share a position, the faces identify
-    them in a file with one piece of triangles; in other files the piece stays without sources.
-
-    colors : the result of :func:`vertex_colors`
+    Returns
+    -------
+    corners : (C, 3), indices of vertex, texture coordinate and normal, which is -1 if missing
+    faces : (F, 3), index of the line, index of the first corner, and number of corners
     """
-    try:
-        places = np.array(_VERTEX.findall(data), dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
-    except ValueError:  # trimesh accepts more than three numbers without spaces between them
-        return
-    hashes, first, counts = np.unique(_hashes(places), return_index=True, return_counts=True)
-    for piece in pieces:
-        rows = np.arange(len(places))
-        if len(pieces) > 1 or not np.array_equal(piece.positions, places):
-            matches = np.searchsorted(hashes, _hashes(piece.positions)).clip(max=len(hashes) - 1)
-            rows, known = first[matches], bool((counts[matches] == 1).all())
-            if not known and len(pieces) == 1 and (by_faces := _by_faces(data, piece)) is not None:
-                rows, known = by_faces, bool(by_faces.max() < len(places))
-            if known and (places[rows] == piece.positions).all():
-                piece.sources, piece.source_count = rows, len(places)
-        if colors is not None and piece.material.albedo_map is None and len(colors) == len(places):
-            piece.colors = srgb_to_linear(colors[rows.clip(max=len(places) - 1)] / 255.0)
+    characters = np.frombuffer(lines.content(b"f"), dtype=np.uint8).copy()
+    is_digit = (characters >= ord("0")) & (characters <= ord("9"))
+    is_slash = characters == ord("/")
+    is_sign = (characters == ord("-")) | (characters == ord("+"))
+    is_sign[1:] &= (characters[:-1] <= _SPACE) | is_slash[:-1]
+    is_sign[:-1] &= is_digit[1:]
+    rows = np.cumsum(characters == _NEWLINE, dtype=np.int32)  # index of the face
+    bad = (characters > _SPACE) & ~(is_digit | is_slash | is_sign)
+    if bad.any():  # an empty face is dropped
+        characters[np.isin(rows, rows[bad]) & (characters != _NEWLINE)] = _SPACE
+        is_slash = characters == ord("/")
+    begins = _word_starts(characters)
+    slashes = np.cumsum(is_slash, dtype=np.int32)
+    first_slashes = slashes[begins] - is_slash[begins]  # number of slashes before each corner
+    characters[is_slash] = _SPACE
+    number_begins = _word_starts(characters)
+    values = _numbers(characters.tobytes(), np.int64)
+    corner_of = np.searchsorted(begins, number_begins, side="right") - 1
+    field = slashes[number_begins] - first_slashes[corner_of]
+    face_of = rows[begins]
+    numbers = lines.numbers(b"f")
+    corners = np.full((len(begins), 3), -1)
+    invalid = np.zeros(len(begins), dtype=bool)
+    for column, (key, total) in enumerate(zip((b"v", b"vt", b"vn"), totals, strict=True)):
+        used = field == column
+        of, references = corner_of[used], values[used]
+        # A negative reference counts back from the last element before the face.
+        defined = np.searchsorted(lines.numbers(key), numbers)[face_of[of]]
+        indices = np.where(references < 0, references + defined, references - 1)
+        corners[of, column] = indices
+        invalid[of] |= (references == 0) | (indices < 0) | (indices >= total)
+    invalid |= corners[:, 0] < 0
+    counts = np.bincount(face_of, minlength=len(numbers))
+    good = (counts >= 3) & (np.bincount(face_of, invalid, len(numbers)) == 0)
+    faces = np.stack([numbers, np.cumsum(counts) - counts, counts], axis=1)[good]
+    return corners, faces, int((~good).sum())
 
 
-def _hashes(places: NDArray[np.float64]) -> NDArray[np.uint64]:
-    bits = np.ascontiguousarray(places + 0.0).view(np.uint64)  # -0 becomes 0
-    return np.asarray(np.bitwise_xor.reduce(bits * _MULTIPLIERS, axis=1))
+def _triangles(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the corners (T, 3) of the triangles of polygons, as fans around the first corner.
+
+    first, counts : (F,), index of the first corner and number of corners
+    """
+    steps = counts - 2
+    start = np.repeat(first, steps)
+    step = np.arange(len(start)) - np.repeat(np.cumsum(steps) - steps, steps)
+    triangles = np.stack([start, start + step + 1, start + step + 2], axis=1)
+    # The order of corners and triangles sets the last bits of computed normals. These are the
+    # orders of trimesh, with which earlier versions read OBJ files.
+    second = (np.repeat(counts, steps) == 4) & (step == 1)
+    triangles[second] = np.roll(triangles[second], -1, axis=1)
+    if (counts == 4).all():
+        triangles = np.concatenate([triangles[0::2], triangles[1::2]])
+    return triangles
 
 
-def _by_faces(data: bytes, piece: Piece) -> NDArray[np.int64] | None:
-    """Return the source of each vertex, if the faces of the piece are the triangles of the file."""
-    corners = np.array(_TRIANGLE.findall(data), dtype=np.bytes_)
-    if corners.shape != piece.faces.shape:
-        return None
-    sources = np.zeros(len(piece.positions), dtype=np.int64)
-    sources[piece.faces] = corners.astype(np.int64) - 1
-    return sources
+def _vertices(
+    corners: NDArray[np.int64], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the different corners (N, 3) that triangles use, in the order of their vertices, and
+    the triangles as indices into them."""
+    used = corners[triangles.reshape(-1)]
+    keys = used[:, 0]
+    for column in used[:, 1:].T:
+        size = int(column.max()) + 2
+        if int(keys.max()) * size > 1 << 62:
+            keys = np.unique(keys, return_inverse=True)[1]
+        keys = keys * size + column + 1
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return used[first], inverse.reshape(-1, 3)

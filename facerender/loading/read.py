@@ -17,17 +17,10 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
-from facerender.loading.from_trimesh import has_normals, piece_of
+from facerender.loading.from_trimesh import piece_of
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_document import damaged
-from facerender.loading.obj import (
-    RELATIVE,
-    normalized,
-    number_vertices,
-    vertex_colors,
-    with_absolute,
-    with_parts,
-)
+from facerender.loading.obj import read_obj
 from facerender.loading.source import (
     GLTF,
     TEXTURE_FILE,
@@ -37,6 +30,7 @@ from facerender.loading.source import (
     color_bytes,
     image_of,
     missing_image,
+    no_faces,
     text_of,
     unreadable,
 )
@@ -184,15 +178,12 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
     try:
         if suffix in GLTF:
             if not (pieces := read_gltf(data, references, albedo_given)):
-                raise _no_faces(name, points=False)
+                raise no_faces(name, points=False)
             return pieces, references
-        import trimesh  # noqa: F401  # creates the loggers that _quiet filters
-
-        with _quiet():
-            if suffix == ".obj":
-                pieces = _read_obj(data, name, references, albedo_given)
-            else:
-                pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
+        if suffix == ".obj":
+            pieces = read_obj(data, references, albedo_given)
+        else:
+            pieces = _read_ply_or_stl(data, name, suffix, references, albedo_given)
         for missing in () if albedo_given else references.missing():
             missing_image(references, missing)
     except InputError:
@@ -203,11 +194,6 @@ def read(source: Source, albedo_given: bool, allow_outside: bool) -> tuple[list[
         error.add_note(f"while reading {name}")
         raise
     return pieces, references
-
-
-def _no_faces(name: str, points: bool) -> InputError:
-    content = "only points and no faces" if points else "no geometry"
-    return InputError(f"{name} has {content}; give a triangle mesh")
 
 
 def _read_ply_or_stl(
@@ -344,43 +330,6 @@ def _ply_material(name: str, references: References, fatal: bool) -> Material | 
     return Material(albedo=(1.0, 1.0, 1.0), albedo_map=Texture.of(content, clipped(name, 80)))
 
 
-def _read_obj(data: bytes, name: str, references: References, albedo_given: bool) -> list[Piece]:
-    from facerender.loading.mtl import Library
-
-    data = normalized(data, name)
-    colors = vertex_colors(data, name)
-    library = Library(data, references, name, albedo_given)
-    data, names, materials = with_parts(data, name)
-    materials = library.matched(materials) or [""]
-    check_count(len(names), name)
-    data, out_of_range = with_absolute(data) if RELATIVE.search(data) else (data, 0)
-    try:
-        geometries = _geometries(data, ".obj", name, library)
-        lost = _lost_references(data, [*geometries.values()])
-    except InputError:
-        raise
-    except Exception:  # trimesh raises several exceptions for an invalid reference
-        lost = True
-    if lost:
-        data, dropped = with_absolute(data)
-        out_of_range += dropped
-        if out_of_range and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
-            raise ValueError(f"none of its {out_of_range} faces has valid references")
-        geometries = _geometries(data, ".obj", name, library)
-    numbered: list[tuple[int, Piece]] = []
-    for key, geometry in geometries.items():
-        number = int(key.partition("_")[0]) if len(names) > 1 else 0
-        options = library, materials[number], colors is not None
-        piece = piece_of(geometry, name, {}, False, *options)
-        piece.name = names[number]
-        numbered.append((number, piece))
-    numbered[0][1].out_of_range += out_of_range
-    _clear(*geometries.values())
-    pieces = [piece for _, piece in sorted(numbered, key=lambda pair: pair[0])]
-    number_vertices(data, pieces, colors)
-    return pieces
-
-
 def _clear(*loaded: object) -> None:
     """Clear trimesh objects. They form reference cycles, which would keep vertices and maps in
     memory until the garbage collector runs."""
@@ -419,22 +368,11 @@ def _geometries(
     }
     if not geometries:
         points = any(len(getattr(geometry, "vertices", ())) for geometry in scene.geometry.values())
-        raise _no_faces(name, points)
+        raise no_faces(name, points)
     _clear(scene)
     for geometry in geometries.values():
         check_faces(geometry.metadata)
     return geometries
-
-
-def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
-    """Return whether an OBJ file has texture coordinates or normals that trimesh lost."""
-    uv = re.search(rb"^f[ \t]+\d+/\d", data, re.MULTILINE)
-    normals = re.search(rb"^f[ \t]+\d+/\d*/\d", data, re.MULTILINE)
-    return any(
-        (uv and getattr(geometry.visual, "uv", None) is None)
-        or (normals and not has_normals(geometry))
-        for geometry in geometries
-    )
 
 
 def _checked_stl(data: bytes, name: str) -> bytes:

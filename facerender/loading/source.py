@@ -457,3 +457,9 @@ def missing_image(referred: References, name: str) -> None:
         f"{clipped(name, 80)} (named by {referred.name}) "
         f"{referred.why_not(name)}: rendering without it; {hint}"
     )
+
+
+def no_faces(name: str, points: bool) -> InputError:
+    """Return the error for a file without faces; ``points`` : whether it has vertices."""
+    content = "only points and no faces" if points else "no geometry"
+    return InputError(f"{name} has {content}; give a triangle mesh")
