@@ -423,7 +423,6 @@ REFUSED = [
         "its faces have different numbers of vertex_indices",
     ),
     ("a.ply", PLY.format(count=1) + "3 0 1 2\n" + "1\n" * 100, "its header declares 5 lines, but "),
-    ("a.ply", WITH_UV + "3 0 1 2\n3 0 1 -1\n", "a face uses vertex -1"),
     ("a.stl", STL[:-50], "triangles need 336184 bytes, but it has 336134"),
     ("a.stl", STL[:80] + b"\xff" * 4 + STL[84:], "4294967295 triangles need"),
     ("a.stl", b"solid facet\n" + b"endsolid\n" * 1025, "a.stl has more than 1024 parts"),
@@ -443,6 +442,12 @@ REFUSED = [
 @pytest.mark.parametrize(("name", "content", "message"), REFUSED, ids=itertools.count())
 def test_invalid_content_is_refused(name, content, message, tmp_path):
     assert message in refused(write(tmp_path / name, content))
+
+
+def test_invalid_face_indices_in_ply_with_texture_coordinates(tmp_path):
+    mesh, messages = loaded(write(tmp_path / "a.ply", WITH_UV + "3 0 1 2\n3 0 1 -1\n"))
+    assert messages == ["a.ply has 1 faces with invalid vertex indices: dropped"]
+    assert len(mesh.parts[0].faces) == 1
 
 
 def test_edges_of_a_ply_are_ignored(tmp_path):

@@ -96,7 +96,7 @@ def test_bytes_are_cached(cache_folder, monkeypatch):
     content = MINI_HEAD.read_bytes()
     first = fr.load_mesh(content, cache=True)
     wait_for_cache()
-    monkeypatch.setattr("facerender.loading.read.read", lambda *_: pytest.fail("it was read anew"))
+    monkeypatch.setattr("facerender.loading._pieces", lambda *_: pytest.fail("it was read anew"))
     assert_same(fr.load_mesh(content, cache=True), first)
 
 

@@ -12,11 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_path, check_switch, check_type, noting, warn
+from facerender.errors import InputError, check_path, check_switch, check_type, noting, reason, warn
 from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
+from facerender.loading.gltf_document import damaged
 from facerender.loading.mesh_cache import LoadOptions, MeshFiles
-from facerender.loading.source import GLTF, References, Source, source_of
+from facerender.loading.source import (
+    GLTF,
+    References,
+    Source,
+    check_format,
+    missing_image,
+    no_faces,
+    source_of,
+)
 from facerender.scenes.framing import find_regions
 from facerender.scenes.hints import remember
 from facerender.scenes.mesh import Mesh, names_of
@@ -172,13 +181,55 @@ def _read(
     source: Source, maps: Mapping[str, Path | Texture], options: LoadOptions
 ) -> tuple[Mesh, References]:
     """Return the mesh of a mesh file, and the files to which the mesh file refers."""
-    from facerender.loading.read import read  # a mesh from the cache does not need it
-
-    textures = _opened(maps)
+    textures, data = _opened(maps), source.read()
+    if not data:
+        raise InputError(f"{source.name} is an empty file; give a mesh file")
+    check_format(data, source.suffix, source.name)
+    references = References(source.name, source.folder, options.allow_outside)
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        pieces, references = read(source, "albedo_map" in maps, options.allow_outside)
+        pieces = _pieces(data, source.suffix, references, "albedo_map" in maps)
         millimetres = 1000.0 if source.suffix in GLTF else None
         return _assembled(pieces, source.name, millimetres, textures, options), references
+
+
+def _pieces(
+    data: bytes, suffix: str, references: References, albedo_given: bool
+) -> Sequence[Piece]:
+    """Return a piece for every geometry with faces. The readers are imported here: a mesh from the
+    cache does not need them.
+
+    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
+    """
+    try:
+        if suffix in GLTF:
+            from facerender.loading.gltf import read_gltf
+
+            pieces = read_gltf(data, references, albedo_given)
+        elif suffix == ".obj":
+            from facerender.loading.obj import read_obj
+
+            pieces = read_obj(data, references, albedo_given)
+        elif suffix == ".ply":
+            from facerender.loading.ply_stl import read_ply
+
+            pieces = read_ply(data, references, albedo_given)
+        else:
+            from facerender.loading.ply_stl import read_stl
+
+            pieces = read_stl(data, references.name)
+        if suffix not in GLTF and not albedo_given:
+            for missing in references.missing():
+                missing_image(references, missing)
+    except InputError:
+        raise
+    except (ValueError, LookupError, ArithmeticError) as error:
+        raise damaged(references.name, reason(error)) from None
+    except Exception as error:  # not a fault of the file, such as a missing package
+        error.add_note(f"while reading {references.name}")
+        raise
+    if not pieces:
+        raise no_faces(references.name, points=False)
+    return pieces
 
 
 def _assembled(

@@ -29,8 +29,6 @@ from facerender.system.process import MIB, limit
 if TYPE_CHECKING:
     import trimesh
 
-    from facerender.loading.mtl import Library
-
 
 def posed(mesh: Mesh, pose: Pose) -> Mesh:
     """Return a mesh in a pose.
@@ -141,7 +139,7 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
         for called, mesh, world in _instances(source):
             if not len(getattr(mesh, "faces", ())):  # not a mesh, such as a path
                 continue
-            piece = placed(piece_of(mesh, name, textures, False), world)
+            piece = placed(_piece(mesh, name, textures), world)
             pieces.append(replace(piece, name=called))
             check_count(len(pieces), name)
     except InputError:
@@ -164,87 +162,52 @@ def _instances(
         yield str(node), source.geometry[key], np.asarray(world, dtype=np.float64)
 
 
-def has_normals(geometry: trimesh.Trimesh) -> bool:
-    """Return whether a geometry has stored normals."""
-    # Reading vertex_normals computes missing normals. No public function of trimesh checks this.
-    return "vertex_normals" in geometry._cache.cache
-
-
-def piece_of(
-    geometry: trimesh.Trimesh,
-    name: str,
-    textures: dict[int, Texture],
-    lost_images: bool,
-    library: Library | None = None,
-    material_name: str = "",
-    colored: bool = False,
-) -> Piece:
+def _piece(geometry: trimesh.Trimesh, name: str, textures: dict[int, Texture]) -> Piece:
     """Return a trimesh geometry as a piece.
 
-    Parameters
-    ----------
-    name : name of the file, for messages
     textures : textures of earlier pieces, keyed by the ``id`` of the image. Pieces share a texture
         because Pillow decodes an image in one thread only
-    lost_images : whether an image that the file names is missing
-    library : the materials of an OBJ file, or None
-    material_name, colored : of an OBJ file: name of the material, and whether vertices have colours
     """
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if vertices.shape[1:] != (3,):
         raise ValueError("its vertices do not have three coordinates")
     faces = np.asarray(geometry.faces, dtype=np.int64)
     valid = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-    if not valid.all():  # also drop the colours of these faces, which trimesh converts later
-        geometry.update_faces(valid)
-        faces = np.asarray(geometry.faces, dtype=np.int64)
-    normals = geometry.vertex_normals if has_normals(geometry) else None
+    # Reading vertex_normals computes missing normals. No public function of trimesh tells whether
+    # the object has normals of its own.
+    has_normals = "vertex_normals" in geometry._cache.cache
     visual = geometry.visual
     uv = getattr(visual, "uv", None)
-    if uv is not None and len(uv) != len(vertices):
-        uv = None
-    if uv is not None:
+    if uv is not None and len(uv) == len(vertices):
         uv = np.array(uv, dtype=np.float64)[:, :2]
         uv = np.pad(uv, ((0, 0), (0, 2 - uv.shape[1])))  # v of a 1D coordinate is 0
-    has_colors = colored or visual.kind in ("vertex", "face")
-    colors = None
-    if visual.kind == "vertex":
-        colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
-    source = getattr(visual, "material", None)
-    if library is None:
-        material = _material(source, has_colors, name, textures)
-        material_name = str(getattr(source, "name", None) or "")
     else:
-        material, transform = library.look(material_name, has_colors)
-        if uv is not None:
-            library.warn_of_tiles(material_name, uv[faces])
-            uv = transform.applied(uv)
-    if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
-        # The file's white multiplies only the missing map.
-        material = replace(material, albedo=SKIN_ALBEDO)
+        uv = None
+    source = getattr(visual, "material", None)
+    material = _material(source, visual.kind in ("vertex", "face"), name, textures)
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
     piece = Piece(
         positions=vertices,
-        faces=faces,
-        normals=None if normals is None else np.asarray(normals, dtype=np.float64),
+        faces=faces[valid],
+        normals=np.asarray(geometry.vertex_normals, np.float64) if has_normals else None,
         uv=uv,
-        colors=colors,
+        colors=None,
         material=material,
         out_of_range=int((~valid).sum()),
-        material_name=material_name,
-        ks_ignored=library is not None
-        and library.ignores_ks(library.materials.get(material_name, {})),
+        material_name=str(getattr(source, "name", None) or ""),
     )
-    if visual.kind != "face":
-        return piece
-    # trimesh needs SciPy to convert these colours to vertices, and would blur them.
-    face_colors = srgb_to_linear(np.asarray(visual.face_colors)[:, :3] / 255.0)
-    return with_face_colors(piece, face_colors)
+    # Colours before the conversion by trimesh, which needs SciPy and would blur those of faces.
+    if visual.kind == "vertex":
+        piece.colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
+    elif visual.kind == "face":
+        colors = np.asarray(visual.face_colors)[valid, :3]
+        piece = with_face_colors(piece, srgb_to_linear(colors / 255.0))
+    return piece
 
 
 def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Texture]) -> Material:
-    """Convert the trimesh material, if any, of a trimesh object or of a PLY or STL file."""
+    """Convert the trimesh material, if any, of a trimesh object."""
     if hasattr(source, "baseColorFactor"):
         return _of_gltf(source, file, textures)
     image = None if source is None else source.image

@@ -64,8 +64,8 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
     pieces = []
     for index, (part_name, material_name) in enumerate(zip(_names(parts), materials, strict=True)):
         material, transform = library.look(material_name, colors is not None)
-        triangles = _triangles(*faces[numbers == index, 1:].T)
-        part_corners, triangles = _vertices(corners, triangles)
+        triangles = triangles_of(*faces[numbers == index, 1:].T)
+        part_corners, triangles = vertices_of(corners, triangles)
         sources = part_corners[:, 0]
         part_uv = _at(uv, part_corners[:, 1])
         if part_uv is None:
@@ -305,7 +305,7 @@ def _faces(
     return corners, faces, int((~good).sum())
 
 
-def _triangles(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def triangles_of(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the corners (T, 3) of the triangles of polygons, as fans around the first corner.
 
     first, counts : (F,), index of the first corner and number of corners
@@ -323,7 +323,7 @@ def _triangles(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[n
     return triangles
 
 
-def _vertices(
+def vertices_of(
     corners: NDArray[np.int64], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the different corners (N, 3) that triangles use, in the order of their vertices, and

@@ -1,0 +1,295 @@
+"""Read PLY and STL files, which trimesh decodes."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from io import BytesIO
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, clipped, reason, warn
+from facerender.images.image import srgb_to_linear
+from facerender.loading.obj import triangles_of, vertices_of
+from facerender.loading.source import (
+    TEXTURE_FILE,
+    References,
+    color_bytes,
+    image_of,
+    no_faces,
+    text_of,
+    unreadable,
+)
+from facerender.scenes.material import SKIN_ALBEDO, Material
+from facerender.scenes.repair import Piece, check_count, subset, with_face_colors, with_faces
+from facerender.scenes.texture import Texture
+
+_MAX_HEADER = 1 << 16  # longest header of a PLY file in bytes
+_BYTES = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16", "float16"), 2),
+    **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("double", "int64", "uint64", "float64"), 8),
+}
+_TYPE = "|".join(_BYTES)
+_LINES = re.compile(
+    r"ply|format (?:ascii|binary_little_endian|binary_big_endian) \S+|(?:comment|obj_info)\b.*|"
+    rf"element \S+ \d{{1,18}}|property (?:{_TYPE}) \S+|property list (?:{_TYPE}) (?:{_TYPE}) \S+"
+)
+_INDICES = ("vertex_index", "vertex_indices")
+_COLORS = (
+    *(("red", "green", "blue"), ("r", "g", "b"), ("Red", "Green", "Blue")),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+)
+_POSITION, _NORMAL = (("x", "y", "z"),), (("nx", "ny", "nz"),)
+_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
+_TRIANGLE = 50  # bytes per triangle of a binary STL file, after a header of 84 bytes
+_Columns = Mapping[str, NDArray[Any]]  # keyed by property
+
+
+def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
+    """Return a piece for each texture of a PLY file, or one piece without textures.
+
+    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
+
+    Raises
+    ------
+    InputError : the file has no faces, has triangle strips, or a texture is not an image
+    ValueError : the file is damaged
+    """
+    name = references.name
+    data, textures = _checked_ply(data, name)
+    vertex, face = _decoded_ply(data, name)
+    if not len(face) or not len(vertex):
+        raise no_faces(name, points=len(vertex) > 0)
+    arrays = [_stacked(vertex, names) for names in (_POSITION, _NORMAL, _UV)]
+    positions, normals, uv = (None if a is None else a.astype(np.float64) for a in arrays)
+    if positions is None:
+        raise ValueError("its vertices do not have three coordinates")
+    indices = next(face[key] for key in _INDICES if key in face)
+    sizes = np.array([len(polygon) for polygon in indices])
+    starts = np.cumsum(sizes) - sizes
+    # The order of trimesh.geometry.triangulate_quads sets the last bits of computed normals.
+    groups = [sizes == 3, sizes == 4, sizes > 4]
+    corners = np.concatenate([triangles_of(starts[group], sizes[group]) for group in groups])
+    vertices = _flat(indices).astype(np.int64)
+    valid = ((vertices >= 0) & (vertices < len(positions)))[corners].all(axis=1)
+    corners = corners[valid]
+    owners = np.searchsorted(starts, corners[:, 0], side="right") - 1
+    piece = Piece(
+        positions=positions,
+        faces=vertices[corners],
+        normals=normals,
+        uv=uv,
+        colors=None,
+        material=Material(albedo=SKIN_ALBEDO),
+        out_of_range=int((sizes < 3).sum() + (~valid).sum()),
+    )
+    if "texcoord" in face:
+        uv = _flat(face["texcoord"]).astype(np.float64).reshape(-1, 2)
+        _, first, numbers = np.unique(uv, axis=0, return_index=True, return_inverse=True)
+        used, faces = vertices_of(np.stack([vertices, numbers.reshape(-1)], axis=1), corners)
+        piece = with_faces(piece, faces, used[:, 0])
+        piece.uv = uv[first][used[:, 1]]
+    materials = [_texture_of(texture, references, not albedo_given) for texture in textures]
+    if not any(materials) or piece.uv is None:
+        if any(materials):
+            warn(f"{name} has no texture coordinates: its texture is ignored")
+        return [_colored(piece, vertex, face, owners, name)]
+    if len(textures) == 1 or "texnumber" not in face:
+        if len(textures) > 1:
+            warn(
+                f"{name} names {len(textures)} textures, but its faces have no texnumber: all get "
+                f"{clipped(textures[0], 60)}"
+            )
+        return [replace(piece, material=materials[0] or piece.material)]
+    numbers = face["texnumber"].reshape(-1)[owners].astype(np.int64)
+    pieces = []
+    for number in np.unique(numbers).tolist():
+        part = subset(piece, numbers == number)
+        if 0 <= number < len(textures):
+            part.name = PurePath(textures[number]).stem
+            part.material = materials[number] or part.material
+        else:
+            warn(f"{name} has {len(part.faces)} faces whose texnumber {number} names no texture")
+        pieces.append(part)
+    pieces[0].out_of_range = piece.out_of_range
+    return pieces
+
+
+def _colored(
+    piece: Piece, vertex: _Columns, face: _Columns, owners: NDArray[np.int64], name: str
+) -> Piece:
+    """Return a piece with the colours of the vertices or, without these, of the faces.
+
+    owners : (F,), for each triangle of the piece, the index of its polygon in the file
+    """
+    of_vertices, of_faces = (_stacked(columns, _COLORS) for columns in (vertex, face))
+    if of_vertices is not None and of_faces is not None:
+        warn(f"{name} has colours of vertices and of faces: the vertex colours are drawn")
+    colors = of_faces if of_vertices is None else of_vertices
+    if colors is None:
+        return piece
+    levels = srgb_to_linear(color_bytes(colors) / 255.0)
+    piece.material = Material(albedo=(1.0, 1.0, 1.0))
+    if of_vertices is None:
+        return with_face_colors(piece, levels[owners])
+    piece.colors = levels if piece.sources is None else levels[piece.sources]
+    return piece
+
+
+def _checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
+    """Check the header of a PLY file, which trimesh trusts. Return the content and the names of its
+    textures. Edges get another name, because trimesh would load a file with edges as a drawing."""
+    end = data.find(b"end_header", 0, _MAX_HEADER)
+    if not data.startswith(b"ply") or end < 0:
+        raise ValueError("it has no PLY header")
+    stripped = (" ".join(line.split()) for line in text_of(data[:end]).splitlines())
+    lines = [*filter(None, stripped)]
+    is_text = any(line.startswith("format ascii") for line in lines)
+    body = text_of(data[end:]).encode() if is_text and b"\r" in data[end:] else data[end:]
+    textures = []
+    count = rows = needed = 0
+    for line in lines:
+        if _LINES.fullmatch(line) is None:
+            raise ValueError(f"its header has the invalid line {clipped(line, 60)!r}")
+        words = line.split()
+        if words[0] == "element":
+            count = int(words[2])
+            rows += count
+            if words[1] == "tristrips" and count:
+                raise InputError(
+                    f"{name} has triangle strips, which are not supported; export it with triangles"
+                )
+        elif words[0] == "property":
+            needed += count * _least_bytes(words, is_text)
+        elif (comment := TEXTURE_FILE.fullmatch(line.encode())) is not None:
+            textures.append(comment[1].decode())
+    if needed > len(body):
+        raise ValueError(f"its header declares at least {needed} bytes, but it has {len(body)}")
+    if is_text and body.count(b"\n") > rows + 16:  # allows for blank lines at the end
+        raise ValueError(f"its header declares {rows} lines, but it has more")
+    header = "".join(f"{line}\n" for line in lines)
+    return header.replace("\nelement edge ", "\nelement line ").encode() + body, textures
+
+
+def _least_bytes(words: list[str], is_text: bool) -> int:
+    """Return the minimum size of a property's value in bytes; the vertex list of a face has at
+    least 3 entries."""
+    if words[1] != "list":
+        return 2 if is_text else _BYTES[words[1]]
+    entries = 3 if words[4] in _INDICES else 0
+    return 2 * (1 + entries) if is_text else _BYTES[words[2]] + entries * _BYTES[words[3]]
+
+
+def _decoded_ply(data: bytes, name: str) -> list[_Columns]:
+    """Return the properties of the vertices and of the faces. A list of one length is an array
+    (N, K), other lists are objects."""
+    from trimesh.exchange.ply import load_ply
+
+    try:
+        # Only this entry, which is private to trimesh, has all properties and the polygons.
+        content = load_ply(BytesIO(data), skip_materials=True, fix_texture=False)
+        elements = content["metadata"]["_ply_raw"]
+    except MemoryError:
+        raise
+    except Exception as error:  # trimesh raises many exceptions for damaged files
+        if "unexpected length" in str(error):
+            raise InputError(
+                f"{name} has faces with different numbers of corners, or lacks bytes: export it "
+                "with triangles only, or as text"
+            ) from None
+        raise ValueError(reason(error)) from None
+    tables = []
+    for element in ("vertex", "face"):
+        rows = elements.get(element, {}).get("data")
+        names = (rows.dtype.names or ()) if isinstance(rows, np.ndarray) else (rows or ())
+        columns = {key: np.asarray(rows[key]) for key in names if len(rows[key])}
+        for key, column in columns.items():
+            if column.dtype.names:  # a list of a binary file: counts and values
+                if (column["f0"] != column["f0"][0]).any():
+                    raise ValueError(f"its faces have different numbers of {clipped(key, 40)}")
+                columns[key] = column["f1"].reshape(len(column), -1)
+        tables.append(columns)
+    return tables
+
+
+def _flat(lists: NDArray[Any]) -> NDArray[Any]:
+    """Return the values of all lists of a property in one array."""
+    return np.concatenate(lists) if lists.dtype == object else lists.reshape(-1)
+
+
+def _stacked(columns: _Columns, alternatives: Sequence[tuple[str, ...]]) -> NDArray[Any] | None:
+    """Return the first alternative whose properties all exist, (N, K); None without one."""
+    for names in alternatives:
+        if all(name in columns for name in names):
+            return np.stack([columns[name].reshape(-1) for name in names], axis=1)
+    return None
+
+
+def _texture_of(name: str, references: References, fatal: bool) -> Material | None:
+    """Return a material with a texture of a PLY file, or None if the texture is missing.
+
+    fatal : whether a texture that is not an image raises InputError instead of a warning
+    """
+    try:
+        content = references.read(name, "an image file")
+    except FileNotFoundError:
+        return None
+    try:
+        image_of(content)
+    except ValueError as error:
+        unreadable(f"{clipped(name, 80)} (named by {references.name})", "albedo", error, fatal)
+        return None
+    return Material(albedo=(1.0, 1.0, 1.0), albedo_map=Texture.of(content, clipped(name, 80)))
+
+
+def read_stl(data: bytes, name: str) -> list[Piece]:
+    """Return a piece for each solid of an STL file: binary, or text in any encoding. Bytes after
+    the last triangle of a binary file are ignored with a warning.
+
+    Raises
+    ------
+    InputError : the file has too many solids
+    ValueError : the file is damaged
+    """
+    from trimesh.exchange.stl import load_stl
+
+    if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
+        data = text_of(data).encode()
+        check_count(data.lower().count(b"endsolid"), name)
+    else:
+        (count,) = struct.unpack_from("<I", data, 80)
+        needed = 84 + _TRIANGLE * count
+        if needed > len(data):
+            raise ValueError(f"{count} triangles need {needed} bytes, but it has {len(data)}")
+        if needed < len(data):
+            warn(f"{name} has {len(data) - needed} bytes after its {count} triangles: ignored")
+        # VisCAM sets bit 15 of a coloured triangle's last word. Magics writes COLOR= in the header.
+        words = np.frombuffer(data, "<u2", count * (_TRIANGLE // 2), 84).reshape(count, -1)
+        if b"COLOR=" in data[:80] or (words[:, -1:] >> 15).any():
+            warn(f"{name} has colours of triangles, which are not read: export it as .ply or .glb")
+        data = data[:needed]
+    try:
+        content = load_stl(BytesIO(data))
+    except MemoryError:
+        raise
+    except Exception as error:  # trimesh raises many exceptions for damaged files
+        raise ValueError(reason(error)) from None
+    solids = content.get("geometry", {"": content}).values()
+    return [
+        Piece(
+            positions=solid["vertices"].astype(np.float64),
+            faces=solid["faces"],
+            normals=None,
+            uv=None,
+            colors=None,
+            material=Material(albedo=SKIN_ALBEDO),
+        )
+        for solid in solids
+    ]
