@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Mapping
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -66,8 +67,8 @@ def load_cameras(
             tables = _json(content, size) if suffix == ".json" else _arrays(content)
             cameras = named([_camera(table, size) for table in tables], Path(path).stem)
         except InputError as error:
-            place = "" if name in str(error) else f"{name}: "
-            raise InputError(f"{place}{error}") from None
+            message = str(error)
+            raise InputError(message if name in message else f"{name}: {message}") from None
     if not cameras:
         raise InputError(f"{name} has no cameras: add [[cameras]]")
     return cameras
@@ -83,36 +84,35 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     """
     document = document_of(chunks(content, name)[0], name)
     try:
-        nodes = [node for node in scene_nodes(document)[1] if "camera" in node.properties]
+        _, worlds, _ = scene_nodes(document)
     except ValueError as error:
         raise damaged(name, str(error)) from None
     cameras = []
-    for node in nodes:
-        camera = document["cameras"][node.properties["camera"]]
-        label = node.properties.get("name") or camera.get("name") or ""
+    for index, world in worlds.items():
+        node = document["nodes"][index]
+        if "camera" not in node:
+            continue
+        camera = document["cameras"][node["camera"]]
+        label = node.get("name") or camera.get("name") or ""
         if "perspective" not in camera:
             raise InputError(
                 f"camera {shown(label)} of {name} is orthographic: give a perspective one"
             )
-        cameras.append(_looking(node.world, camera["perspective"]["yfov"], label))
+        with np.errstate(all="ignore"):
+            pose = _world_to_camera(world / [*np.linalg.norm(world[:3, :3], axis=0), 1.0])
+        fov = math.degrees(camera["perspective"]["yfov"])
+        cameras.append(Camera(fov=fov, extrinsics=pose, name=label))
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
     return named(cameras, "camera")
 
 
-def _looking(world: NDArray[np.float64], yfov: float, name: str) -> Camera:
-    """Return the camera of a node. The camera looks along the node's -z axis; its y axis is up."""
-    with np.errstate(all="ignore"):
-        axes = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0)
-        pose = _world_to_camera(axes, world[:3, 3])
-    return Camera(fov=math.degrees(yfov), extrinsics=pose.tolist(), name=name)
-
-
-def _world_to_camera(axes: NDArray[np.float64], position: NDArray[np.float64]) -> Any:
-    """Return [R|t] of OpenCV's camera space for a camera's axes in OpenGL's: x to the right, y up,
-    z backwards; each is a column."""
+def _world_to_camera(to_world: NDArray[np.float64]) -> Any:
+    """Return [R|t] of OpenCV's camera space for the pose of a camera whose space is OpenGL's: x to
+    the right, y up, z backwards."""
+    axes, position = to_world[:3, :3], to_world[:3, 3]
     turn = (axes * (1.0, -1.0, -1.0)).T
-    return np.column_stack([turn, -turn @ position])
+    return np.column_stack([turn, -turn @ position]).tolist()
 
 
 def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
@@ -134,10 +134,7 @@ def _of_frame(
     shared: Mapping[str, Any], frame: Any, size: tuple[int, int] | None
 ) -> dict[str, Any]:
     """Convert an item of "frames" in a transforms.json of nerfstudio or instant-ngp to a table with
-    matrices.
-
-    shared : the file's table, whose intrinsics apply to frames without their own
-    """
+    matrices. The file's table ``shared`` has the intrinsics of frames without their own."""
     table = dict(zip("wh", size or (), strict=False))
     table |= {**shared, **frame} if isinstance(frame, Mapping) else {}
     model = table.get("camera_model", "OPENCV")
@@ -145,8 +142,7 @@ def _of_frame(
     if is_fisheye or model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
         raise InputError(f"camera_model = {shown(model)}, or k4: give OPENCV, without fisheye")
     try:
-        to_world = np.array(table["transform_matrix"], dtype=np.float64)
-        pose = _world_to_camera(to_world[:3, :3], to_world[:3, 3])
+        pose = _world_to_camera(np.array(table["transform_matrix"], dtype=np.float64))
         width, height = float(table["w"]), float(table["h"])
         focal = table.get("fl_x") or width / 2.0 / math.tan(float(table["camera_angle_x"]) / 2.0)
         focal_y = focal
@@ -155,14 +151,13 @@ def _of_frame(
         x, y = table.get("cx", width / 2.0), table.get("cy", height / 2.0)
         k = [[focal, 0.0, x], [0.0, table.get("fl_y", focal_y), y], [0.0, 0.0, 1.0]]
         coefficients = [float(table.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3")]
-        size = int(width), int(height)
+        lens = {"distortion": coefficients} if any(coefficients) else {}
+        return {"K": k, "Rt": pose, "width": int(width), "height": int(height), **lens}
     except (KeyError, IndexError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(
             f"a frame cannot be read ({type(error).__name__} {reason(error)}): give "
             "transform_matrix, w, h (or --size), and fl_x or camera_angle_x"
         ) from None
-    lens = {"distortion": coefficients} if any(coefficients) else {}
-    return {"K": k, "Rt": pose.tolist(), "width": size[0], "height": size[1], **lens}
 
 
 def _arrays(content: bytes) -> list[dict[str, Any]]:
@@ -175,12 +170,13 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
             values = {key: np.asarray(arrays[key]) for key in arrays.files}
     except Exception as error:  # NumPy, zipfile and zlib raise many exceptions
         raise InputError(f"it is not a NumPy file ({reason(error)}); write it again") from None
-    if not (poses := [key for key in ("Rt", "R", "extrinsics") if key in values]):
+    pose = next((values[key] for key in ("Rt", "R", "extrinsics") if key in values), None)
+    if pose is None:
         raise InputError(
             f"it has no pose (arrays: {clipped(', '.join(values)) or 'none'}): give K, R and t"
         )
-    several = values[poses[0]].ndim == 3
-    count = len(values[poses[0]]) if several else 1
+    several = pose.ndim == 3
+    count = len(pose) if several else 1
     depths = {"R": 2, "Rt": 2, "K": 2, "extrinsics": 2, "intrinsics": 2, "t": 1, "size": 1}
     tables: list[dict[str, Any]] = [{} for _ in range(min(count, MOST_CAMERAS))]
     for key, value in values.items():
@@ -215,16 +211,15 @@ def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
         fields["extrinsics"] = pose.tolist()
     if "Rt" in fields:
         pose = fields.pop("Rt")
-        homogeneous = isinstance(pose, list) and len(pose) == 4 and pose[3] == [0, 0, 0, 1]
+        homogeneous = isinstance(pose, list) and pose[3:] == [[0, 0, 0, 1]]
         fields["extrinsics"] = pose[:3] if homogeneous else pose
     if "K" in fields:
         fields["intrinsics"] = fields.pop("K")
     for key in _DISTORTION:
         if key in fields:
-            numbers = fields.pop(key)
-            if isinstance(numbers, list) and all(isinstance(row, list) for row in numbers):
-                numbers = [number for row in numbers for number in row]
-            fields["distortion"] = numbers
+            rows = fields.pop(key)
+            nested = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+            fields["distortion"] = [*chain(*rows)] if nested else rows
     if "width" in fields and "height" in fields:
         fields["size"] = [fields.pop("width"), fields.pop("height")]
     if "intrinsics" in fields and size is not None:

@@ -10,7 +10,7 @@ painted maps."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,13 +62,10 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def _by_letters(names: Mapping[str, str]) -> dict[str, str]:
-    return {
-        "".join(_words(name)): preset for preset, text in names.items() for name in text.split()
-    }
-
-
-_WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = _by_letters(_WORDS), _by_letters(_WHOLE)
+_WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = (
+    {"".join(_words(name)): preset for preset, text in names.items() for name in text.split()}
+    for names in (_WORDS, _WHOLE)
+)
 _IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
 # Names of MakeHuman's eyes, which are known in a file with lashes or teeth.
 _EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
@@ -97,7 +94,7 @@ def mark_skin(pieces: Sequence[Piece]) -> None:
 def give_presets(pieces: Sequence[Piece], name: str) -> None:
     """Give presets to pieces with known names, and warn of it."""
     part_names: dict[str, list[str]] = {}
-    eyes = [piece for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
+    eyes = [id(piece) for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
     eye_map = _eye_map() if eyes else None
     for piece, preset in zip(pieces, _presets_of(pieces), strict=True):
         if eyes and _stem(piece) == "msclera":
@@ -107,7 +104,7 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
         piece.material, piece.preset = changed(piece.material, {"preset": preset}), preset
         if preset == "skin" and np.ptp(piece.material.albedo) < 0.02:  # grey
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
-        if eye_map and any(piece is eye for eye in eyes):
+        if eye_map and id(piece) in eyes:
             _close_pupil(piece)
             piece.material = replace(piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=eye_map)
         elif _stem(piece) == _LASHES and piece.uv is not None:
@@ -187,24 +184,22 @@ def _eye_map() -> Texture:
     ring = 1.0 - 0.7 * np.exp(-(((radius - _LIMBUS[0]) / 0.035) ** 2))
     white = _ramp(radius, *_LIMBUS)
     iris, sclera = (np.array(PRESETS[name]["albedo"]) for name in ("iris", "sclera"))
-    color = ((1.0 - white) * iris * depth + white * sclera) * ring
-    color = color * _ramp(radius, *_PUPIL)
+    color = ((1.0 - white) * iris * depth + white * sclera) * ring * _ramp(radius, *_PUPIL)
     return Texture.from_array(linear_to_srgb(np.clip(color, 0.0, 1.0)), "a painted eye")
 
 
 def _lash_map() -> Texture:
     """Return the opacity of cards of lashes: strands that become thinner towards their tips."""
     u, down = np.meshgrid((np.arange(4 * _SIDE) + 0.5) / (2 * _SIDE), (np.arange(64) + 0.5) / 64.0)
-    tiles = []
-    for row in range(6):
-        bend = 0.6 * np.sin(np.arange(_STRANDS + 1) * 2.4 + row)
-        place = (u % 1.0) * _STRANDS + 0.5 * row + 0.4 * down**2
-        number = np.floor(place).astype(int) % _STRANDS
-        off = np.abs(place % 1.0 - 0.5 - 0.3 * bend[number] * down)
-        length = (0.5 if row > 2 else 0.75) + 0.2 * np.cos(number * 1.7 + row)
-        width = 0.16 * np.clip(1.0 - down / length, 0.0, 1.0)
-        tiles.append(np.clip((width - off) * 12.0 + 0.5, 0.0, 1.0) * (width > 0.0))
-    return Texture.from_array(np.concatenate(tiles), "painted lashes")
+    card = np.arange(6)[:, None, None]
+    position = (u % 1.0) * _STRANDS + 0.5 * card + 0.4 * down**2
+    strand = np.floor(position).astype(int) % _STRANDS
+    bend = 0.6 * np.sin(strand * 2.4 + card)
+    distance = np.abs(position % 1.0 - 0.5 - 0.3 * bend * down)
+    length = np.where(card > 2, 0.5, 0.75) + 0.2 * np.cos(strand * 1.7 + card)
+    width = 0.16 * np.clip(1.0 - down / length, 0.0, 1.0)
+    opacity = np.clip((width - distance) * 12.0 + 0.5, 0.0, 1.0) * (width > 0.0)
+    return Texture.from_array(opacity.reshape(-1, 4 * _SIDE), "painted lashes")
 
 
 def _ramp(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason
 from facerender.loading.gltf_accessors import Buffers, RigReader
 from facerender.loading.gltf_document import EXTENSIONS, Doc, chunks, damaged, document_of
-from facerender.loading.gltf_material import Look, Materials, TextureTransform
+from facerender.loading.gltf_material import Materials, TextureTransform
 from facerender.loading.source import References
 from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
@@ -20,21 +21,21 @@ from facerender.scenes.repair import Piece, check_count, placed
 from facerender.scenes.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, morphed, skinned
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
+_TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
+_BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
+# Limit of the used vertices plus faces: 8 times the number of stored elements, plus 2^20.
+_TIMES, _MOST_REPEATED = 8, 1 << 20
+
+Float = NDArray[np.float64]
+_Weights = tuple[float, ...]  # of the morph targets
 
 
-@dataclass(frozen=True)
-class SceneNode:
-    """A node of a scene."""
+def scene_nodes(document: Doc) -> tuple[Skeleton, dict[int, Float], set[int]]:
+    """Return the nodes of a checked document's scene as a skeleton without clips, their world
+    matrices (4, 4), and the visible nodes. Without a scene, all nodes are used.
 
-    number: int
-    properties: Doc
-    world: NDArray[np.float64]  # (4, 4), transforms column vectors from node space to scene space
-    visible: bool  # whether the node and all of its ancestors are visible (KHR_node_visibility)
-
-
-def scene_nodes(document: Doc) -> tuple[Skeleton, Sequence[SceneNode]]:
-    """Return the nodes of a checked document's scene, parents first; without a scene, all nodes.
-    The skeleton has no clips.
+    The matrices are keyed by the node's index, parents first. A node is visible if it and all of
+    its ancestors are (KHR_node_visibility).
 
     Raises
     ------
@@ -47,7 +48,7 @@ def scene_nodes(document: Doc) -> tuple[Skeleton, Sequence[SceneNode]]:
         children = {child for node in nodes for child in node.get("children", ())}
         roots = sorted(set(range(len(nodes))) - children)
     tree: dict[int, Node] = {}
-    visible: dict[int | None, bool] = {None: True}
+    visible: set[int] = set()
     queue: list[tuple[int, int | None]] = [(index, None) for index in reversed(roots)]
     while queue:
         index, parent = queue.pop()
@@ -57,20 +58,11 @@ def scene_nodes(document: Doc) -> tuple[Skeleton, Sequence[SceneNode]]:
         transforms = {key: tuple(node[key]) for key in _TRANSFORMS if key in node}
         tree[index] = Node(index, parent, **transforms)
         visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
-        visible[index] = visible[parent] and visibility.get("visible", True)
+        if visibility.get("visible", True) and (parent is None or parent in visible):
+            visible.add(index)
         queue += [(child, index) for child in reversed(node.get("children", []))]
     skeleton = Skeleton(tuple(tree.values()))
-    worlds = skeleton.worlds({})
-    return skeleton, [SceneNode(i, nodes[i], worlds[i], visible[i]) for i in tree]
-
-
-_TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
-_DRACO = "KHR_draco_mesh_compression"
-_BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
-
-Float = NDArray[np.float64]
-_Joints = tuple[tuple[int, ...], Float | None]  # joints and inverse bind matrices (J, 4, 4)
-_Head = tuple[NDArray[np.bool_], float]  # mask of the joints of a head, height of the first
+    return skeleton, skeleton.worlds({}), visible
 
 
 class Primitive:
@@ -78,35 +70,45 @@ class Primitive:
 
     Attributes
     ----------
-    properties : the primitive's JSON object
     where : the primitive's path in the document, for messages
     positions : (N, 3), all vertices
+    extras : extras of the mesh and of the primitive, of any type
+    targets : accessors of the morph targets, keyed by POSITION and, with normals, NORMAL
     vertices : indices of the vertices that the faces use, or the slice of all vertices
     faces : (F, 3), indices into ``positions[vertices]``
-    corner_count : number of the primitive's vertex indices in the file
     out_of_range : number of faces that were dropped because they use a missing vertex
     """
 
-    def __init__(self, buffers: Buffers, properties: Doc, where: str) -> None:
+    def __init__(self, buffers: Buffers, mesh: Doc, index: int, where: str) -> None:
+        properties = mesh["primitives"][index]
         self.buffers, self.properties, self.where = buffers, properties, where
-        draco = properties.get("extensions", {}).get(_DRACO)
+        self.extras = mesh.get("extras"), properties.get("extras")
+        draco = properties.get("extensions", {}).get("KHR_draco_mesh_compression")
         self.decoded = {} if draco is None else self._draco(draco)
-        positions = self._attribute("POSITION", (3,))
-        assert positions is not None
-        self.positions = positions
+        keys = [key for key in ("POSITION", "NORMAL") if key in properties["attributes"]]
+        self.targets: list[dict[str, int]] = [
+            {key: target[key] for key in keys if key in target}
+            for target in properties.get("targets", ())
+        ]
+        self.positions = self._attribute("POSITION", (3,))
         corners = self._corners()
         self.corner_count = len(corners)
         faces = _triangles(corners, properties.get("mode", _TRIANGLES), where)
-        self.faces, self.vertices, self.out_of_range = _compact(faces, len(positions))
+        valid = (faces < len(self.positions)).all(axis=1)
+        self.out_of_range = len(faces) - int(valid.sum())
+        self.faces = faces[valid] if self.out_of_range else faces
+        self.vertices: NDArray[np.int64] | slice = slice(None)
+        # Primitives may share a vertex array, so most of its vertices may belong to others.
+        if len(self.positions) > 3 * len(self.faces):
+            self.vertices, inverse = np.unique(self.faces, return_inverse=True)
+            self.faces = inverse.reshape(-1, 3)
 
-    def _attribute(self, key: str, widths: tuple[int, ...]) -> NDArray[Any] | None:
-        accessors = self.properties["attributes"]
-        if key not in accessors:
-            return None
+    def _attribute(self, key: str, widths: tuple[int, ...]) -> NDArray[Any]:
+        accessor = self.properties["attributes"][key]
         if key in self.decoded:
-            values = self.buffers.converted(self.decoded[key], accessors[key])
+            values = self.buffers.converted(self.decoded[key], accessor)
         else:
-            values = self.buffers.accessor(accessors[key])
+            values = self.buffers.accessor(accessor)
         if values.ndim != 2 or values.shape[1] not in widths:
             raise ValueError(f"{self.where}: {key} has the wrong type")
         return values
@@ -124,12 +126,12 @@ class Primitive:
 
     def column(self, key: str, *widths: int) -> NDArray[Any] | None:
         """Return an attribute's values at ``vertices``, (N, K in ``widths``); None if missing."""
-        values = self._attribute(key, widths)
-        if values is not None and len(values) != len(self.positions):
-            raise ValueError(
-                f"{self.where}: {key} has {len(values)} entries, POSITION has {len(self.positions)}"
-            )
-        return None if values is None else values[self.vertices]
+        if key not in self.properties["attributes"]:
+            return None
+        values, count = self._attribute(key, widths), len(self.positions)
+        if len(values) != count:
+            raise ValueError(f"{self.where}: {key} has {len(values)} entries, POSITION has {count}")
+        return values[self.vertices]
 
     def uv(self, transform: TextureTransform | None) -> NDArray[np.float64] | None:
         """Return texture coordinates with v upwards; None if they are missing."""
@@ -162,10 +164,7 @@ class Primitive:
         content = bytes(self.buffers.view(draco["bufferView"]))
         try:
             decoded = DracoPy.decode(content)
-            arrays = {
-                attribute["unique_id"]: np.asarray(attribute["data"])
-                for attribute in decoded.attributes
-            }
+            arrays = {item["unique_id"]: np.asarray(item["data"]) for item in decoded.attributes}
             faces = getattr(decoded, "faces", None)
         except Exception as error:  # DracoPy raises several exceptions
             raise ValueError(f"{self.where}: DracoPy failed: {reason(error)}") from None
@@ -188,54 +187,6 @@ def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
     return strip
 
 
-def _compact(
-    faces: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64] | slice, int]:
-    """Return the valid faces as indices into the kept vertices, the indices of the kept vertices,
-    and the number of dropped faces.
-
-    Primitives may share a vertex array, so most of its vertices may belong to other primitives.
-    """
-    valid = (faces < count).all(axis=1)
-    out_of_range = len(faces) - int(valid.sum())
-    if out_of_range:
-        faces = faces[valid]
-    if count <= 3 * len(faces):
-        return faces, slice(None), out_of_range
-    vertices, inverse = np.unique(faces, return_inverse=True)
-    return inverse.reshape(-1, 3), vertices, out_of_range
-
-
-def head_bounds(
-    positions: Float,
-    joints: NDArray[Any],
-    weights: NDArray[Any],
-    of_head: NDArray[np.bool_],
-    height: float,
-) -> Float | None:
-    """Return the bounds (2, 3) of the vertices that follow the joints of a head, without hair far
-    below the head; None without such vertices.
-
-    Parameters
-    ----------
-    positions : (N, 3), skinned
-    joints, weights : (N, K), indices and weights of K joints per vertex
-    of_head : (J,), mask of the joints
-    height : y of the head's first joint
-    """
-    shares = np.where(of_head[joints], weights, 0.0).sum(axis=1)
-    head = positions[2.0 * shares > weights.sum(axis=1)]
-    if not len(head):
-        return None
-    low, high = head.min(axis=0), head.max(axis=0)
-    low[1] = max(low[1], height - _BELOW_JOINT * (high[1] - height))
-    return np.array([low, high])
-
-
-# Limit of the drawn vertices plus faces: 8 times the number of stored elements, plus 2^20.
-_TIMES, _MOST_REPEATED = 8, 1 << 20
-
-
 def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Piece]:
     """Return a piece for every primitive instance with triangles.
 
@@ -256,149 +207,125 @@ def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Pie
                 f"{name} requires the extension {clipped(extension, 60)}; export it without this"
             )
     try:
-        return _File(name, document, binary, referred, albedo_given).pieces()
+        return _File(Buffers(name, document, binary, referred), albedo_given).pieces()
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise damaged(name, reason(error)) from None
 
 
-@dataclass(frozen=True)
-class _Instance:
-    """An instance of a mesh, placed by a node."""
-
-    mesh: int
-    name: str
-    node: int
-    offset: Float | None  # transform of the instance within the node's space; None: no transform
-    world: Float
-    weights: tuple[float, ...]  # of the morph targets
-    skin: int | None  # index of the skin, whose joints place the mesh; None: the node places it
-    joints: _Joints | None
-
-
 class _File:
     """A glTF file with checked JSON and unchecked buffers. Methods raise ValueError if the data are
-    damaged."""
+    damaged.
 
-    def __init__(
-        self,
-        name: str,
-        document: Doc,
-        binary: memoryview | None,
-        referred: References,
-        albedo_given: bool,
-    ) -> None:
-        self.name = name
-        self.document = document
-        self.buffers = Buffers(name, document, binary, referred)
-        self.materials = Materials(self.buffers, albedo_given)
+    A mesh is read once per skin and weights of its nodes. Parameter ``skin`` is the index of the
+    skin whose joints place the mesh; None: the node places it.
+    """
+
+    def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
+        self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
+        self.materials = Materials(buffers, albedo_given)
         self.warn = self.materials.warn
-        self.worlds: dict[int, Float] = {}  # matrices, keyed by the node's index
-        self.rigs = RigReader(self.buffers)
-        self.skeleton = Skeleton(())
-        self.moving: set[int] | None = set()  # nodes that clips move; None: all
-        self.skins: dict[int | None, _Joints | None] = {}
-        self.shapes: dict[str, tuple[Shape, ...]] = {}  # keyed by the primitive's path
-        self.own: dict[int, int] = {}  # number of stored elements, keyed by the accessor's index
-        self.drawn = 0  # number of drawn vertices and faces
-
-    def pieces(self) -> list[Piece]:
         for extension in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
             self.warn(f"{self.name} uses {clipped(extension, 60)}, which is not supported: ignored")
-        meshes: dict[tuple[int, int | None, tuple[float, ...]], list[Piece]] = {}
+        skeleton, self.worlds, self.visible = scene_nodes(self.document)
+        self.rigs = RigReader(buffers)
+        clips = self.rigs.clips()
+        self.skeleton = replace(skeleton, clips=clips)
+        moved = {track.node for clip in clips for track in clip.tracks}
+        if any(clip.fault for clip in clips):
+            moved = {*self.worlds}  # a damaged clip may move any node; a rig reports the damage
+        self.moving = self.skeleton.below(moved)
+        # Joints and inverse bind matrices (J, 4, 4), keyed by the skin's index; None: skin ignored
+        self.skins: dict[int | None, tuple[tuple[int, ...], Float | None] | None] = {}
+        self.shapes: dict[str, tuple[Shape, ...]] = {}  # keyed by the primitive's path
+        self.stored: dict[int, int] = {}  # number of elements, keyed by the accessor's index
+        self.used = 0  # number of used vertices and faces, counted for every instance
+
+    def pieces(self) -> list[Piece]:
+        meshes: dict[tuple[int, int | None, _Weights], list[Piece]] = {}
         pieces = []
-        for instance in self._instances():
-            key = instance.mesh, instance.skin, instance.weights
+        for index, offsets in self._instances().items():
+            node = self.document["nodes"][index]
+            mesh = self.document["meshes"][node["mesh"]]
+            skin = node.get("skin") if self.skins.get(node.get("skin")) else None
+            weights = tuple(map(float, node.get("weights", mesh.get("weights", ()))))
+            label = node.get("name") or mesh.get("name")
+            key = node["mesh"], skin, weights
             if key not in meshes:
-                meshes[key] = self._mesh(instance)
-            for piece in meshes[key]:
-                self._count_drawn(len(piece.positions) + len(piece.faces))
-                name = ".".join(filter(None, (instance.name, piece.name)))
-                if rig := piece.rig:
-                    node, offset = instance.node, instance.offset
-                    nodes = {node} if rig.skin is None else {*rig.skin.joints}
-                    moves = rig.shapes or self.moving is None or self.moving & nodes
-                    rig = replace(rig, node=node, offset=offset) if moves else None
-                pieces.append(replace(placed(piece, instance.world), name=name, rig=rig))
+                meshes[key] = self._mesh(*key)
+            for offset in offsets:
+                world = self.worlds[index] if offset is None else self.worlds[index] @ offset
+                if skin is not None:
+                    world = np.eye(4)  # a skinned mesh ignores its node's transform
+                for piece in meshes[key]:
+                    self._count_used(len(piece.positions) + len(piece.faces))
+                    if rig := piece.rig:
+                        nodes = {index} if rig.skin is None else {*rig.skin.joints}
+                        moves = rig.shapes or self.moving & nodes
+                        rig = replace(rig, node=index, offset=offset) if moves else None
+                    name = ".".join(filter(None, (label, piece.name)))
+                    pieces.append(replace(placed(piece, world), name=name, rig=rig))
         return pieces
 
-    def _mesh(self, instance: _Instance) -> list[Piece]:
-        mesh = self.document["meshes"][instance.mesh]
-        head = None if instance.joints is None else self._head_joints(instance.joints[0])
-        where = f"meshes[{instance.mesh}].primitives"
-        primitives = enumerate(mesh["primitives"])
-        results = [self._piece(p, f"{where}[{i}]", instance, head) for i, p in primitives]
-        pieces = [*filter(None, results)]
+    def _mesh(self, index: int, skin: int | None, weights: _Weights) -> list[Piece]:
+        """Return the primitives with triangles as pieces in mesh space, or in scene space if they
+        are skinned."""
+        mesh = self.document["meshes"][index]
+        pieces = []
+        for i, properties in enumerate(mesh["primitives"]):
+            attributes = properties["attributes"]
+            if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
+                self.warn(f"{self.name} has points, lines or vertices without positions: not drawn")
+                continue
+            primitive = Primitive(self.buffers, mesh, i, f"meshes[{index}].primitives[{i}]")
+            pieces.append(self._piece(primitive, skin, weights))
         if len(pieces) == 1:
             pieces[0].name = ""  # the material's name is only needed to distinguish several pieces
         return pieces
 
-    def _count_drawn(self, count: int) -> None:
-        self.drawn += count
-        if self.drawn > _TIMES * sum(self.own.values()) + _MOST_REPEATED:
+    def _count_used(self, count: int) -> None:
+        self.used += count
+        if self.used > _TIMES * sum(self.stored.values()) + _MOST_REPEATED:
             raise InputError(
                 f"{self.name} draws its geometry more than {_TIMES} times: export fewer instances"
             )
 
     # --- nodes -----------------------------------------------------------------------------------
 
-    def _instances(self) -> list[_Instance]:
-        """Return all visible mesh instances. An instance is named after its node or, if the node
-        has no name, after its mesh."""
-        instances: list[_Instance] = []
+    def _instances(self) -> dict[int, Sequence[Float | None]]:
+        """Return the transforms of the instances of each visible node's mesh within the node's
+        space, keyed by the node's index; None: no transform."""
+        instances: dict[int, Sequence[Float | None]] = {}
         count = 0
-        self.skeleton, nodes = scene_nodes(self.document)
-        self.worlds = {scene_node.number: scene_node.world for scene_node in nodes}
-        if clips := self.rigs.clips():
-            self.skeleton = replace(self.skeleton, clips=clips)
-            # A damaged clip may move any node. Parts need a rig to report the damage.
-            self.moving = None
-            if not any(clip.fault for clip in clips):
-                moved = {track.node for clip in clips for track in clip.tracks}
-                self.moving = self.skeleton.below(moved)
-        for scene_node in nodes:
-            node = scene_node.properties
+        for index in self.worlds:
+            node = self.document["nodes"][index]
             extensions = node.get("extensions", {})
             if "KHR_lights_punctual" in extensions:
                 self.warn(f"{self.name} has lights (KHR_lights_punctual): ignored; use --light")
-            if "mesh" not in node or not scene_node.visible:
+            if "mesh" not in node or index not in self.visible:
                 continue
-            mesh = self.document["meshes"][node["mesh"]]
-            places = self._places(scene_node.number, extensions.get("EXT_mesh_gpu_instancing"))
-            count += len(mesh["primitives"]) * len(places)
+            instancing = extensions.get("EXT_mesh_gpu_instancing")
+            instances[index] = self._offsets(index, instancing) if instancing else [None]
+            primitives = self.document["meshes"][node["mesh"]]["primitives"]
+            count += len(primitives) * len(instances[index])
             check_count(count, self.name)
-            name = node.get("name") or mesh.get("name") or ""
-            weights = tuple(map(float, node.get("weights", mesh.get("weights", ()))))
-            skin, number = node.get("skin"), scene_node.number
-            if skin is not None and skin not in self.skins:
-                self.skins[skin] = self._joints(skin)
-            if (joints := self.skins.get(skin)) is None:
-                skin = None
-            for offset in places:
-                world = scene_node.world if offset is None else scene_node.world @ offset
-                if joints is not None:
-                    world = np.eye(4)  # a skinned mesh ignores its node's transform
-                instances.append(
-                    _Instance(node["mesh"], name, number, offset, world, weights, skin, joints)
-                )
+            if "skin" in node and node["skin"] not in self.skins:
+                self.skins[node["skin"]] = self._joints(node["skin"])
         return instances
 
-    def _places(self, index: int, instances: Doc | None) -> Sequence[Float | None]:
-        """Return the transform of each instance of a node's mesh within the node's space."""
-        if instances is None:
-            return [None]
-        accessors, keys = instances["attributes"], ("TRANSLATION", "ROTATION", "SCALE")
+    def _offsets(self, index: int, instancing: Doc) -> list[Float]:
+        """Return the transforms of a node's instances."""
+        accessors, keys = instancing["attributes"], ("TRANSLATION", "ROTATION", "SCALE")
         columns = {k.lower(): self.buffers.accessor(accessors[k]) for k in keys if k in accessors}
         for key, values in columns.items():
             if values.shape[1] != (4 if key == "rotation" else 3):
                 raise ValueError(f"nodes[{index}]: the {key} of its instances has the wrong type")
-        count = min((len(values) for values in columns.values()), default=0)
-        check_count(count, self.name)
-        rows = ({key: values[i] for key, values in columns.items()} for i in range(count))
-        return [local_matrix(**row) for row in rows]
+        check_count(min(map(len, columns.values()), default=0), self.name)
+        rows = zip(*columns.values(), strict=False)
+        return [local_matrix(**dict(zip(columns, row, strict=True))) for row in rows]
 
-    def _joints(self, index: int) -> _Joints | None:
+    def _joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
         """Return the joints and the inverse bind matrices (J, 4, 4) of a skin. Warn and return None
         if a joint is not in the scene."""
         skin = self.document["skins"][index]
@@ -414,80 +341,81 @@ class _File:
         columns = inverse[: len(joints)].reshape(-1, 4, 4).astype(np.float64)
         return joints, columns.transpose(0, 2, 1)
 
-    def _head_joints(self, joints: tuple[int, ...]) -> _Head | None:
-        """Return a mask of the joints that belong to a head by their names or by the name of an
-        ancestor, and the height of the first of them; None without such a joint."""
-        nodes = self.document["nodes"]
-        heads = [i for i in self.worlds if names_head(nodes[i].get("name", ""))]
-        inside, queue = set(heads), heads
-        while queue:
-            queue = [child for i in queue for child in nodes[i].get("children", ())]
-            inside.update(queue)
-        mask = np.array([joint in inside for joint in joints])
-        if not mask.any():
+    @cached_property
+    def _head_nodes(self) -> set[int]:
+        """The nodes that belong to a head by their names or by the name of an ancestor."""
+        names = {index: self.document["nodes"][index].get("name", "") for index in self.worlds}
+        return self.skeleton.below(index for index, name in names.items() if names_head(name))
+
+    def _head_bounds(
+        self, positions: Float, skin: Skin, joints: NDArray[Any], weights: NDArray[Any]
+    ) -> Float | None:
+        """Return the bounds (2, 3) of the vertices that follow the joints of a head, without hair
+        far below the head; None without such vertices.
+
+        joints, weights : (N, K), indices into ``skin.joints`` and weights of K joints per vertex
+        """
+        of_head = np.array([joint in self._head_nodes for joint in skin.joints])
+        shares = np.where(of_head[joints], weights, 0.0).sum(axis=1)
+        head = positions[of_head.any() & (2.0 * shares > weights.sum(axis=1))]
+        if not len(head):
             return None
-        return mask, float(self.worlds[joints[int(mask.argmax())]][1, 3])
+        low, high = head.min(axis=0), head.max(axis=0)
+        height = self.worlds[skin.joints[of_head.argmax()]][1, 3]
+        low[1] = max(low[1], height - _BELOW_JOINT * (high[1] - height))
+        return np.array([low, high])
 
     # --- triangles -------------------------------------------------------------------------------
 
-    def _piece(
-        self, properties: Doc, where: str, instance: _Instance, head: _Head | None
-    ) -> Piece | None:
-        """Return a primitive as a piece in mesh space, or in scene space if it is skinned. Return
-        None for a primitive without triangles."""
-        attributes = properties["attributes"]
-        if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
-            self.warn(f"{self.name} has points, lines or vertices without positions: not drawn")
-            return None
-        primitive = Primitive(self.buffers, properties, where)
-        self.own[attributes["POSITION"]] = len(primitive.positions)
-        self.own[properties.get("indices", -1)] = primitive.corner_count
+    def _piece(self, primitive: Primitive, skin: int | None, weights: _Weights) -> Piece:
+        """Return a primitive as a piece. Its rig has no node yet."""
+        attributes = primitive.properties["attributes"]
+        self.stored[attributes["POSITION"]] = len(primitive.positions)
+        self.stored[primitive.properties.get("indices", -1)] = primitive.corner_count
         base, base_normals = primitive.positions[primitive.vertices], primitive.column("NORMAL", 3)
-        shapes = self._shapes(primitive, base_normals is not None, instance)
-        shape, normals = morphed(base, base_normals, shapes, instance.weights)
-        faces, bounds, skin = primitive.faces, None, None
-        if instance.joints is not None:
+        shapes = self._shapes(primitive, weights)
+        positions, normals = morphed(base, base_normals, shapes, weights)
+        faces, bounds, rig_skin = primitive.faces, None, None
+        if joints := self.skins.get(skin):
             if "JOINTS_2" in attributes:
                 self.warn(f"{self.name} has more than eight joints per vertex: only eight are used")
             if influences := primitive.influences():
-                skin = Skin.of(*instance.joints, *influences)
-                shape, normals, mirrored = skinned(shape, normals, skin, self.worlds)
+                rig_skin = Skin.of(*joints, *influences)
+                positions, normals, mirrored = skinned(positions, normals, rig_skin, self.worlds)
                 faces = faces[:, ::-1] if mirrored else faces
-                bounds = head and head_bounds(shape, *influences, *head)
-        number = properties.get("material")
-        called = "" if number is None else self.document["materials"][number].get("name", "")
+                bounds = self._head_bounds(positions, rig_skin, *influences)
+        index = primitive.properties.get("material")
+        name = "" if index is None else self.document["materials"][index].get("name", "")
         colors = primitive.column("COLOR_0", 3, 4)
-        look = self.materials.look(number, colors is not None)
-        if colors is not None and colors.shape[1] == 4 and look.material.alpha != "opaque":
-            self.warn(f"{self.name} has alpha in its vertex colours: ignored")
+        material, first, second = self.materials.look(index, colors is not None)
         if colors is not None:
+            if colors.shape[1] == 4 and material.alpha != "opaque":
+                self.warn(f"{self.name} has alpha in its vertex colours: ignored")
             if colors.dtype.kind != "f":  # normalise integers even without the flag "normalized"
                 colors = colors / np.iinfo(colors.dtype).max
             colors = np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
-        uv, uv2 = primitive.uv(look.first), primitive.uv(look.second)
+        uv, uv2 = primitive.uv(first), primitive.uv(second)
         rig = None
         if shapes or self.skeleton.clips:
             arrays = np.array(base), None if base_normals is None else np.array(base_normals)
-            weights, by_node = instance.weights, instance.skin is None
-            rig = Rig(self.skeleton, instance.node, *arrays, weights, shapes, skin, by_node)
+            rig = Rig(self.skeleton, -1, *arrays, weights, shapes, rig_skin, skin is None)
         return Piece(
-            positions=np.asarray(shape, dtype=np.float64),
+            positions=np.asarray(positions, dtype=np.float64),
             faces=faces,
             normals=normals,
             uv=uv,
             colors=colors,
-            material=self._drawn_material(look, uv is not None, uv2 is not None),
+            material=self._usable(material, uv is not None, uv2 is not None),
             out_of_range=primitive.out_of_range,
-            name=called,
+            name=name,
             uv2=None if uv is None else uv2,
-            material_name=called,
+            material_name=name,
             head=bounds,
             rig=rig,
         )
 
-    def _drawn_material(self, look: Look, has_uv: bool, has_uv2: bool) -> Material:
-        """Return a look's material without the maps whose texture coordinates are missing."""
-        material = look.material
+    def _usable(self, material: Material, has_uv: bool, has_uv2: bool) -> Material:
+        """Return a material without the maps whose texture coordinates are missing."""
         if not has_uv:
             if any(getattr(material, key) for key in MAPS):
                 self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
@@ -498,20 +426,13 @@ class _File:
         no_maps: dict[str, Any] = dict.fromkeys(material.second_uv)
         return replace(material, second_uv=(), **no_maps)
 
-    def _shapes(
-        self, primitive: Primitive, has_normals: bool, instance: _Instance
-    ) -> tuple[Shape, ...]:
+    def _shapes(self, primitive: Primitive, weights: _Weights) -> tuple[Shape, ...]:
         """Return a primitive's morph targets, and count the vertices of the targets that the stored
         pose uses."""
-        targets = primitive.properties.get("targets", ())
-        if targets and primitive.where not in self.shapes:
-            mesh = self.document["meshes"][instance.mesh]
-            extras = mesh.get("extras")
-            self.shapes[primitive.where] = self.rigs.shapes(primitive, extras, has_normals)
-        for target, weight in zip(targets, instance.weights, strict=False):
-            for key in ("POSITION", "NORMAL"):
-                if weight and key in target and (has_normals or key == "POSITION"):
-                    count = self.document["accessors"][target[key]]["count"]
-                    self.own[target[key]] = count
-                    self._count_drawn(count)
-        return self.shapes.get(primitive.where, ())
+        if primitive.where not in self.shapes:
+            self.shapes[primitive.where] = self.rigs.shapes(primitive)
+        for target, weight in zip(primitive.targets, weights, strict=False):
+            for index in target.values() if weight else ():
+                count = self.stored[index] = self.document["accessors"][index]["count"]
+                self._count_used(count)
+        return self.shapes[primitive.where]

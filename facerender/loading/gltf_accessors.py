@@ -4,8 +4,9 @@ returned with a description of the damage, so that the stored pose can still be 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,30 +47,21 @@ _FILTERS = {
 }
 
 
-def decoded(content: bytes, view: Doc, name: str) -> memoryview:
-    """Decompress a buffer view that uses EXT_meshopt_compression.
-
-    view : the extension's JSON object
-    name : name of the file, for messages
-
-    Raises
-    ------
-    ValueError : the view is damaged
-    InputError : the package meshoptimizer is not installed
-
-    References: Kapoulkine (2022), EXT_meshopt_compression.
+def _decoded(content: bytes, view: Doc, name: str) -> memoryview:
+    """Decompress a view of a file with this name; ``view`` is the JSON object of the extension
+    EXT_meshopt_compression (Kapoulkine 2022). Raise ValueError if the view is damaged.
     """
     count, size = view["count"], view["byteStride"]
     mode, filter_ = view["mode"], view.get("filter", "NONE")
-    shown = f"a view compressed with meshopt ({mode}, {count} x {size} bytes)"
+    label = f"a view compressed with meshopt ({mode}, {count} x {size} bytes)"
     function, sizes, multiple = _MODES.get(mode, ("", (), 1))
     filter_function, filter_sizes = _FILTERS.get(filter_, ("", ()))
     if size not in sizes or size not in filter_sizes or count % multiple:
-        raise ValueError(f"{shown} has an invalid mode, filter ({filter_}), count or size")
+        raise ValueError(f"{label} has an invalid mode, filter ({filter_}), count or size")
     if filter_ != "NONE" and mode != "ATTRIBUTES":
-        raise ValueError(f"{shown} must not have the filter {filter_}")
+        raise ValueError(f"{label} must not have the filter {filter_}")
     if count * size > min(max(_DECODED_TIMES * len(content), _SMALL), _MAX_VALUES):
-        raise ValueError(f"{shown} is too large for its {len(content)} bytes")
+        raise ValueError(f"{label} is too large for its {len(content)} bytes")
     try:
         functions = library()
     except ImportError:
@@ -79,7 +71,7 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
     values = np.empty(count * size, dtype=np.uint8)
     decode = getattr(functions, f"meshopt_{function}")
     if decode(values.ctypes.data, count, size, content, len(content)):
-        raise ValueError(f"{shown} cannot be decoded")
+        raise ValueError(f"{label} cannot be decoded")
     if filter_ == "COLOR":
         values = _rgba(values.view(f"u{size // 4}").reshape(-1, 4)).view(np.uint8).reshape(-1)
     elif filter_function:
@@ -107,45 +99,36 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
 _MOST_ZEROS = 1 << 26  # largest sparse accessor without a view, in bytes
 
 
+@dataclass
 class Buffers:
     """The buffers, views and accessors of a checked glTF document. Methods raise ValueError if
     the data are damaged or missing."""
 
-    def __init__(
-        self, name: str, document: Doc, binary: memoryview | None, referred: References
-    ) -> None:
-        self.name = name
-        self.document = document
-        self.binary = binary
-        self.referred = referred
-        self.buffers: dict[int, memoryview] = {}
-        self.unpacked: dict[int, memoryview] = {}  # decompressed bytes, keyed by the view's index
+    name: str
+    document: Doc
+    binary: memoryview | None
+    referred: References
+    buffers: dict[int, memoryview] = field(default_factory=dict)
+    unpacked: dict[int, memoryview] = field(default_factory=dict)  # decompressed, keyed by view
 
     def _buffer(self, index: int) -> memoryview:
-        if index not in self.buffers:
-            declared = self.document["buffers"][index]
-            size = declared["byteLength"]
-            content = self._buffer_content(index, declared.get("uri"), size)
-            if len(content) < size:
-                raise ValueError(
-                    f"buffers[{index}] should have {size} bytes, but has {len(content)}"
-                )
-            self.buffers[index] = content[:size]
-        return self.buffers[index]
-
-    def _buffer_content(self, index: int, uri: str | None, size: int) -> memoryview:
-        if uri is None:
-            if index or self.binary is None:
-                raise ValueError(f"buffers[{index}] has no uri")
-            return self.binary
-        if (content := inline(uri)) is None:
+        if index in self.buffers:
+            return self.buffers[index]
+        size, uri = (self.document["buffers"][index].get(key) for key in ("byteLength", "uri"))
+        content: bytes | memoryview | None = self.binary if uri is None else inline(uri)
+        if uri is None and (index or content is None):
+            raise ValueError(f"buffers[{index}] has no uri")
+        if content is None:
             try:
                 content = self.referred.read(uri, "a buffer of a glTF file")
             except FileNotFoundError as error:
                 raise InputError(f"{clipped(uri, 80)} (named by {self.name}) {error}") from None
             if how := conversion(content, size):
                 raise converted(clipped(uri, 80), how)
-        return memoryview(content)
+        if len(content) < size:
+            raise ValueError(f"buffers[{index}] should have {size} bytes, but has {len(content)}")
+        self.buffers[index] = memoryview(content)[:size]
+        return self.buffers[index]
 
     def view(self, index: int) -> memoryview:
         """Return the bytes of a view, after decompression if the view is compressed."""
@@ -153,7 +136,7 @@ class Buffers:
         for packed in view.get("extensions", {}).values():
             if index not in self.unpacked:
                 content = bytes(self._span(packed, "a view compressed with meshopt"))
-                self.unpacked[index] = decoded(content, packed, self.name)
+                self.unpacked[index] = _decoded(content, packed, self.name)
             return self.unpacked[index][: view["byteLength"]]
         return self._span(view, f"bufferViews[{index}]")
 
@@ -168,37 +151,38 @@ class Buffers:
         return buffer[start : start + length]
 
     def _elements(
-        self, where: str, view: int, start: int, kind: str, shape: tuple[int, int]
+        self, where: str, properties: Doc, component: str, shape: tuple[int, int]
     ) -> NDArray[Any]:
-        """Return elements of a view; ``shape`` is (count, components)."""
+        """Return the elements that an accessor or a part of a sparse accessor has in a view;
+        ``shape`` is (count, components)."""
+        view, start = properties["bufferView"], properties.get("byteOffset", 0)
         content = self.view(view)
-        component_size = np.dtype(kind).itemsize
+        component_size = np.dtype(component).itemsize
         row = component_size * shape[1]
         stride = self.document["bufferViews"][view].get("byteStride") or row
         if stride < row:
             raise ValueError(f"bufferViews[{view}].byteStride = {stride} is less than {row}")
-        needed = start + stride * (shape[0] - 1) + row if shape[0] else 0
+        if not shape[0]:
+            return np.empty(shape, dtype=component)
+        needed = start + stride * (shape[0] - 1) + row
         if needed > len(content):
             raise ValueError(
                 f"{where} needs {needed} bytes of bufferViews[{view}], which has {len(content)}"
             )
-        if not shape[0]:
-            return np.empty(shape, dtype=kind)
-        return np.ndarray(shape, kind, content, start, (stride, component_size))
+        return np.ndarray(shape, component, content, start, (stride, component_size))
 
     def accessor(self, index: int) -> NDArray[Any]:
         """Return the values of an accessor, (count, components)."""
         accessor, where = self.document["accessors"][index], f"accessors[{index}]"
-        kind, shape = _layout(accessor)
+        component, shape = _layout(accessor)
         if "bufferView" in accessor:
-            start = accessor.get("byteOffset", 0)
-            values = self._elements(where, accessor["bufferView"], start, kind, shape)
+            values = self._elements(where, accessor, component, shape)
         elif "sparse" not in accessor:
             raise ValueError(f"{where} has no bufferView")
-        elif shape[0] * shape[1] * np.dtype(kind).itemsize > _MOST_ZEROS:
+        elif shape[0] * shape[1] * np.dtype(component).itemsize > _MOST_ZEROS:
             raise ValueError(f"{where}.count = {shape[0]} is too large without a bufferView")
         else:
-            values = np.zeros(shape, dtype=kind)
+            values = np.zeros(shape, dtype=component)
         if "sparse" in accessor:
             indices, replacing = self._replacements(index)
             values = values.copy()
@@ -206,10 +190,8 @@ class Buffers:
         return _normalized(values, accessor)
 
     def converted(self, values: NDArray[Any], index: int) -> NDArray[Any]:
-        """Return Draco's values of an accessor, as the accessor without Draco would return them.
-
-        DracoPy returns 16-bit unsigned integers in 32 bits, and signed integers as floats.
-        """
+        """Return Draco's values of an accessor as the accessor without Draco would return them:
+        DracoPy returns 16-bit unsigned integers in 32 bits, and signed integers as floats."""
         accessor = self.document["accessors"][index]
         stored = np.dtype(COMPONENTS[accessor["componentType"]])
         if values.dtype.kind in "iu" or stored.kind == "i":
@@ -233,15 +215,10 @@ class Buffers:
     def _replacements(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the indices and values of the rows that a sparse accessor replaces."""
         accessor, where = self.document["accessors"][index], f"accessors[{index}].sparse"
-        sparse, (kind, (count, width)) = accessor["sparse"], _layout(accessor)
-
-        def part(properties: Doc, kind: str, width: int) -> NDArray[Any]:
-            start, shape = properties.get("byteOffset", 0), (sparse["count"], width)
-            return self._elements(where, properties["bufferView"], start, kind, shape)
-
-        kind_of_index = COMPONENTS[sparse["indices"].get("componentType", 5125)]
-        indices = part(sparse["indices"], kind_of_index, 1)[:, 0]
-        replacing = part(sparse["values"], kind, width)
+        sparse, (component, (count, width)) = accessor["sparse"], _layout(accessor)
+        of_indices = COMPONENTS[sparse["indices"].get("componentType", 5125)]
+        indices = self._elements(where, sparse["indices"], of_indices, (sparse["count"], 1))[:, 0]
+        replacing = self._elements(where, sparse["values"], component, (sparse["count"], width))
         if indices.dtype.kind != "u" or (indices >= count).any():
             raise ValueError(f"{where} replaces entries that do not exist")
         return indices, replacing
@@ -260,10 +237,8 @@ def _normalized(values: NDArray[Any], accessor: Doc) -> NDArray[Any]:
     return values
 
 
-_T = TypeVar("_T")
 _WIDTHS: dict[Path, int] = {"translation": 3, "rotation": 4, "scale": 3}
 _Rows = tuple[NDArray[Any], NDArray[Any]]  # indices and values
-_POINTER = "KHR_animation_pointer"
 # Limit of the values read for a rig, because accessors may overlap: _TIMES the bytes of the file's
 # buffers plus _FEW, and at most _MAX_WORDS.
 _TIMES, _FEW, _MAX_WORDS = 8, 1 << 22, 1 << 28
@@ -281,7 +256,7 @@ class RigReader:
         self.times: dict[int, NDArray[np.float64]] = {}
         self.rows: dict[int, _Rows] = {}
 
-    def _read(self, index: int, read: Callable[[int], _T]) -> _T:
+    def _read(self, index: int, read: Callable[[int], Any]) -> Any:
         """Return ``read(index)``; raise ValueError if the accessor's values exceed the limit."""
         accessor = self.document["accessors"][index]
         rows = accessor["count"] if "bufferView" in accessor else 0
@@ -312,7 +287,7 @@ class RigReader:
                 where = f"animations[{index}].channels[{i}]"
                 node, path = channel["target"].get("node"), channel["target"]["path"]
                 if path == "pointer":
-                    ignored = _POINTER
+                    ignored = "KHR_animation_pointer"
                 elif node is not None:
                     if (node, path) in tracks:
                         raise ValueError(f"{where} has the same target as another channel")
@@ -325,19 +300,19 @@ class RigReader:
         except ValueError as error:
             return Clip(name, fault=clipped(str(error)))
 
-    def _width(self, number: int, path: str, where: str) -> int:
+    def _width(self, index: int, path: str, where: str) -> int:
         """Return the number of values per key."""
-        node = self.document["nodes"][number]
+        node = self.document["nodes"][index]
         if path in _WIDTHS:
             if "matrix" in node:
-                raise ValueError(f"{where} moves nodes[{number}], which has a matrix")
+                raise ValueError(f"{where} moves nodes[{index}], which has a matrix")
             return _WIDTHS[path]
         if path != "weights":
             raise ValueError(f"{where}.target.path = {clipped(path, 40)!r} is unknown")
         mesh = self.document["meshes"][node["mesh"]] if "mesh" in node else {"primitives": []}
         targets = max((len(part.get("targets", ())) for part in mesh["primitives"]), default=0)
         if not targets:
-            raise ValueError(f"{where} has weights for nodes[{number}], which has no morph targets")
+            raise ValueError(f"{where} has weights for nodes[{index}], which has no morph targets")
         return targets
 
     def _track(self, node: int, path: Any, width: int, keys: Doc, where: str) -> Track:
@@ -347,13 +322,14 @@ class RigReader:
         times = self._times(keys["input"], where)
         values = self._array(keys["output"])
         per_key = 3 if interpolation == "CUBICSPLINE" else 1
-        rows = per_key * len(times) * (width if path == "weights" else 1)
-        if values.shape != (rows, 1 if path == "weights" else width):
+        rows = per_key * len(times)
+        stored = (rows * width, 1) if path == "weights" else (rows, width)
+        if values.shape != stored:
             raise ValueError(
                 f"{where}: the values have the shape {values.shape} for {len(times)} keys"
             )
-        shape = (len(times), 3, width) if per_key == 3 else (len(times), width)
-        return Track(node, path, times, values.reshape(shape), interpolation)
+        values = values.reshape((len(times), 3, width) if per_key == 3 else (len(times), width))
+        return Track(node, path, times, values, interpolation)
 
     def _times(self, index: int, where: str) -> NDArray[np.float64]:
         if index not in self.times:
@@ -378,38 +354,29 @@ class RigReader:
 
     # --- shapes ----------------------------------------------------------------------------------
 
-    def shapes(self, primitive: Primitive, extras: Any, has_normals: bool) -> tuple[Shape, ...]:
+    def shapes(self, primitive: Primitive) -> tuple[Shape, ...]:
         """Return the morph targets of a primitive. The first list targetNames in the extras of the
-        mesh and of the primitive names them. Otherwise the accessors do, if their names differ.
-
-        Parameters
-        ----------
-        extras : extras of the mesh, of any type
-        has_normals : whether the primitive has normals, which targets may move
-        """
-        targets: Sequence[Doc] = primitive.properties["targets"]
-        extras = extras, primitive.properties.get("extras")
-        lists = [table.get("targetNames") for table in extras if isinstance(table, dict)]
-        accessors = self.document["accessors"]
+        mesh and of the primitive names them. Otherwise the accessors do, if their names differ."""
+        targets, accessors = primitive.targets, self.document["accessors"]
+        tables = (table for table in primitive.extras if isinstance(table, dict))
+        lists = [table.get("targetNames") for table in tables]
         of_accessors = [accessors[t["POSITION"]].get("name") for t in targets if "POSITION" in t]
         if len({*of_accessors, ""}) > len(targets):  # exporters without targetNames write these
             lists.append(of_accessors)
         stored_names = next((names for names in lists if isinstance(names, list)), [])
-        padded = [*stored_names[: len(targets)], *[None] * (len(targets) - len(stored_names))]
-        shapes = []
-        for i, (target, name) in enumerate(zip(targets, _named(padded, "shape"), strict=True)):
-            rows: dict[str, _Rows] = {}
-            try:
-                for key in ("POSITION", "NORMAL"):
-                    if key in target and (has_normals or key == "POSITION"):
-                        where = f"{primitive.where}.targets[{i}]: {key}"
-                        rows[key] = self._moves(target[key], primitive, where)
-            except ValueError as error:
-                shapes.append(Shape(name, fault=clipped(str(error))))
-                continue
-            none = None, None
-            shapes.append(Shape(name, *rows.get("POSITION", none), *rows.get("NORMAL", none)))
-        return tuple(shapes)
+        padded = [*stored_names, *[None] * len(targets)][: len(targets)]
+        names = enumerate(_named(padded, "shape"))
+        return tuple(self._shape(primitive, i, name) for i, name in names)
+
+    def _shape(self, primitive: Primitive, index: int, name: str) -> Shape:
+        rows: dict[str, tuple[Any, Any]] = dict.fromkeys(("POSITION", "NORMAL"), (None, None))
+        try:
+            for key, accessor in primitive.targets[index].items():
+                where = f"{primitive.where}.targets[{index}]: {key}"
+                rows[key] = self._moves(accessor, primitive, where)
+        except ValueError as error:
+            return Shape(name, fault=clipped(str(error)))
+        return Shape(name, *rows["POSITION"], *rows["NORMAL"])
 
     def _moves(self, index: int, primitive: Primitive, where: str) -> _Rows:
         """Return the rows of an accessor that are not 0, of the vertices that the part keeps."""
@@ -422,13 +389,13 @@ class RigReader:
         rows, moves = self.rows[index]
         if isinstance(primitive.vertices, slice):
             return rows, moves
-        places = np.searchsorted(primitive.vertices, rows)
-        mask = np.isin(rows, primitive.vertices)
-        return places[mask].astype(np.uint32), moves[mask]
+        kept = np.isin(rows, primitive.vertices)
+        rows = np.searchsorted(primitive.vertices, rows[kept])
+        return rows.astype(np.uint32), moves[kept]
 
 
-def _named(names: Iterable[Any], kind: str) -> list[str]:
+def _named(names: Iterable[Any], noun: str) -> list[str]:
     """Return a unique name of one line for each name. A name that is empty or no text becomes
     ``shape2`` for the second shape."""
     clipped_names = (clipped(name, 80) if isinstance(name, str) else "" for name in names)
-    return [*unique(name or f"{kind}{i}" for i, name in enumerate(clipped_names, 1))]
+    return [*unique(name or f"{noun}{i}" for i, name in enumerate(clipped_names, 1))]

@@ -9,167 +9,96 @@ import reprlib
 import struct
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 from facerender.errors import InputError, reason
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
 Doc = dict[str, Any]
 
-_SURE = 4.0  # CRLFs that data hold by chance, above which data without any were converted
 MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 
-# The lists of a document; each has objects of the type of its name.
-_LISTS = (
-    *("buffers", "bufferViews", "accessors", "images", "textures", "samplers", "materials"),
-    *("meshes", "skins", "cameras", "nodes", "scenes"),
-)
-_IMAGE_EXTENSIONS = (
-    *("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds", "KHR_texture_basisu"),
-)
 # The properties of each JSON object and their types; ! marks required properties. Type "#nodes" is
 # an index into the list "nodes"; "[x]" is a list of values of type x; "3 x" is a list of three
 # values of type x. Type "{x}" is an object with any keys and values of type x. All other types are
 # objects of this table or keys of _VALUES.
-# Type "any" accepts any value and does not check it.
-_OBJECTS: dict[str, dict[str, Any]] = {
-    "document": {
-        **dict.fromkeys(("extensionsRequired", "extensionsUsed"), "[text]"),
-        **{name: f"[{name}]" for name in _LISTS},
-        "animations": "any",
-        "scene": "#scenes",
-    },
-    "buffers": {"byteLength!": "size", "uri": "text"},
-    "bufferViews": {
-        "buffer!": "#buffers",
-        **dict.fromkeys(("byteOffset", "byteLength!", "byteStride"), "size"),
-        "extensions": {"EXT_meshopt_compression": "packed", "KHR_meshopt_compression": "packed"},
-    },
-    "packed": {
-        "buffer!": "#buffers",
-        **dict.fromkeys(("byteOffset", "byteLength!", "byteStride!", "count!"), "size"),
-        **dict.fromkeys(("mode!", "filter"), "text"),
-    },
-    "accessors": {
-        "name": "name",
-        "bufferView": "#bufferViews",
-        "byteOffset": "size",
-        "componentType!": "component",
-        "normalized": "switch",
-        "count!": "size",
-        "type!": "type",
-        "sparse": "sparse",
-    },
-    "sparse": {"count!": "size", "indices!": "sparse part", "values!": "sparse part"},
-    "sparse part": {
-        "bufferView!": "#bufferViews",
-        "byteOffset": "size",
-        "componentType": "component",
-    },
-    "images": {"uri": "text", "bufferView": "#bufferViews"},
-    "samplers": dict.fromkeys(("magFilter", "wrapS", "wrapT"), "size"),
-    "textures": {
-        "source": "#images",
-        "sampler": "#samplers",
-        "extensions": {name: {"source": "#images"} for name in _IMAGE_EXTENSIONS},
-    },
-    "materials": {
-        "name": "name",
-        "pbrMetallicRoughness": {
-            "baseColorFactor": "4 number",
-            "baseColorTexture": "map",
-            "metallicFactor": "number",
-            "metallicRoughnessTexture": "map",
-            "roughnessFactor": "number",
-        },
-        **dict.fromkeys(("normalTexture", "occlusionTexture", "emissiveTexture"), "map"),
-        "emissiveFactor": "3 number",
-        "alphaMode": "text",
-        "alphaCutoff": "number",
-        "doubleSided": "switch",
-        "extensions": {
-            "KHR_materials_pbrSpecularGlossiness": {
-                "diffuseFactor": "4 number",
-                "diffuseTexture": "map",
-            },
-            "KHR_materials_emissive_strength": {"emissiveStrength": "number"},
-            "KHR_materials_ior": {"ior": "number"},
-            "KHR_materials_specular": {
-                "specularFactor": "number",
-                "specularTexture": "map",
-                "specularColorFactor": "3 number",
-                "specularColorTexture": "map",
-            },
-            "KHR_materials_unlit": {},
-            "KHR_materials_clearcoat": {"clearcoatFactor": "number"},
-            "KHR_materials_sheen": {"sheenColorFactor": "3 number"},
-            "KHR_materials_transmission": {
-                "transmissionFactor": "number",
-                "transmissionTexture": "map",
-            },
-            "KHR_materials_volume": {"thicknessFactor": "number"},
-            "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": "number"},
-            "KHR_materials_anisotropy": {"anisotropyStrength": "number"},
-            "KHR_materials_iridescence": {"iridescenceFactor": "number"},
-            "KHR_materials_subsurface": {},
-        },
-    },
-    "map": {
-        "index!": "#textures",
-        "texCoord": "size",
-        "scale": "number",
-        "strength": "number",
-        "extensions": {
-            "KHR_texture_transform": {
-                "offset": "2 number",
-                "rotation": "number",
-                "scale": "2 number",
-                "texCoord": "size",
-            }
-        },
-    },
-    "meshes": {
-        "primitives!": "[primitive]",
-        "name": "name",
-        "weights": "[number]",
-        "extras": "any",
-    },
-    "primitive": {
-        "attributes!": "{#accessors}",
-        "indices": "#accessors",
-        "material": "#materials",
-        "mode": "mode",
-        "targets": "[{#accessors}]",
-        "extras": "any",
-        "extensions": {
-            "KHR_draco_mesh_compression": {"bufferView!": "#bufferViews", "attributes!": "{size}"}
-        },
-    },
-    "cameras": {"name": "text", "perspective": {"yfov!": "number"}},
-    "nodes": {
-        "name": "name",
-        "mesh": "#meshes",
-        "skin": "#skins",
-        "weights": "[number]",
-        "camera": "#cameras",
-        "children": "[#nodes]",
-        "matrix": "16 number",
-        **dict.fromkeys(("translation", "scale"), "3 number"),
-        "rotation": "4 number",
-        "extensions": {
-            "EXT_mesh_gpu_instancing": {"attributes!": "{#accessors}"},
-            "KHR_node_visibility": {"visible": "switch"},
-            "KHR_lights_punctual": {},
-        },
-    },
-    "skins": {"joints!": "[#nodes]", "inverseBindMatrices": "#accessors"},
-    "scenes": {"nodes": "[#nodes]"},
-    "animation": {"channels!": "[channel]", "samplers!": "[keys]"},
-    "channel": {"sampler!": "size", "target!": {"node": "#nodes", "path!": "text"}},
-    "keys": {"input!": "#accessors", "output!": "#accessors", "interpolation": "text"},
+_SCHEMA = {
+    "document": "extensionsRequired: [text], extensionsUsed: [text], buffers: [buffers], "
+    "bufferViews: [bufferViews], accessors: [accessors], images: [images], textures: [textures], "
+    "samplers: [samplers], materials: [materials], meshes: [meshes], skins: [skins], "
+    "cameras: [cameras], nodes: [nodes], scenes: [scenes], animations: any, scene: #scenes",
+    "buffers": "byteLength!: size, uri: text",
+    "bufferViews": "buffer!: #buffers, byteOffset: size, byteLength!: size, byteStride: size, "
+    "extensions: view extensions",
+    "view extensions": "EXT_meshopt_compression: packed, KHR_meshopt_compression: packed",
+    "packed": "buffer!: #buffers, byteOffset: size, byteLength!: size, byteStride!: size, "
+    "count!: size, mode!: text, filter: text",
+    "accessors": "name: name, bufferView: #bufferViews, byteOffset: size, "
+    "componentType!: component, normalized: switch, count!: size, type!: type, sparse: sparse",
+    "sparse": "count!: size, indices!: sparse part, values!: sparse part",
+    "sparse part": "bufferView!: #bufferViews, byteOffset: size, componentType: component",
+    "images": "uri: text, bufferView: #bufferViews",
+    "samplers": "magFilter: size, wrapS: size, wrapT: size",
+    "textures": "source: #images, sampler: #samplers, extensions: texture extensions",
+    "texture extensions": "EXT_texture_webp: image, EXT_texture_avif: image, "
+    "MSFT_texture_dds: image, KHR_texture_basisu: image",
+    "image": "source: #images",
+    "materials": "name: name, pbrMetallicRoughness: metallic, normalTexture: map, "
+    "occlusionTexture: map, emissiveTexture: map, emissiveFactor: 3 number, alphaMode: text, "
+    "alphaCutoff: number, doubleSided: switch, extensions: material extensions",
+    "metallic": "baseColorFactor: 4 number, baseColorTexture: map, metallicFactor: number, "
+    "metallicRoughnessTexture: map, roughnessFactor: number",
+    "material extensions": "KHR_materials_pbrSpecularGlossiness: glossy, "
+    "KHR_materials_emissive_strength: emissive, KHR_materials_ior: ior, "
+    "KHR_materials_specular: specular, KHR_materials_unlit: empty, "
+    "KHR_materials_clearcoat: clearcoat, KHR_materials_sheen: sheen, "
+    "KHR_materials_transmission: transmission, KHR_materials_volume: volume, "
+    "KHR_materials_diffuse_transmission: diffuse transmission, "
+    "KHR_materials_anisotropy: anisotropy, KHR_materials_iridescence: iridescence, "
+    "KHR_materials_subsurface: empty",
+    "glossy": "diffuseFactor: 4 number, diffuseTexture: map",
+    "emissive": "emissiveStrength: number",
+    "ior": "ior: number",
+    "specular": "specularFactor: number, specularTexture: map, specularColorFactor: 3 number, "
+    "specularColorTexture: map",
+    "clearcoat": "clearcoatFactor: number",
+    "sheen": "sheenColorFactor: 3 number",
+    "transmission": "transmissionFactor: number, transmissionTexture: map",
+    "volume": "thicknessFactor: number",
+    "diffuse transmission": "diffuseTransmissionFactor: number",
+    "anisotropy": "anisotropyStrength: number",
+    "iridescence": "iridescenceFactor: number",
+    "empty": "",
+    "map": "index!: #textures, texCoord: size, scale: number, strength: number, "
+    "extensions: map extensions",
+    "map extensions": "KHR_texture_transform: transform",
+    "transform": "offset: 2 number, rotation: number, scale: 2 number, texCoord: size",
+    "meshes": "primitives!: [primitive], name: name, weights: [number], extras: any",
+    "primitive": "attributes!: {#accessors}, indices: #accessors, material: #materials, "
+    "mode: mode, targets: [{#accessors}], extras: any, extensions: primitive extensions",
+    "primitive extensions": "KHR_draco_mesh_compression: draco",
+    "draco": "bufferView!: #bufferViews, attributes!: {size}",
+    "cameras": "name: text, perspective: perspective",
+    "perspective": "yfov!: number",
+    "nodes": "name: name, mesh: #meshes, skin: #skins, weights: [number], camera: #cameras, "
+    "children: [#nodes], matrix: 16 number, translation: 3 number, scale: 3 number, "
+    "rotation: 4 number, extensions: node extensions",
+    "node extensions": "EXT_mesh_gpu_instancing: instancing, KHR_node_visibility: visibility, "
+    "KHR_lights_punctual: empty",
+    "instancing": "attributes!: {#accessors}",
+    "visibility": "visible: switch",
+    "skins": "joints!: [#nodes], inverseBindMatrices: #accessors",
+    "scenes": "nodes: [#nodes]",
+    "animation": "channels!: [channel], samplers!: [keys]",
+    "channel": "sampler!: size, target!: target",
+    "target": "node: #nodes, path!: text",
+    "keys": "input!: #accessors, output!: #accessors, interpolation: text",
+}
+_OBJECTS = {
+    name: dict(entry.split(": ") for entry in text.split(", ") if text)
+    for name, text in _SCHEMA.items()
 }
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -186,6 +115,7 @@ def _is_size(value: Any) -> bool:
 
 # Keyed by type: check of a value, description for messages. A size such as 3 may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "any": (lambda value: True, ""),
     "text": (lambda value: isinstance(value, str), "text"),
     "name": (lambda value: True, "text"),  # only for display: values of other types become ""
     "switch": (lambda value: isinstance(value, bool), "true or false"),
@@ -217,10 +147,10 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     contents: dict[int, memoryview] = {}
     start = 12
     while start + 8 <= declared:
-        length, kind = struct.unpack_from("<II", data, start)
+        length, chunk_type = struct.unpack_from("<II", data, start)
         if start + 8 + length > declared:
             raise damaged(name, f"a chunk has {length} bytes, the file {declared}")
-        contents.setdefault(kind, memoryview(data)[start + 8 : start + 8 + length])
+        contents.setdefault(chunk_type, memoryview(data)[start + 8 : start + 8 + length])
         start += 8 + length
     if _JSON not in contents:
         raise damaged(name, "it has no JSON chunk")
@@ -243,10 +173,10 @@ def conversion(data: bytes | memoryview, size: int) -> str:
         if not text.isascii():
             return "to UTF-8" + " with replacement characters" * ("\ufffd" in text)
     # Each conversion of CRLF removes a byte, and few do so by chance in floats and images. If data
-    # of this length would hold CRLF by chance but do not, they were converted.
+    # of this length would hold 4 CRLFs by chance but hold none, they were converted.
     missing, expected = size - len(data), data.count(b"\r") * feeds / max(len(data), 1)
     few = 0 < missing <= min(feeds, max(8 * expected, 4))
-    return "from CRLF to LF" if few and not pairs and expected > _SURE else ""
+    return "from CRLF to LF" if few and not pairs and expected > 4.0 else ""
 
 
 def converted(name: str, how: str) -> InputError:
@@ -259,7 +189,7 @@ def converted(name: str, how: str) -> InputError:
 
 
 def document_of(text: bytes, name: str) -> Doc:
-    """Parse and check the JSON of a glTF file. Return only the properties listed in _OBJECTS.
+    """Parse and check the JSON of a glTF file. Return only the properties of _SCHEMA.
     Missing lists of the document become empty.
 
     Raises
@@ -309,13 +239,12 @@ def damaged(name: str, what: str) -> InputError:
     return InputError(f"{name} is damaged ({what}); export it again")
 
 
-def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[str, int]) -> Any:
-    """Convert a value to the type ``shape``, see _OBJECTS; raise ValueError if this fails."""
-    if isinstance(shape, dict) or shape in _OBJECTS:
+def _checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
+    """Convert a value to the type ``shape``, see _SCHEMA; raise ValueError if this fails."""
+    if shape in _OBJECTS:
         _expect(isinstance(value, dict), value, where, "an object")
         result = {}
-        properties = shape if isinstance(shape, dict) else _OBJECTS[shape]
-        for key, inner in properties.items():
+        for key, inner in _OBJECTS[shape].items():
             name = key.rstrip("!")
             path = f"{where}.{name}" if where else name
             if name in value:
@@ -339,8 +268,6 @@ def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[s
         good = _is_size(value) and value < count
         _expect(good, value, where, f"an index into the {count} {shape[1:]}")
         return int(value)
-    if shape == "any":
-        return value
     check, description = _VALUES[shape]
     _expect(check(value), value, where, description)
     if shape == "name":
@@ -353,124 +280,76 @@ def _expect(good: bool, value: Any, where: str, description: str) -> None:
         raise ValueError(f"{where} = {reprlib.repr(value)} is not {description}")
 
 
-@dataclass(frozen=True)
-class Feature:
-    """A property or an extension of glTF.
-
-    Attributes
-    ----------
-    name : name in glTF files
-    fate : "drawn": supported; "warned": ignored with a warning; "refused": an error if the file
-        requires the feature, otherwise ignored with a warning; "ignored": ignored silently
-    how : details for users
-    factor : property that disables a material's extension if the property is 0
-    """
+class Feature(NamedTuple):
+    """A property or an extension of glTF."""
 
     name: str
-    fate: Literal["drawn", "warned", "refused", "ignored"]
-    how: str
-    factor: str = ""
-
-    @property
-    def is_extension(self) -> bool:
-        return self.name.partition("_")[0] in ("KHR", "EXT", "MSFT")
+    # "drawn": supported; "warned": ignored with a warning; "refused": an error if the file requires
+    # the feature, otherwise ignored with a warning; "ignored": ignored silently
+    fate: str
+    how: str  # details for users
 
 
-FEATURES = (
-    Feature("node transforms", "drawn", "every instance is placed by the scene graph"),
-    Feature(
-        "primitive.mode",
-        "drawn",
-        "triangles, strips and fans; points and lines are ignored with a warning",
-    ),
-    Feature("interleaved accessors", "drawn", "any byteStride and byteOffset"),
-    Feature("sparse accessors", "drawn", "vertices, indices and morph targets"),
-    Feature(
-        "morph targets",
-        "drawn",
-        "positions and normals, with the weights of the node or else of the mesh; a pose has other "
-        "weights",
-    ),
-    Feature("skins", "drawn", "up to eight joints per vertex"),
-    Feature("animations", "drawn", "in the stored pose, or in a pose of a clip"),
-    Feature("cameras", "ignored", "used only with `--camera gltf`; must be perspective"),
-    Feature(
-        "COLOR_0",
-        "drawn",
-        "multiplies the base colour; its alpha is ignored, with a warning if alphaMode uses alpha",
-    ),
-    Feature("TEXCOORD_n", "drawn", "a material may use two sets, or one set with two transforms"),
-    Feature("TANGENT", "ignored", "tangents are computed from the texture coordinates"),
-    Feature("baseColor", "drawn", "albedo: factor and texture"),
-    Feature("alphaMode", "drawn", "mask and blend, with the base colour's alpha and alphaCutoff"),
-    Feature(
-        "metallic",
-        "warned",
-        "drawn as a dielectric, like skin, with its base colour. A missing factor is 1 with a "
-        "texture and 0 without a texture",
-    ),
-    Feature("roughness", "drawn", "m = (factor x green)^2; ignored without a texture"),
-    Feature("normalTexture.scale", "drawn", "in [0, 100]"),
-    Feature("occlusionTexture.strength", "drawn", "red channel; dims ambient light"),
-    Feature("emissive", "drawn", "factor and texture"),
-    Feature("doubleSided", "drawn", "back faces are drawn if it is true, or with `--double-sided`"),
-    Feature(
-        "sampler",
-        "drawn",
-        "wrapS, wrapT, and magFilter if it is NEAREST; minification always uses mip levels",
-    ),
-    Feature("KHR_texture_transform", "drawn", "applied to the texture coordinates"),
-    Feature("KHR_mesh_quantization", "drawn", "all component types"),
-    Feature("KHR_draco_mesh_compression", "drawn", "requires `facerender[draco]`"),
-    Feature("EXT_meshopt_compression", "drawn", "requires `facerender[lod]`"),
-    Feature("KHR_meshopt_compression", "drawn", "requires `facerender[lod]`"),
-    Feature("EXT_mesh_gpu_instancing", "drawn", "one part per instance"),
-    Feature("KHR_node_visibility", "drawn", "a node is drawn if it is stored as visible"),
-    Feature("EXT_texture_webp", "drawn", "used instead of the texture's source"),
-    Feature("EXT_texture_avif", "drawn", "used if the texture has no source"),
-    Feature("MSFT_texture_dds", "drawn", "used if the texture has no source"),
-    Feature("KHR_texture_basisu", "refused", "the texture's source is used if the texture has one"),
-    Feature("KHR_materials_emissive_strength", "drawn", "multiplies the emission"),
-    Feature("KHR_materials_ior", "drawn", "f0 = ((n - 1) / (n + 1))^2 instead of 0.028"),
-    Feature(
-        "KHR_materials_specular",
-        "drawn",
-        "the factor is ks, the texture's alpha the specular map; the mean of the colour multiplies "
-        "f0. A tint or a colour texture is ignored with a warning",
-    ),
-    Feature("KHR_materials_pbrSpecularGlossiness", "warned", "only the diffuse colour is drawn"),
-    Feature("KHR_materials_unlit", "warned", "drawn with lighting"),
-    Feature("KHR_materials_clearcoat", "warned", "drawn without the coat", "clearcoatFactor"),
-    Feature("KHR_materials_sheen", "warned", "drawn without sheen", "sheenColorFactor"),
-    Feature(
-        "KHR_materials_transmission",
-        "drawn",
-        "the factor is the transmission; a texture is ignored with a warning",
-    ),
-    Feature(
-        "KHR_materials_volume",
-        "drawn",
-        "with transmission and a thickness above 0 the surface refracts with the ior of "
-        "KHR_materials_ior; the thickness itself and the attenuation are ignored",
-    ),
-    Feature("KHR_materials_dispersion", "ignored", "has an effect only with transmission"),
-    Feature(
-        "KHR_materials_diffuse_transmission",
-        "warned",
-        "drawn as opaque",
-        "diffuseTransmissionFactor",
-    ),
-    Feature("KHR_materials_anisotropy", "warned", "drawn as isotropic", "anisotropyStrength"),
-    Feature("KHR_materials_iridescence", "warned", "drawn without the film", "iridescenceFactor"),
-    Feature("KHR_materials_variants", "ignored", "each primitive keeps its own material"),
-    Feature("KHR_lights_punctual", "warned", "use `--light` instead"),
-    Feature("KHR_animation_pointer", "warned", "its channels are ignored in a pose"),
-    Feature("KHR_xmp_json_ld", "ignored", "metadata"),
-    Feature("MSFT_lod", "ignored", "the node itself, the finest level, is drawn"),
-    Feature(
-        "any other extension",
-        "refused",
-        "ignored with a warning; an error if the file requires it",
-    ),
-)
-EXTENSIONS = {feature.name: feature for feature in FEATURES if feature.is_extension}
+# Keyed by name: fate and details
+_FEATURES = {
+    "node transforms": "drawn: every instance is placed by the scene graph",
+    "primitive.mode": "drawn: triangles, strips and fans; points and lines are ignored with a "
+    "warning",
+    "interleaved accessors": "drawn: any byteStride and byteOffset",
+    "sparse accessors": "drawn: vertices, indices and morph targets",
+    "morph targets": "drawn: positions and normals, with the weights of the node or else of the "
+    "mesh; a pose has other weights",
+    "skins": "drawn: up to eight joints per vertex",
+    "animations": "drawn: in the stored pose, or in a pose of a clip",
+    "cameras": "ignored: used only with `--camera gltf`; must be perspective",
+    "COLOR_0": "drawn: multiplies the base colour; its alpha is ignored, with a warning if "
+    "alphaMode uses alpha",
+    "TEXCOORD_n": "drawn: a material may use two sets, or one set with two transforms",
+    "TANGENT": "ignored: tangents are computed from the texture coordinates",
+    "baseColor": "drawn: albedo: factor and texture",
+    "alphaMode": "drawn: mask and blend, with the base colour's alpha and alphaCutoff",
+    "metallic": "warned: drawn as a dielectric, like skin, with its base colour. A missing factor "
+    "is 1 with a texture and 0 without a texture",
+    "roughness": "drawn: m = (factor x green)^2; ignored without a texture",
+    "normalTexture.scale": "drawn: in [0, 100]",
+    "occlusionTexture.strength": "drawn: red channel; dims ambient light",
+    "emissive": "drawn: factor and texture",
+    "doubleSided": "drawn: back faces are drawn if it is true, or with `--double-sided`",
+    "sampler": "drawn: wrapS, wrapT, and magFilter if it is NEAREST; minification always uses mip "
+    "levels",
+    "KHR_texture_transform": "drawn: applied to the texture coordinates",
+    "KHR_mesh_quantization": "drawn: all component types",
+    "KHR_draco_mesh_compression": "drawn: requires `facerender[draco]`",
+    "EXT_meshopt_compression": "drawn: requires `facerender[lod]`",
+    "KHR_meshopt_compression": "drawn: requires `facerender[lod]`",
+    "EXT_mesh_gpu_instancing": "drawn: one part per instance",
+    "KHR_node_visibility": "drawn: a node is drawn if it is stored as visible",
+    "EXT_texture_webp": "drawn: used instead of the texture's source",
+    "EXT_texture_avif": "drawn: used if the texture has no source",
+    "MSFT_texture_dds": "drawn: used if the texture has no source",
+    "KHR_texture_basisu": "refused: the texture's source is used if the texture has one",
+    "KHR_materials_emissive_strength": "drawn: multiplies the emission",
+    "KHR_materials_ior": "drawn: f0 = ((n - 1) / (n + 1))^2 instead of 0.028",
+    "KHR_materials_specular": "drawn: the factor is ks, the texture's alpha the specular map; the "
+    "mean of the colour multiplies f0. A tint or a colour texture is ignored with a warning",
+    "KHR_materials_pbrSpecularGlossiness": "warned: only the diffuse colour is drawn",
+    "KHR_materials_unlit": "warned: drawn with lighting",
+    "KHR_materials_clearcoat": "warned: drawn without the coat",
+    "KHR_materials_sheen": "warned: drawn without sheen",
+    "KHR_materials_transmission": "drawn: the factor is the transmission; a texture is ignored "
+    "with a warning",
+    "KHR_materials_volume": "drawn: with transmission and a thickness above 0 the surface refracts "
+    "with the ior of KHR_materials_ior; the thickness itself and the attenuation are ignored",
+    "KHR_materials_dispersion": "ignored: has an effect only with transmission",
+    "KHR_materials_diffuse_transmission": "warned: drawn as opaque",
+    "KHR_materials_anisotropy": "warned: drawn as isotropic",
+    "KHR_materials_iridescence": "warned: drawn without the film",
+    "KHR_materials_variants": "ignored: each primitive keeps its own material",
+    "KHR_lights_punctual": "warned: use `--light` instead",
+    "KHR_animation_pointer": "warned: its channels are ignored in a pose",
+    "KHR_xmp_json_ld": "ignored: metadata",
+    "MSFT_lod": "ignored: the node itself, the finest level, is drawn",
+    "any other extension": "refused: ignored with a warning; an error if the file requires it",
+}
+FEATURES = tuple(Feature(name, *text.split(": ", 1)) for name, text in _FEATURES.items())
+EXTENSIONS = {row.name: row for row in FEATURES if row.name.startswith(("KHR_", "EXT_", "MSFT_"))}

@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
+_Channel = int | Literal["alpha"] | None  # None: the colours
 _NEAREST = 9728
 _ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
-_INSTEAD = ("EXT_texture_avif", "MSFT_texture_dds")  # used if a texture has no other image
+# Objects of a texture whose image is used, in order; "": the texture itself
+_SOURCES = ("EXT_texture_webp", "", "EXT_texture_avif", "MSFT_texture_dds")
 _F0 = 0.028  # f0 of materials without KHR_materials_ior
 _MOST_LOOKED_AT = 1 << 22  # texels; larger metallic maps are not tested
 _METAL = 0.1  # lower metallic values may be JPEG noise in a map without metal
@@ -35,10 +37,10 @@ _METAL = 0.1  # lower metallic values may be JPEG noise in a map without metal
 class TextureTransform:
     """The index of a set of texture coordinates, and the transform of these coordinates."""
 
-    texcoord: int = 0
-    offset: tuple[float, ...] = (0.0, 0.0)
-    rotation: float = 0.0
-    scale: tuple[float, ...] = (1.0, 1.0)
+    texcoord: int
+    offset: tuple[float, ...]
+    rotation: float
+    scale: tuple[float, ...]
 
     @classmethod
     def of(cls, use: Doc) -> TextureTransform:
@@ -61,23 +63,16 @@ class TextureTransform:
         return np.stack([u + self.offset[0], 1.0 - (v + self.offset[1])], axis=1)
 
 
-@dataclass(frozen=True)
-class Look:
-    """A material and the transforms of its texture coordinates: ``second`` for the maps named in
-    ``material.second_uv``, ``first`` for the other maps."""
-
-    material: Material
-    first: TextureTransform
-    second: TextureTransform | None = None
+# A material and the transforms of its texture coordinates: the second for the maps named in
+# ``material.second_uv``, the first for the other maps
+Look = tuple[Material, TextureTransform, TextureTransform | None]
 
 
 class Materials:
     """The materials of a checked glTF file. Methods raise ValueError if the data are damaged."""
 
     def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
-        self.name = buffers.name
-        self.document = buffers.document
-        self.buffers = buffers
+        self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
         self.albedo_given = albedo_given
         self.images: dict[int | None, tuple[Image, Texture, Texture | None] | None] = {}
         self.sampled: dict[tuple[int, Any, Any], Texture] = {}
@@ -95,7 +90,7 @@ class Materials:
         if index is None:
             albedo = (1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO
             material = Material(albedo=albedo, double_sided=False)
-            return Look(material, TextureTransform())
+            return material, TextureTransform.of({}), None
         source = self.document["materials"][index]
         extensions = source.get("extensions", {})
         metallic = source.get("pbrMetallicRoughness", {})
@@ -105,25 +100,28 @@ class Materials:
         base = glossy.get("diffuseTexture", metallic.get("baseColorTexture"))
         alpha = _ALPHAS.get(source.get("alphaMode", "OPAQUE"), "opaque")
         emissive = self._emissive(source, extensions)
-        uses = {
-            "albedo_map": base,
-            "opacity_map": base if alpha != "opaque" else None,
-            "normal_map": source.get("normalTexture"),
-            "roughness_map": metallic.get("metallicRoughnessTexture"),
-            "occlusion_map": source.get("occlusionTexture"),
-            "emissive_map": source.get("emissiveTexture") if any(emissive) else None,
-            "specular_map": specular.get("specularTexture"),
+        # Keyed by map: reference to its texture, and the image channel that the map uses
+        uses: dict[str, tuple[Any, _Channel]] = {
+            "albedo_map": (base, None),
+            "opacity_map": (base if alpha != "opaque" else None, "alpha"),
+            "normal_map": (source.get("normalTexture"), None),
+            "roughness_map": (metallic.get("metallicRoughnessTexture"), 1),
+            "occlusion_map": (source.get("occlusionTexture"), 0),
+            "emissive_map": (source.get("emissiveTexture") if any(emissive) else None, None),
+            "specular_map": (specular.get("specularTexture"), "alpha"),
         }
-        places = {key: TextureTransform.of(use) for key, use in uses.items() if use is not None}
-        first = places.get("albedo_map") or next(iter(places.values()), TextureTransform())
-        second = next((place for place in places.values() if place != first), None)
+        transforms = {key: TextureTransform.of(use) for key, (use, _) in uses.items() if use}
+        first = next(iter(transforms.values()), TextureTransform.of({}))
+        second = next((other for other in transforms.values() if other != first), None)
         maps: dict[str, Any] = {}
-        for key, place in places.items():
-            if place in (first, second):
-                maps[key] = self._map(uses[key], _kind(key), _CHANNELS.get(key))
+        for key, transform in transforms.items():
+            map_name = "emission" if key == "emissive_map" else key.removesuffix("_map")
+            if transform in (first, second):
+                use, channel = uses[key]
+                maps[key] = self._map(use, map_name, channel)
             else:
                 self.warn(
-                    f"the {_kind(key)} map of {self.name} needs a third set or transform of "
+                    f"the {map_name} map of {self.name} needs a third set or transform of "
                     "texture coordinates: ignored, because a material can have only two"
                 )
         if not glossy:
@@ -146,22 +144,23 @@ class Materials:
             double_sided=source.get("doubleSided", False),
             normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
             occlusion_strength=self._strength(source, "occlusionTexture", "strength", 1.0),
-            second_uv=tuple(key for key in maps if maps[key] and places[key] != first),
+            second_uv=tuple(key for key in maps if maps[key] and transforms[key] != first),
             **self._transmission(extensions, metallic),
             **maps,
         )
-        return Look(material, first, second)
+        return material, first, second
 
     # --- factors ---------------------------------------------------------------------------------
 
     def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
         """Warn of the material's unsupported extensions that have an effect."""
         for key, extension in extensions.items():
-            feature = EXTENSIONS.get(key)
-            if feature is None or feature.fate != "warned":
+            if key not in EXTENSIONS or EXTENSIONS[key].fate != "warned":
                 continue
-            if not feature.factor or np.any(extension.get(feature.factor, 0.0)):
-                self.warn(f"{self.name} has {key}, which is not supported: {feature.how}")
+            always = key in ("KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit")
+            if always or any(map(np.any, extension.values())):  # a factor of 0 disables the others
+                how = EXTENSIONS[key].how
+                self.warn(f"{self.name} has {key}, which is not supported: {how}")
 
     def _factor(self, name: str, value: float, high: float = 1.0) -> float:
         if not 0.0 <= value <= high:
@@ -172,9 +171,8 @@ class Materials:
         return self._factor(f"{use}.{key}", source.get(use, {}).get(key, 1.0), high)
 
     def _emissive(self, source: Doc, extensions: Doc) -> tuple[float, float, float]:
-        strength = extensions.get("KHR_materials_emissive_strength", {}).get(
-            "emissiveStrength", 1.0
-        )
+        stored = extensions.get("KHR_materials_emissive_strength", {})
+        strength = stored.get("emissiveStrength", 1.0)
         strength = self._factor("emissiveStrength", strength, MOST_RADIANCE)
         factor = source.get("emissiveFactor", (0.0, 0.0, 0.0))
         red, green, blue = (strength * self._factor("emissive", channel) for channel in factor)
@@ -199,8 +197,8 @@ class Materials:
         """Return the fields transmission and refraction, and m from the roughness factor. Without a
         thickness the surface is thin and does not refract."""
         transmission = extensions.get("KHR_materials_transmission", {})
-        passes = self._factor("transmission", transmission.get("transmissionFactor", 0.0))
-        if not passes:
+        factor = self._factor("transmission", transmission.get("transmissionFactor", 0.0))
+        if not factor:
             return {}
         if "transmissionTexture" in transmission:
             self.warn(f"{self.name} has a transmission map: ignored, only the factor is used")
@@ -209,7 +207,7 @@ class Materials:
         max_ior = range_of(Material, "refraction").high
         roughness = self._factor("roughness", metallic.get("roughnessFactor", 1.0))
         m = max(roughness * roughness, range_of(Material, "m").low)
-        return {"transmission": passes, "refraction": min(max(ior, 1.0), max_ior), "m": m}
+        return {"transmission": factor, "refraction": min(max(ior, 1.0), max_ior), "m": m}
 
     def _look_for_metal(self, metallic: Doc) -> None:
         """Warn of a metallic material. This check decodes the metallic map unless it is large."""
@@ -237,22 +235,16 @@ class Materials:
     @staticmethod
     def _source(texture: Doc) -> Any:
         """Return the index of the image that is read for a texture; None without such an image."""
-        extensions = texture.get("extensions", {})
-        index = extensions.get("EXT_texture_webp", {}).get("source", texture.get("source"))
-        for key in _INSTEAD:
-            index = extensions.get(key, {}).get("source") if index is None else index
-        return index
+        tables = {"": texture, **texture.get("extensions", {})}
+        sources = (tables[key].get("source") for key in _SOURCES if key in tables)
+        return next((index for index in sources if index is not None), None)
 
     def _replaces(self, kind: str) -> bool:
         return kind == "albedo" and self.albedo_given
 
-    def _map(
-        self, use: Doc | None, kind: str, channel: int | Literal["alpha"] | None
-    ) -> Texture | None:
+    def _map(self, use: Doc, kind: str, channel: _Channel) -> Texture | None:
         """Return a material's map, or None if its image is missing. An unreadable image raises
         InputError, or causes a warning if the caller replaces the albedo map."""
-        if use is None:
-            return None
         texture = self.document["textures"][use["index"]]
         source = self._source(texture)
         if source is None:
@@ -312,17 +304,3 @@ class Materials:
             return None
         alpha = Texture.alpha_of(content, f"the opacity map of {self.name}")
         return image, Texture.of(content, f"the {kind} map of {self.name}"), alpha
-
-
-# Keyed by map: the image channel that the map uses. All other maps use the colours.
-_CHANNELS: dict[str, int | Literal["alpha"]] = {
-    "opacity_map": "alpha",
-    "specular_map": "alpha",
-    "roughness_map": 1,
-    "occlusion_map": 0,
-}
-
-
-def _kind(field: str) -> str:
-    """Return the name of a map for messages."""
-    return {"emissive_map": "emission"}.get(field, field.removesuffix("_map"))
