@@ -141,12 +141,12 @@ def _read_mesh(path: str | None, replaced: bool, options: str) -> Mesh:
     mesh = load_mesh(path, albedo=albedo, **json.loads(options))
     textures = {getattr(material, name) for material in mesh.materials for name in MAPS}
     for texture in textures - {None}:
-        texture.rgb()
+        texture.texels()
     return mesh
 
 
 _READ: dict[str, _Call] = {
-    "map": lambda path: Texture.open(path).rgb(),
+    "map": lambda path: Texture.open(path).texels(),
     "environment": lambda path: load_environment(EnvironmentFile(path)),
     "vertices": frame_count,
     "landmarks": load_landmarks,

@@ -174,8 +174,8 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
     textures = []
     for texture, futures in chains.items():
         levels = {kind: future.result() for kind, future in futures.items()}
-        texels = None if levels else np.asarray(texture.rgb())
-        if texels is not None and (texels == texels[..., :1]).all():
+        texels = None if levels else texture.texels()
+        if texels is not None and texels.ndim == 3 and (texels == texels[..., :1]).all():
             texels = texels[..., 0]  # grey
         textures.append((texture.name, texture.wrap, texture.nearest, levels, texels))
     facts |= {

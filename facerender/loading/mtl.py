@@ -17,7 +17,7 @@ from facerender.images.image import srgb_to_linear
 from facerender.loading.conventions import preset_for
 from facerender.loading.source import References, WarnOnce, image_of, text_of, unreadable
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
-from facerender.scenes.texture import Texture, with_green_turned
+from facerender.scenes.texture import Texture
 from facerender.scenes.vectors import MOST_RADIANCE, Vector
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
@@ -31,29 +31,17 @@ DEPTH = 0.005
 _STRIP = 256  # rows of a bump map converted at a time
 
 
-class Bump(Texture):
-    """A bump map, converted to a normal map. Decoding tests the colours of the image: a grey image
+def _bump(image: Image, name: str) -> Texture:
+    """Return the normal map of a bump map. Decoding tests the colours of the image: a grey image
     contains heights; a bluish image of vectors of length 1 already contains normals."""
 
-    _image: Image | None = None  # None in unpickled copies, which have only texels
+    def decode() -> Image:
+        try:
+            return image if _is_normal_map(image) else _normals(image)
+        except Exception as error:  # Pillow's decoders raise many exceptions
+            raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
 
-    def __init__(self, image: Image, name: str, green_down: bool = False) -> None:
-        def decode() -> Image:
-            try:
-                if not _is_normal_map(image):
-                    return _normals(image)
-                return with_green_turned(image) if green_down else image
-            except Exception as error:  # Pillow's decoders raise many exceptions
-                raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
-
-        super().__init__(decode, name, image.size)
-        self._image = image
-
-    def turned_green(self) -> Texture:
-        """Return this texture, with green inverted if the image contains normals, not heights."""
-        if self._image is None:
-            return super().turned_green()
-        return Bump(self._image, self.name, green_down=True)
+    return Texture(decode, name, image.size)
 
 
 def _is_normal_map(image: Image) -> bool:
@@ -85,7 +73,9 @@ def _normals(image: Image) -> Image:
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
         normals[top : top + _STRIP] = np.round(unit * 127.5 + 127.5)
-    return images.fromarray(normals)
+    result = images.fromarray(normals)
+    result.info["heights"] = True  # its green points up, whatever the direction in normal maps
+    return result
 
 
 def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
@@ -403,7 +393,7 @@ class Library:
 
     def _decoding(self, key: str, use: _Map, content: bytes, image: Image, name: str) -> Texture:
         if key == "normal_map" and use.channel != "normal":
-            return Bump(image, name)
+            return _bump(image, name)
         if key == "opacity_map" and use.channel in ("", "m"):
             alpha = Texture.alpha_of(content, name)
             if alpha is not None:

@@ -5,21 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.images.files import texels
 from facerender.images.image import linear_to_srgb, srgb_to_linear
 from facerender.terms.model import MAP_DEVIATION
 
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
-Rows = Callable[[int, int], "Image"]  # returns rows [low, high); row 0 is the bottom
+Rows = Callable[[int, int], NDArray[np.uint8]]  # returns rows [low, high), row 0 at the bottom
 
 _STRIP = 32  # number of rows that are reduced at once
 
@@ -42,14 +38,14 @@ def coarse_base(
     finest = np.empty((height, width, 4), dtype=np.uint8)
     if kind == "color":
         for top, strip in _coarse_strips(rows, height, drop):
-            pixels = texels(strip, "RGBA")
+            pixels = _with_alpha(strip, 255)
             for _ in range(drop):
                 pixels = _halve_srgb(_even(pixels))
             finest[top : top + len(pixels)] = pixels
         return finest
     means = np.empty((3, height // 2, width // 2), dtype=np.float32)
     for top, strip in _coarse_strips(rows, height, drop):
-        normals = _halve_planes(_unit_planes(_even(texels(strip, "RGB"))))
+        normals = _halve_planes(_unit_planes(_even(in_three(strip))))
         for _ in range(drop - 1):
             normals = _halve_planes(_even_planes(normals))
         bottom = top + normals.shape[1]
@@ -65,21 +61,20 @@ def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float3
     the next 8-bit level."""
     if isinstance(base, tuple):
         return [base[0], *_normal_chain(base[1])]
-    return _data_chain(base) if base.shape[2] == 3 else _color_chain(base)
+    return _color_chain(base) if base.shape[2:] == (4,) else _data_chain(in_three(base))
 
 
 def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
     """Return the base level of kind "data", (H, W, 3), or (H, W) for grey rows. See
     :func:`coarse_base` for the parameters."""
     width, height = (side >> drop for side in size)
-    bands = len(rows(0, 1).getbands())
-    finest = np.empty((height, width, bands)[: 2 + (bands > 1)], dtype=np.uint8)
+    finest = np.empty((height, width, *rows(0, 1).shape[2:]), dtype=np.uint8)
     for top, strip in _coarse_strips(rows, height, drop):
-        finest[top : top + (strip.height >> drop)] = np.asarray(_halved(strip, drop))
+        finest[top : top + (len(strip) >> drop)] = _halved(strip, drop)
     return finest
 
 
-def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
+def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Yield strips of an image, each with the index of its first row in the base level, which is
     even. The base level has the given height."""
     step = max(_STRIP >> drop, 2)
@@ -88,22 +83,32 @@ def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Im
 
 
 def _data_chain(finest: NDArray[np.uint8]) -> Levels:
-    from PIL import Image
-
-    levels, image = [finest], Image.fromarray(finest)
-    while max(image.size) > 1:
-        image = _halved(image, 1)
-        levels.append(texels(image, "RGB"))
+    levels = [finest]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_halved(levels[-1], 1))
     return levels
 
 
-def _halved(image: Image, times: int) -> Image:
-    from PIL.Image import Resampling
+def _halved(texels: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
+    from PIL import Image
 
+    image = Image.fromarray(texels)
     for _ in range(times):
         half = max(image.width // 2, 1), max(image.height // 2, 1)
-        image = image.resize(half, Resampling.BOX)
-    return image
+        image = image.resize(half, Image.Resampling.BOX)
+    return np.asarray(image)
+
+
+def in_three(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return texels (H, W, 3) of grey texels (H, W), and other texels as they are."""
+    return np.repeat(texels[..., None], 3, axis=2) if texels.ndim == 2 else texels
+
+
+def _with_alpha(texels: NDArray[np.uint8], alpha: int) -> NDArray[np.uint8]:
+    """Return a copy (H, W, 4) of texels with a constant alpha."""
+    copy = np.empty((*texels.shape[:2], 4), dtype=np.uint8)
+    copy[..., :3], copy[..., 3] = in_three(texels), alpha
+    return copy
 
 
 def _even(texels: NDArray[Any]) -> NDArray[Any]:
@@ -152,9 +157,9 @@ def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
 
 
-def _linear_color_levels(image: Image) -> Levels:
+def _linear_color_levels(texels: NDArray[np.uint8]) -> Levels:
     decoded = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
-    finest = texels(image, "RGBA")
+    finest = _with_alpha(texels, 255)
     levels = [decoded.astype(np.float16)[finest]]
     halved = [_halve_linear(decoded[strip]) for _, strip in _strips(_even(finest))]
     means = np.concatenate(halved)
@@ -202,12 +207,11 @@ def _even_planes(planes: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.moveaxis(_even(np.moveaxis(planes, 0, -1)), -1, 0)
 
 
-def _normal_levels(image: Image) -> Levels:
-    finest = texels(image, "RGBA")
-    finest[..., 3] = 0
-    if max(image.size) == 1:
+def _normal_levels(texels: NDArray[np.uint8]) -> Levels:
+    finest = _with_alpha(texels, 0)
+    if max(texels.shape[:2]) == 1:
         return [finest]
-    even = _even(finest[..., :3])
+    even = _even(texels)
     means = np.empty((3, even.shape[0] // 2, even.shape[1] // 2), dtype=np.float32)
     for top, strip in _strips(even):
         means[:, top // 2 : (top + len(strip)) // 2] = _halve_planes(_unit_planes(strip))
@@ -225,11 +229,11 @@ def _normal_chain(means: NDArray[np.float32]) -> Levels:
         means = _halve_planes(_even_planes(means))
 
 
-# Functions that return all mip levels of an image, which has mode RGB and row 0 at the bottom. See
+# Functions that return all mip levels of texels (H, W, 3) with row 0 at the bottom. See
 # Texture.levels for the kinds.
-CHAIN: dict[Kind, Callable[[Image], Levels]] = {
-    "color": lambda image: _color_chain(texels(image, "RGBA")),
+CHAIN: dict[Kind, Callable[[NDArray[np.uint8]], Levels]] = {
+    "color": lambda texels: _color_chain(_with_alpha(texels, 255)),
     "linear-color": _linear_color_levels,
     "normal": _normal_levels,
-    "data": lambda image: _data_chain(texels(image, "RGB")),
+    "data": _data_chain,
 }

@@ -1,4 +1,7 @@
-"""Textures: images that background threads decode and reduce to mip levels. OpenGL is not used."""
+"""Textures: images that background threads decode and reduce to mip levels. OpenGL is not used.
+
+A :class:`Texture` is a function that decodes an image, a sampling, and mip chains. Its texels are
+arrays; channels, packed maps and reduced maps are functions of these arrays."""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal, get_args
-from weakref import WeakMethod, WeakValueDictionary
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, get_args
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +32,16 @@ from facerender.errors import (
 )
 from facerender.images.files import check_pixels, in_srgb, open_image, png_bytes
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.mips import CHAIN, Kind, Levels, Rows, coarse_base, coarse_chain, coarse_data
+from facerender.scenes.mips import (
+    CHAIN,
+    Kind,
+    Levels,
+    Rows,
+    coarse_base,
+    coarse_chain,
+    coarse_data,
+    in_three,
+)
 from facerender.system.files import open_file
 from facerender.system.process import give_back
 
@@ -37,12 +49,27 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 Wrap = Literal["repeat", "clamp", "mirror"]
+Decode = Callable[[], "Image | NDArray[np.uint8]"]
 
 DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _DISPLAYED = 512  # largest side of a texture that a notebook displays, in pixels
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
+_STRIP = 256  # number of rows that are converted at once
+_FLOAT: Kind = "linear-color"  # its mip chain does not contain the 8-bit texels
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
+
+
+class _Decoded:
+    """What textures of one image with different sampling share: decoder, texels, mip chains."""
+
+    def __init__(self, decode: Decode | None) -> None:
+        self.decode = decode  # None once a mip chain contains the texels
+        self.lock = threading.Lock()
+        self.texels: NDArray[np.uint8] | None = None
+        self.chains: dict[Kind, Future[Levels]] = {}
+        self.ends: NDArray[np.uint8] | None = None
+        self.variants: WeakValueDictionary[Any, Texture] = WeakValueDictionary()
 
 
 class Texture:
@@ -50,12 +77,10 @@ class Texture:
 
     Parameters
     ----------
-    decode : function that returns the Pillow image, in any mode; runs in a thread
+    decode : function that returns a Pillow image of any mode, or texels (H, W, 3) or (H, W) of
+        uint8 with row 0 at the bottom; runs in a thread
     name : name in messages: the file, or the map and its mesh file
     size : width and height, if known
-    coarser : implementation of :meth:`coarser` for a texture that is made of other textures. In
-        this case, ``decode`` must return an image in mode RGB with row 0 at the bottom, and the
-        image is not cached.
     profile : ICC profile of the image, from :func:`profile_of`; :meth:`in_srgb` applies it
 
     Attributes
@@ -68,40 +93,36 @@ class Texture:
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     nearest: bool = False
     coarse: bool = False
-    _in_srgb: Texture | None = None
-    _source: Texture | None = None  # texture whose image this one shares, with another sampling
-    _fine: tuple[Texture, int] | None = None  # full texture, and number of omitted finest levels
+    _full: tuple[Texture, int] | None = None  # full texture, and number of omitted finest levels
+    _channel: tuple[Texture, int] | None = None  # texture whose channel this is, and its index
 
     def __init__(
         self,
-        decode: Callable[[], Image],
+        decode: Decode,
         name: str,
         size: tuple[int, int] | None = None,
-        coarser: Callable[[int], Texture] | None = None,
         profile: bytes | None = None,
     ) -> None:
         check_type("name of a texture", name, str, "text")
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
         check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
-        self.name, self.profile = name, profile
-        self._size, self._derived = size, coarser is not None
-        self._decode: Callable[[], Image] | None = decode  # None once the image is decoded
-        self._lock = threading.Lock()
-        self._levels_lock = threading.Lock()
-        self._rgb: Image | None = None
-        self._levels: dict[Kind, Future[Levels]] = {}
-        self._ends: NDArray[np.uint8] | None = None
-        self._make_coarser = coarser
-        self._coarser: WeakValueDictionary[int, Texture] = WeakValueDictionary()
+        self.name, self.profile, self._size = name, profile, size
+        self._decoded = _Decoded(decode)
 
-    def __getstate__(self) -> tuple[str, Image, tuple[Wrap, Wrap], bool, bytes | None]:
+    def __getstate__(self) -> tuple[Any, ...]:
         """Pickle the decoded image instead of its source."""
-        return self.name, self.rgb(), self.wrap, self.nearest, self.profile
+        return self.name, self.texels(), self.wrap, self.nearest, self.profile
 
-    def __setstate__(self, state: tuple[str, Image, tuple[Wrap, Wrap], bool, bytes | None]) -> None:
-        name, image, wrap, nearest, profile = state
-        Texture.__init__(self, lambda: _flipped(image), name, image.size)
-        self._rgb, self.wrap, self.nearest, self.profile = image, wrap, nearest, profile
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.name, texels, self.wrap, self.nearest, self.profile = state
+        self._size = texels.shape[1::-1]
+        self._decoded = _Decoded(lambda: texels)
+
+    def _with(self, decoded: _Decoded, **attributes: Any) -> Texture:
+        """Return a texture with the same name and sampling."""
+        texture = Texture.__new__(Texture)
+        vars(texture).update(vars(self), _decoded=decoded, **attributes)
+        return texture
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
@@ -123,7 +144,7 @@ class Texture:
                 file.seek(0)
                 return cls.of(file.read(), name)
             opened = _opened(file, name)
-            return cls(decode, name, opened.size, profile=profile_of(opened))
+            return cls(decode, name, opened.size, profile_of(opened))
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
@@ -134,7 +155,7 @@ class Texture:
         InputError : the content is not an image, or too large
         """
         opened = _opened(content, name)
-        return cls(lambda: _opened(content, name), name, opened.size, profile=profile_of(opened))
+        return cls(lambda: _opened(content, name), name, opened.size, profile_of(opened))
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
@@ -168,7 +189,7 @@ class Texture:
         """
         pixels = _bytes_of(texels, name)
         check_pixels(name, pixels.shape[1], pixels.shape[0], 4, math.inf)
-        return cls(lambda: _image_of(pixels), name)
+        return cls(lambda: _image_of(pixels), name, pixels.shape[1::-1])
 
     @classmethod
     def from_image(cls, image: Image, name: str = "an image") -> Texture:
@@ -186,7 +207,7 @@ class Texture:
             copy = image.copy()
         except Exception as error:  # Pillow's decoders raise many types
             raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
-        return cls(lambda: copy, name, profile=profile_of(copy))
+        return cls(lambda: copy, name, copy.size, profile_of(copy))
 
     def __repr__(self) -> str:
         size = "" if self._size is None else f", {self._size[0]} x {self._size[1]}"
@@ -198,11 +219,10 @@ class Texture:
 
         texels : (H, W) or (H, W, 3), row 0 at the bottom
         """
-        texture = cls(lambda: _image_of(texels).convert("RGB"), name, texels.shape[1::-1])
-        texture._derived = True
-        for kind, kind_levels in levels.items():
-            texture._levels[kind] = Future()
-            texture._levels[kind].set_result(kind_levels)
+        texture = cls(lambda: texels, name, texels.shape[1::-1])
+        for kind, chain in levels.items():
+            texture._decoded.chains[kind] = Future()
+            texture._decoded.chains[kind].set_result(chain)
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
@@ -220,82 +240,98 @@ class Texture:
         for mode in wrap:
             check_known("wrap", mode, modes)
         check_switch("nearest", nearest)
-        source = self._source or self
-        texture = Texture(source.rgb, self.name, source._size, profile=source.profile)
-        texture._source, texture._derived = source, True
-        texture.wrap, texture.nearest, texture.coarse = (wrap[0], wrap[1]), nearest, source.coarse
-        return texture
+        return self._with(self._decoded, wrap=(wrap[0], wrap[1]), nearest=nearest)
 
     @property
     def sampling(self) -> tuple[tuple[Wrap, Wrap], bool]:
         """Wrap modes and filtering. Only maps with equal sampling can be packed in one texture."""
         return self.wrap, self.nearest
 
-    def rgb(self) -> Image:
-        """Return the image in mode RGB, without alpha, with row 0 at the bottom as in OpenGL.
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height. The size of an image file is available before decoding."""
+        if self._size is None:
+            height, width = self.texels().shape[:2]
+            self._size = width, height
+        return self._size
+
+    @property
+    def decoded_size(self) -> tuple[int, int]:
+        """Width and height of the decoded image; for a coarse texture, of the full image."""
+        return self._full[0].size if self._full else self.size
+
+    # --- texels ----------------------------------------------------------------------------------
+
+    def texels(self) -> NDArray[np.uint8]:
+        """Return the image without alpha, (H, W, 3), or (H, W) for a channel. Row 0 is at the
+        bottom, as in OpenGL.
 
         Raises
         ------
         InputError : the image is damaged, or too large for
             :func:`facerender.images.files.check_pixels`
         """
-        with self._lock:
-            if self._rgb is not None:
-                return self._rgb
-            if self._decode is None:  # a mip chain is already computed
-                chains = (self._levels.get(kind) for kind in ("normal", "data", "color"))
-                texels = next(chain.result()[0] for chain in chains if chain and chain.done())
-                return _image_of(np.ascontiguousarray(texels[..., :3]))
-            image = self._decode()
-            if not self._derived:
-                self._rgb = image = _upright_rgb(_loaded(image, self.name), self.name)
-                self._decode = None
-            return image
+        if self._full:
+            with self._full[0]._rows() as rows:
+                return coarse_data(rows, self._full[0].size, self._full[1])
+        if self._channel:
+            return _band(self._channel[0].texels(), self._channel[1])
+        decoded = self._decoded
+        with decoded.lock:
+            if decoded.texels is None:
+                if decoded.decode is None:
+                    return self._of_chain()
+                decoded.texels = _upright(decoded.decode(), self.name)
+            return decoded.texels
 
-    def band(self, index: int) -> Image:
-        """Return one channel of the image from :meth:`rgb`, in mode L."""
-        if self._source:
-            return self._source.band(index)
-        if self._fine:  # saves memory: only this channel is reduced
-            fine, levels = self._fine
-            with fine._rows() as rows:
-                band = coarse_data(lambda *span: rows(*span).getchannel(index), fine.size, levels)
-            return _image_of(band)
-        return self.rgb().getchannel(index)
+    def _of_chain(self) -> NDArray[np.uint8]:
+        chains = self._decoded.chains.items()
+        return np.asarray(next(c for kind, c in chains if kind != _FLOAT).result()[0][..., :3])
+
+    def rgb(self) -> Image:
+        """Return the image in mode RGB; see :meth:`texels`."""
+        return _image_of(np.ascontiguousarray(in_three(self.texels())))
+
+    def _original(self) -> Image:
+        """Return the image in its own mode, with row 0 on top."""
+        decode = self._decoded.decode
+        image = decode() if decode else self._of_chain()
+        return _image_of(image[::-1]) if isinstance(image, np.ndarray) else image
+
+    @contextmanager
+    def _rows(self) -> Iterator[Rows]:
+        """Yield a function that returns rows of the image. The image is not cached."""
+        if self._channel:
+            texture, index = self._channel
+            with texture._rows() as rows:
+                yield lambda low, high: _band(rows(low, high), index)
+            return
+        with _decoding:
+            decoded = self._decoded
+            with decoded.lock:
+                texels, decode = decoded.texels, decoded.decode
+            images = [decode() if decode else self._of_chain()] if texels is None else [texels]
+            if not isinstance(images[0], np.ndarray):
+                images[0] = _loaded(images[0], self.name)
+            yield lambda low, high: _strip(images[0], low, high, self.name)
+            images.clear()
+            give_back()
 
     def _repr_png_(self) -> bytes:
         """Return the image as PNG of at most 512 pixels a side, which notebooks display."""
-        image = _flipped(self.rgb())
+        image = _image_of(in_three(self.texels())[::-1])
         image.thumbnail((_DISPLAYED, _DISPLAYED))
         return png_bytes(np.asarray(image), {})
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height. The size of an image file is available before decoding."""
-        if self._source:
-            return self._source.size
-        if self._size is None:
-            image, decode = self._rgb, self._decode  # both None if only a mip chain is left
-            self._size = (image or (decode() if decode else self.rgb())).size
-        return self._size
-
-    @property
-    def decoded_size(self) -> tuple[int, int]:
-        """Width and height of the decoded image; for a coarse texture, of the full image."""
-        full = self._source or (self._fine and self._fine[0])
-        return full.decoded_size if full else self.size
+    # --- textures made of this one ---------------------------------------------------------------
 
     def channel(self, index: int, name: str) -> Texture:
         """Return one channel of this texture as a grey texture with the same sampling."""
-
-        def decode() -> Image:
-            return self.band(index).convert("RGB")
-
-        def coarser(levels: int) -> Texture:
-            return self.coarser(levels).channel(index, name)
-
-        grey = Texture(decode, name, self.size, coarser)
-        return grey.sampled(*self.sampling) if self.sampling != grey.sampling else grey
+        if self._full:  # only this channel is reduced, to save memory
+            return self._full[0].channel(index, name).coarser(self._full[1])
+        return self._with(
+            _Decoded(None), name=name, profile=None, _full=None, _channel=(self, index)
+        )
 
     def coarser(self, levels: int) -> Texture:
         """Return a texture of the same image without the finest mip levels.
@@ -306,81 +342,25 @@ class Texture:
         """
         if not levels:
             return self
-        if self._fine:
-            fine, omitted = self._fine
-            return fine.coarser(omitted + levels)
-        if (cached := self._coarser.get(levels)) is not None:
-            return cached
+        if self._full:
+            return self._full[0].coarser(self._full[1] + levels)
+        size = tuple(max(side >> levels, 1) for side in self.size)
+        attributes = {"_full": (self, levels), "coarse": True, "_size": size}
+        return self._variant(levels, None, **attributes)
 
-        def decode() -> Image:
-            with self._rows() as rows:
-                return _image_of(coarse_data(rows, self.size, levels))
-
-        if self._source:
-            texture = self._source.coarser(levels).sampled(*self.sampling)
-        elif self._make_coarser:
-            texture = self._make_coarser(levels)
-        else:
-            width, height = (max(side >> levels, 1) for side in self.size)
-            texture = Texture(decode, self.name, (width, height))
-            texture._fine, texture._derived = (self, levels), True
-        texture.coarse = True
-        self._coarser[levels] = texture
+    def _variant(self, name: Any, decode: Decode | None, **attributes: Any) -> Texture:
+        """Return the variant with a name and this sampling, or make it. A renderer uploads each
+        texture once, so equal calls must return one object while it is in use."""
+        variants, key = self._decoded.variants, (name, self.sampling)
+        if (texture := variants.get(key)) is None:
+            shared = next((t for (n, _), t in variants.items() if n == name), None)
+            decoded = shared._decoded if shared else _Decoded(decode)
+            texture = variants[key] = self._with(decoded, **attributes)
         return texture
-
-    @contextmanager
-    def _rows(self) -> Iterator[Rows]:
-        """Yield a function that returns rows of the image. The image is not cached."""
-        with _decoding:
-            with self._lock:
-                decoded, decode = self._rgb, self._decode
-            if decoded or decode is None or self._derived:
-                upright = decoded or self.rgb()
-                yield lambda low, high: upright.crop((0, low, upright.width, high))
-                return
-            images = [_loaded(decode(), self.name)]
-
-            def rows(low: int, high: int) -> Image:
-                (image,) = images
-                edges = image.height - high, image.width, image.height - low
-                return _upright_rgb(image.crop((0, *edges)), self.name)
-
-            yield rows
-            images.clear()
-            give_back()
-
-    def forget(self) -> None:
-        """Drop the mip chains of a coarse texture. The chains are computed again on demand."""
-        if self._source:
-            self._source.forget()
-        elif self.coarse:
-            if "data" in self._levels:
-                self.ends()
-            with self._levels_lock:
-                self._levels.clear()
-
-    def ends(self) -> NDArray[np.uint8]:
-        """Return the minimum and maximum of each channel over the image, (2, 3). Waits until
-        the mip chain "data" is computed."""
-        if self._source:
-            return self._source.ends()
-        if self._ends is None:
-            finest = self.levels("data").result()[0]
-            rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
-            limits = np.stack([rows.min(axis=0), rows.max(axis=0)]).reshape(2, *finest.shape[1:])
-            self._ends = np.stack([limits[0].min(axis=0), limits[1].max(axis=0)])
-        return self._ends
 
     def turned_green(self) -> Texture:
         """Return this normal map, whose green points down, converted to green pointing up."""
-        if self._source:
-            return self._source.turned_green().sampled(*self.sampling)
-        return Texture(lambda: with_green_turned(self._unflipped()), self.name, self.size)
-
-    def _unflipped(self) -> Image:
-        """Return the image with row 0 at the top."""
-        decode = None if self._derived else self._decode
-        return decode() if decode else _flipped(self.rgb())
+        return self._with(_Decoded(lambda: with_green_turned(self._original())))
 
     def in_srgb(self) -> Texture:
         """Return this texture converted from its ICC profile to sRGB, or itself without a profile.
@@ -393,14 +373,11 @@ class Texture:
             return self
 
         def decode() -> Image:
-            return _srgb_of(_loaded(self._unflipped(), self.name), profile, self.name)
+            return _srgb_of(_loaded(self._original(), self.name), profile, self.name)
 
-        if self._in_srgb is None:
-            if self._source:
-                self._in_srgb = self._source.in_srgb().sampled(*self.sampling)
-            else:
-                self._in_srgb = Texture(decode, self.name, self._size)
-        return self._in_srgb
+        return self._variant("sRGB", decode, profile=None)
+
+    # --- mip levels ------------------------------------------------------------------------------
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Return the future of a mip chain. A thread computes each chain once.
@@ -411,17 +388,47 @@ class Texture:
           a texel (``fr_slope_variance_map``), and 0 in the finest level.
         - "data": uint8 (H, W, 3), averaged as stored, without sRGB decoding
         """
-        if self._source:
-            return self._source.levels(kind)
-        with self._levels_lock:
-            if kind not in self._levels:
-                with _starting:
-                    future = _executor().submit(lambda: self._chain(kind))
-                self._levels[kind] = future
-                if kind != "linear-color":
-                    drop = WeakMethod(self._drop_image)  # weak: futures keep callbacks alive
-                    future.add_done_callback(lambda chain: (method := drop()) and method(chain))
-            return self._levels[kind]
+        chains = self._decoded.chains
+        with _starting:
+            if kind not in chains:
+                chains[kind] = _executor().submit(self._chain, kind)
+            return chains[kind]
+
+    def _chain(self, kind: Kind) -> Levels:
+        try:
+            if self._full and kind != _FLOAT:
+                full, omitted = self._full
+                with full._rows() as rows:
+                    base = coarse_base(kind, rows, full.size, omitted)
+                return coarse_chain(base)
+            levels = CHAIN[kind](in_three(self.texels()))
+        except MemoryError:
+            lacking = "not enough memory for {} of {} x {} texels".format(self.name, *self.size)
+            raise InputError(f"{lacking}: make it smaller") from None
+        if kind != _FLOAT:  # the chain also contains the texels of the image
+            with self._decoded.lock:
+                self._decoded.texels = None
+                if not self.coarse:  # see forget()
+                    self._decoded.decode = None
+        return levels
+
+    def forget(self) -> None:
+        """Drop the mip chains of a coarse texture. The chains are computed again on demand."""
+        if self.coarse:
+            if "data" in self._decoded.chains:
+                self.ends()
+            with _starting:
+                self._decoded.chains.clear()
+
+    def ends(self) -> NDArray[np.uint8]:
+        """Return the minimum and maximum of each channel over the image, (2, 3). Waits until
+        the mip chain "data" is computed."""
+        if self._decoded.ends is None:
+            finest = self.levels("data").result()[0]
+            rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
+            limits = np.stack([rows.min(axis=0), rows.max(axis=0)]).reshape(2, *finest.shape[1:])
+            self._decoded.ends = np.stack([limits[0].min(axis=0), limits[1].max(axis=0)])
+        return self._decoded.ends
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
         """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
@@ -434,10 +441,8 @@ class Texture:
         ------
         InputError : the image is damaged or too large
         """
-        if self._source:
-            return self._source.preview(side, decode)
-        with self._levels_lock:
-            computed = [future for future in self._levels.values() if future.done()]
+        with _starting:
+            computed = [chain for chain in self._decoded.chains.values() if chain.done()]
         if computed:
             levels = computed[0].result()
             small = (mip for mip in levels if max(mip.shape[:2]) <= side)
@@ -448,25 +453,7 @@ class Texture:
         if not decode:
             return None
         spare = max(math.ceil(math.log2(max(self.size) / side)), 0)
-        return np.asarray(self.coarser(spare).rgb())
-
-    def _chain(self, kind: Kind) -> Levels:
-        try:
-            if self._fine and kind != "linear-color":
-                fine, levels = self._fine
-                with fine._rows() as rows:
-                    base = coarse_base(kind, rows, fine.size, levels)
-                return coarse_chain(base)
-            return CHAIN[kind](self.rgb())
-        except MemoryError:
-            lacking = "not enough memory for {} of {} x {} texels".format(self.name, *self.size)
-            raise InputError(f"{lacking}: make it smaller") from None
-
-    def _drop_image(self, chain: Future[Levels]) -> None:
-        """Drop the decoded image, since an 8-bit mip chain also contains the image's texels."""
-        if chain.exception() is None:
-            with self._lock:
-                self._rgb = None
+        return in_three(self.coarser(spare).texels())
 
 
 _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
@@ -488,22 +475,21 @@ def pack(
     if (cached := _packed.get((red, green, blue))) is not None:
         return cached
 
-    def decode() -> Image:
-        from PIL import Image
-
-        bands = [texture and texture.band(0) for texture in (red, green, blue)]
-        filled = [band.resize(size) if band else Image.new("L", size, 255) for band in bands]
-        return Image.merge("RGB", filled)
+    def decode() -> NDArray[np.uint8]:
+        bands = [texture and texture.channel(0, names).texels() for texture in (red, green, blue)]
+        merged = np.full((*size[::-1], 3), 255, dtype=np.uint8)
+        for index, band in enumerate(bands):
+            if band is not None:
+                same = band.shape == merged.shape[:2]
+                resized = band if same else _image_of(np.ascontiguousarray(band)).resize(size)
+                merged[..., index] = resized
+        return merged
 
     present = [texture for texture in (red, green, blue) if texture]
     names = " + ".join(dict.fromkeys(texture.name for texture in present))
     widths, heights = zip(*(texture.size for texture in present), strict=True)
     size = max(widths), max(heights)
-
-    def coarser(levels: int) -> Texture:
-        return pack(*(texture and texture.coarser(levels) for texture in (red, green, blue)))
-
-    packed = known or Texture(decode, names, size, coarser)
+    packed = known or Texture(decode, names, size)
     packed.wrap, packed.nearest = present[0].sampling
     packed.coarse = any(texture.coarse for texture in present)
     _packed[red, green, blue] = packed
@@ -548,15 +534,12 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
 
 
 def with_green_turned(image: Image) -> Image:
-    """Return an image in mode RGB with inverted green: 255 - green."""
+    """Return an image in mode RGB with inverted green: 255 - green. An image with the entry
+    "heights" in its info is a bump map, converted to normals with green up, and does not change."""
+    if "heights" in image.info:
+        return image
     identity = range(256)
     return image.convert("RGB").point([*identity, *reversed(identity), *identity])
-
-
-def _flipped(image: Image) -> Image:
-    from PIL.Image import Transpose
-
-    return image.transpose(Transpose.FLIP_TOP_BOTTOM)
 
 
 def _loaded(image: Image, name: str) -> Image:
@@ -603,11 +586,30 @@ def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
         return image
 
 
-def _upright_rgb(image: Image, name: str) -> Image:
+def _band(texels: NDArray[np.uint8], index: int) -> NDArray[np.uint8]:
+    return texels if texels.ndim == 2 else texels[..., index]
+
+
+def _upright(image: Image | NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
+    """Return the texels of a decoded image, converted in strips to avoid a second full copy."""
+    if isinstance(image, np.ndarray):
+        return image
+    image = _loaded(image, name)
+    texels = np.empty((image.height, image.width, 3), dtype=np.uint8)
+    for low in range(0, image.height, _STRIP):
+        texels[low : low + _STRIP] = _strip(image, low, min(low + _STRIP, image.height), name)
+    return texels
+
+
+def _strip(image: Image | NDArray[np.uint8], low: int, high: int, name: str) -> NDArray[np.uint8]:
+    """Return rows [low, high) of a decoded image; row 0 is at the bottom."""
+    if isinstance(image, np.ndarray):
+        return image[low:high]
     try:
-        if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
-            image = _image_of((np.clip(np.asarray(image), 0, 65535) // 257).astype(np.uint8))
-        return _flipped(image if image.mode == "RGB" else image.convert("RGB"))
+        strip = image.crop((0, image.height - high, image.width, image.height - low))
+        if strip.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
+            strip = _image_of((np.clip(np.asarray(strip), 0, 65535) // 257).astype(np.uint8))
+        return np.asarray(strip if strip.mode == "RGB" else strip.convert("RGB"))[::-1]
     except Exception as error:
         raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
 
@@ -618,7 +620,7 @@ def _executor() -> ThreadPoolExecutor:
 
 
 _starting = threading.Lock()
-_decoding = threading.Lock()  # ensures that one large image is decoded at a time, to limit memory
+_decoding = threading.RLock()  # ensures that one large image is decoded at a time, to limit memory
 
 
 def _finish() -> None:
