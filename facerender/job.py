@@ -6,7 +6,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 from facerender.errors import (
     InputError,
@@ -14,13 +15,14 @@ from facerender.errors import (
     check_path,
     check_type,
     each_of,
+    parameters,
     short_repr,
     shown,
     warn,
 )
 from facerender.images.files import format_of
-from facerender.loading import cached_mesh, load_mesh
-from facerender.loading.source import check_normal_map_y
+from facerender.loading import load_mesh
+from facerender.loading.source import Source, check_normal_map_y, source_of
 from facerender.scenes.camera import Camera, camera_of
 from facerender.scenes.file import (
     KEYS,
@@ -71,6 +73,7 @@ class MeshFile:
     double_sided: bool = False
 
     __repr__ = short_repr
+    __getstate__ = parameters
 
     def __post_init__(self) -> None:
         for name in ("parts", "hide"):
@@ -83,26 +86,20 @@ class MeshFile:
         check_normal_map_y(self.normal_map_y)
         check_fields(self, "mesh ")
 
-    def load(self, cache: bool = False) -> Mesh:
+    @cached_property
+    def source(self) -> Source:
+        """The mesh file, which is read once: :meth:`load` takes it over."""
+        return source_of(self.path)
+
+    def load(self, cache: bool | Literal["read"] = False) -> Mesh:
         """Load the mesh; errors and warnings as in the functions that :class:`MeshFile` names."""
-        return self._prepared(load_mesh(**self._files, cache=cache), cache)
-
-    def cached(self) -> Mesh | None:
-        """Return the mesh from the cache, or None; warnings as in :meth:`load`."""
-        mesh = cached_mesh(**self._files)
-        return None if mesh is None else self._prepared(mesh, True)
-
-    @property
-    def _files(self) -> dict[str, Any]:
         exclusions = ("path", "triangles", "occlusion")
-        values = {name: value for name, value in _plain(self).items() if name not in exclusions}
-        return {"source": self.path} | values
-
-    def _prepared(self, mesh: Mesh, cache: bool) -> Mesh:
+        options = {name: value for name, value in _plain(self).items() if name not in exclusions}
+        mesh = load_mesh(vars(self).pop("source", self.path), cache=cache, **options)
         if self.occlusion:
             from facerender.scenes.occlusion import with_occlusion
 
-            mesh = with_occlusion(mesh, cache=cache)
+            mesh = with_occlusion(mesh, cache=bool(cache))
         return mesh if self.triangles is None else simplified(mesh, self.triangles)
 
 

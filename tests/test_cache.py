@@ -18,7 +18,6 @@ from PIL import Image
 import facerender as fr
 from facerender import loading
 from facerender.commands import main
-from facerender.loading import read as reading
 from facerender.scenes.framing import find_regions
 from facerender.system import cache
 from facerender.system.files import data_dir
@@ -41,12 +40,12 @@ def reads(monkeypatch):
     """The list of mesh files that were read instead of taken from the cache."""
     seen = []
 
-    def spy(path, *options):
-        seen.append(path)
-        return read(path, *options)
+    def spy(data, *options):
+        seen.append(data)
+        return read(data, *options)
 
-    read = reading.read
-    monkeypatch.setattr(reading, "read", spy)
+    read = loading._pieces
+    monkeypatch.setattr(loading, "_pieces", spy)
     return seen
 
 
@@ -227,18 +226,24 @@ def test_a_changed_map_is_read_anew(tmp_path, reads):
     assert len(reads) == 2
 
 
-def test_file_that_changes_while_it_is_read_is_not_cached(tmp_path, monkeypatch, place):
+def test_file_that_changes_while_it_is_read(tmp_path, monkeypatch, place):
+    """The entry holds what was read, under the name of what was read."""
     path = textured(tmp_path / "in")
-    read = reading.read
+    content = path.read_bytes()
+    read = loading._pieces
 
     def read_and_change(*args, **options):
-        found = read(*args, **options)
-        path.write_text(path.read_text() + "# changed\n")
-        return found
+        pieces = read(*args, **options)
+        path.write_text(re.sub(r"^v \S+", "v 0.01", path.read_text(), count=1, flags=re.M))
+        return pieces
 
-    monkeypatch.setattr(reading, "read", read_and_change)
-    load(path)
-    assert entries(place) == []
+    monkeypatch.setattr(loading, "_pieces", read_and_change)
+    first = load(path)
+    monkeypatch.setattr(loading, "_pieces", read)
+    assert_same(load(path), fr.load_mesh(path))
+    path.write_bytes(content)
+    monkeypatch.setattr(loading, "_pieces", lambda *_: pytest.fail("it was read anew"))
+    assert_same(load(path), first)
 
 
 def test_other_versions_of_the_readers_invalidate_entries(reads, monkeypatch):

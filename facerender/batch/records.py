@@ -28,7 +28,7 @@ from facerender import __version__
 from facerender.batch.jobs import FILES, Row, file_name
 from facerender.errors import InputError
 from facerender.job import MESH_PATHS
-from facerender.loading.source import named_files
+from facerender.loading.source import named_files, source_of
 from facerender.system.files import TEMPORARY, CannotUse, data_dir, digest_of, reported
 
 if TYPE_CHECKING:
@@ -350,9 +350,12 @@ def _mesh_facts(table: str) -> str:
 @lru_cache(100_000)
 def _mesh_content(path: str) -> str:
     """Return a digest of a mesh file and of the files that it references."""
-    return digest_of(
-        _content(path), *(_content(str(reference)) for reference in named_files(Path(path)))
-    )
+    try:
+        source = source_of(path)
+    except InputError:
+        return digest_of(_content(path))
+    content = hashlib.blake2b(source.content).hexdigest()[:32]
+    return digest_of(content, *(_content(str(reference)) for reference in named_files(source)))
 
 
 @lru_cache(100_000)

@@ -138,10 +138,12 @@ def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
     fill the disk.
     """
     paths = [getattr(file, name) for name in MESH_PATHS]
-    for path in [*filter(None, paths), *(named_files(Path(file.path)) if file.path else ())]:
+    for path in filter(None, paths):
+        _check_file(path)
+    for path in named_files(file.source) if file.path else ():
         _check_file(path)
     with noting() as warned:
-        mesh = file.cached() or file.load(cache=_mesh.cache_info().misses == 1)
+        mesh = file.load(True if _mesh.cache_info().misses == 1 else "read")
     return mesh, warned
 
 

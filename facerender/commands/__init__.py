@@ -69,9 +69,21 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; see {self.prog} --help")
 
 
+class _TrimeshAlone:
+    """An import hook that hides scipy and networkx from trimesh, which imports both if they are
+    installed. Reading a PLY or STL file needs neither, and takes 1.3 s with both, 0.4 s without."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        spec = getattr(sys.modules.get("trimesh"), "__spec__", None)
+        if name in ("scipy", "networkx") and getattr(spec, "_initializing", False):
+            raise ModuleNotFoundError(name)
+
+
 def console() -> NoReturn:
     """Run the command of this process, then end the process."""
     make_usable()
+    sys.meta_path.insert(0, _TrimeshAlone)
     gc.set_threshold(100_000)  # saves 40 ms of a cold start, as imports leave no garbage
     status: int | str | None = 2
     # This exit handler runs after all threads and all other exit handlers. It skips the finalizers

@@ -18,7 +18,7 @@ import numpy as np
 from facerender.commands.output import Help, print_message
 from facerender.errors import InputError, shown
 from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
-from facerender.loading.source import FORMATS, GLTF, named_files, source_of
+from facerender.loading.source import FORMATS, named_files
 from facerender.scenes.file import STUDIO, ImageSettings, parse_part
 from facerender.scenes.material import PRESETS
 from facerender.system.files import check_file, check_writable, remove_abandoned
@@ -257,7 +257,7 @@ def part_materials(
 def check_inputs(job: Job) -> None:
     """Raise InputError if an input file of a job is missing, before other checks refer to it."""
     if job.mesh.path is not None:
-        source_of(job.mesh.path)
+        _ = job.mesh.source  # reads the file
     for name in MESH_PATHS:
         if name != "path" and (path := getattr(job.mesh, name)) is not None:
             check_file(path, "an image file")
@@ -322,21 +322,5 @@ def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
     """Yield the input files of a mesh, and all possible paths of files that its file refers to."""
     yield from (getattr(mesh, name) for name in MESH_PATHS)
     if mesh.path is not None:
-        for path in named_files(Path(mesh.path)):
+        for path in named_files(mesh.source):
             yield from (path, Path(mesh.path).with_name(path.name))
-
-
-def import_trimesh(mesh: str | None) -> None:
-    """Import trimesh, but neither scipy nor networkx, if trimesh reads the mesh file."""
-    # trimesh imports scipy and networkx if they are installed; no switch prevents that. The import
-    # takes 1.0 s with both and 0.23 s without, and reading a file needs neither. Hiding both is
-    # safe: no other code runs in the process of the command.
-    if source_of(mesh).suffix in GLTF:
-        return
-    absent = [name for name in ("scipy", "networkx") if name not in sys.modules]
-    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
-    try:
-        import trimesh  # noqa: F401
-    finally:
-        for name in absent:
-            del sys.modules[name]

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from facerender.commands.common import Options, check_outputs, import_trimesh, progress_bar
+from facerender.commands.common import Options, check_outputs, progress_bar
 from facerender.commands.output import print_result
 from facerender.commands.scene import add_scene, files_read, job_of, plays
 from facerender.errors import InputError
@@ -42,7 +42,6 @@ def run(options: argparse.Namespace) -> int:
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
     check_outputs([output], files_read(options, job), None if options.output else output)
-    import_trimesh(options.mesh)
     b = job.shading.term
     if options.lobe is None and options.scene is None:
         b = replace(b, lobe=_LOBE)

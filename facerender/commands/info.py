@@ -9,10 +9,9 @@ import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import Options, import_trimesh
+from facerender.commands.common import Options
 from facerender.commands.output import print_result
 from facerender.errors import FacerenderWarning, number_of
 from facerender.loading import load_mesh
@@ -20,7 +19,6 @@ from facerender.loading.source import source_of
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, PRESETS, Material
 from facerender.scenes.mesh import Mesh, Part, clips_of
-from facerender.system.files import data_dir
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
@@ -49,15 +47,14 @@ def add(info: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    import_trimesh(options.mesh)
+    source = source_of(options.mesh)
     with warnings.catch_warnings(record=True) as caught:  # warnings are part of the result
         warnings.simplefilter("always", FacerenderWarning)
-        mesh = load_mesh(options.mesh, allow_outside=options.allow_outside, as_is=options.as_is)
-    path = Path(options.mesh) if options.mesh else data_dir("assets") / "head.glb"
+        mesh = load_mesh(source, allow_outside=options.allow_outside, as_is=options.as_is)
     facts = {
-        "file": str(path),
-        "format": source_of(path).suffix[1:],
-        "bytes": path.stat().st_size,
+        "file": str(source.path),
+        "format": source.suffix[1:],
+        "bytes": len(source.content),
         **facts_of(mesh),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
     }

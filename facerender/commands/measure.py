@@ -8,7 +8,6 @@ import json
 from facerender.commands.common import (
     Options,
     check_outputs,
-    import_trimesh,
     mesh_files,
     part_materials,
     progress_bar,
@@ -55,7 +54,6 @@ def run(options: argparse.Namespace) -> int:
     job = Job(file, parts=part_materials(options))
     check_outputs(files, mesh_files(file))
     with progress_bar(options) as progress:
-        import_trimesh(options.mesh)
         mesh = job.scene().mesh
         measurement, triptychs = measure(
             mesh, options.m, options.quick, options.backend, progress=progress

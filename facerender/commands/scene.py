@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import Options, import_trimesh, mesh_files, part_materials
+from facerender.commands.common import Options, mesh_files, part_materials
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped, shown, warn
 from facerender.job import Job, MeshFile
@@ -319,11 +319,7 @@ def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     cache : whether the disk cache is used for the mesh and its decoded maps
     ahead : whether threads start to decode the maps before the renderer is created
     """
-    mesh = job.mesh.cached() if cache else None
-    if mesh is None:
-        import_trimesh(job.mesh.path)
-        mesh = job.mesh.load(cache and ahead)
-    scene = job.scene(mesh)
+    scene = job.scene(job.mesh.load("read" if cache and not ahead else cache))
     albedo: Kind = "linear-color" if job.image.float_albedo else "color"
     if ahead:
         start_maps(scene.mesh, albedo, job.shading.slope_filter)
@@ -435,7 +431,7 @@ def _file_cameras(place: str, mesh: str | None, size: tuple[int, int] | None) ->
     source = source_of(mesh)
     if mesh is None or source.suffix not in GLTF:
         raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
-    cameras = gltf_cameras(source.read(), source.name)
+    cameras = gltf_cameras(source.content, source.name)
     if not colon:
         return cameras
     if name not in cameras:

@@ -3,20 +3,31 @@ with the transforms of the scene graph. This package does not use OpenGL."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_path, check_switch, check_type, noting, reason, warn
+from facerender.errors import (
+    InputError,
+    check_path,
+    check_switch,
+    check_type,
+    clipped,
+    noting,
+    reason,
+    warn,
+)
+from facerender.loading import mesh_cache
 from facerender.loading.conventions import give_presets, mark_skin
 from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.gltf_document import damaged
-from facerender.loading.mesh_cache import LoadOptions, MeshFiles
+from facerender.loading.mesh_cache import LoadOptions
 from facerender.loading.source import (
     GLTF,
     References,
@@ -31,7 +42,8 @@ from facerender.scenes.hints import remember
 from facerender.scenes.mesh import Mesh, names_of
 from facerender.scenes.repair import Piece, clean, in_space_order
 from facerender.scenes.sources import MeshSource
-from facerender.scenes.texture import Texture
+from facerender.scenes.texture import LARGE, Texture
+from facerender.system.files import read_file
 
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
@@ -53,7 +65,7 @@ def load_mesh(
     lobe_map: Map | None = None,
     flip_v: bool = False,
     millimetres: float | None = None,
-    cache: bool = False,
+    cache: bool | Literal["read"] = False,
     allow_outside: bool = False,
     kind: str | None = None,
     normal_map_y: str = "up",
@@ -79,7 +91,8 @@ def load_mesh(
     millimetres : length of one unit of the file in mm, required for subsurface scattering. None:
         1000 for .glb and .gltf, the unit of a trimesh object, undefined for other formats
     cache : load the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
-        since the mesh was stored. Otherwise decode all maps, and store the mesh in the background.
+        since the mesh was stored. Otherwise decode all maps, and store the mesh in the background;
+        "read" does not store it.
         Trimesh objects, and meshes with maps that are not files, are not cached
     allow_outside : open referenced files at any path. By default, only files below the mesh file's
         folder are opened. A mesh given as bytes has no folder: no file that it references is opened
@@ -100,7 +113,8 @@ def load_mesh(
         normal_map_y is invalid
     """
     maps = _maps(albedo, normal_map, specular_map, roughness_map, lobe_map)
-    check_switch("cache", cache)
+    if cache != "read":
+        check_switch("cache", cache)
     check_switch("double_sided", double_sided)
     selected = names_of("parts", parts), names_of("hide", hide)
     options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected)
@@ -112,19 +126,6 @@ def load_mesh(
     else:
         mesh = _loaded(source_of(source, kind), maps, options, cache)
     return _finished(mesh, millimetres, double_sided)
-
-
-def cached_mesh(
-    source: Path_ | None = None,
-    *,
-    millimetres: float | None = None,
-    double_sided: bool = False,
-    **options: Any,
-) -> Mesh | None:
-    """Return the mesh from the cache, or None if the cache lacks it; see :func:`load_mesh`."""
-    maps = _maps(*(options.pop(name, None) for name in ("albedo", *_MAPS[1:])))
-    mesh = MeshFiles(source_of(source), maps, LoadOptions(**options)).find()
-    return None if mesh is None else _finished(mesh, millimetres, double_sided)
 
 
 def _finished(mesh: Mesh, millimetres: float | None, double_sided: bool) -> Mesh:
@@ -156,38 +157,61 @@ def _maps(*sources: Map | None) -> dict[str, Path | Texture]:
     return maps
 
 
-def _opened(maps: Mapping[str, Path | Texture]) -> dict[str, Texture]:
-    return {n: a if isinstance(a, Texture) else Texture.open(a) for n, a in maps.items()}
-
-
 def _loaded(
-    source: Source, maps: Mapping[str, Path | Texture], options: LoadOptions, cache: bool
+    source: Source,
+    maps: Mapping[str, Path | Texture],
+    options: LoadOptions,
+    cache: bool | Literal["read"],
 ) -> Mesh:
-    files = MeshFiles(source, maps, options)
+    """Return the mesh of a mesh file, from the cache if possible."""
     if not cache or any(isinstance(file, Texture) for file in maps.values()):
-        return _read(source, maps, options)[0]
-    if (stored_mesh := files.find()) is not None:
+        return _read(source, _opened(maps), options)[0]
+    contents = {
+        field: (path.name, read_file(path, "an image file"))
+        for field, path in maps.items()
+        if isinstance(path, Path)
+    }
+    entry = mesh_cache.entry_name(source, contents, options)
+    if (stored_mesh := mesh_cache.find(entry, source, options.allow_outside)) is not None:
         return stored_mesh
-    digest = files.digest()
+    textures = _opened(maps, contents)
+    del contents
     with noting() as warnings:
-        mesh, references = _read(source, maps, options)
-    if digest is not None:
+        mesh, references = _read(source, textures, options)
+    if cache != "read":
         mesh = replace(mesh, regions=find_regions(mesh))
-        files.store(digest, mesh, references.files, warnings)
+        mesh_cache.store(entry, mesh, references.files, "albedo_map" in maps, warnings)
     return mesh
 
 
+def _opened(
+    maps: Mapping[str, Path | Texture], contents: Mapping[str, tuple[str, bytes]] | None = None
+) -> dict[str, Texture]:
+    """Return the textures of maps. Files are not read again, unless their images are large: the
+    cache does not store these, and their contents take memory until they are decoded."""
+    textures = {}
+    for field, source in maps.items():
+        texture = source if isinstance(source, Texture) else None
+        if texture is None and contents is not None:
+            name, content = contents[field]
+            texture = Texture.of(content, clipped(name))
+        if texture is None or (isinstance(source, Path) and math.prod(texture.size) > LARGE):
+            assert isinstance(source, Path)
+            texture = Texture.open(source)
+        textures[field] = texture
+    return textures
+
+
 def _read(
-    source: Source, maps: Mapping[str, Path | Texture], options: LoadOptions
+    source: Source, textures: Mapping[str, Texture], options: LoadOptions
 ) -> tuple[Mesh, References]:
     """Return the mesh of a mesh file, and the files to which the mesh file refers."""
-    textures, data = _opened(maps), source.read()
-    if not data:
+    if not source.content:
         raise InputError(f"{source.name} is an empty file; give a mesh file")
-    check_format(data, source.suffix, source.name)
+    check_format(source.content, source.suffix, source.name)
     references = References(source.name, source.folder, options.allow_outside)
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        pieces = _pieces(data, source.suffix, references, "albedo_map" in maps)
+        pieces = _pieces(source.content, source.suffix, references, "albedo_map" in textures)
         millimetres = 1000.0 if source.suffix in GLTF else None
         return _assembled(pieces, source.name, millimetres, textures, options), references
 

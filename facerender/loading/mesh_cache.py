@@ -1,5 +1,8 @@
-"""The cache of loaded meshes with the mip chains of their maps. The name of a cache
-entry is a digest of the mesh's files and of the code that reads them. Reading an entry imports
+"""The cache of loaded meshes with the mip chains of their maps.
+
+The name of an entry is a digest of the mesh file, of its maps, and of the code that reads them. An
+entry is a description of the mesh as JSON, and the arrays to which it refers, which are mapped from
+the file. It also has digests of the files that the mesh file refers to. Reading an entry imports
 neither trimesh nor Pillow."""
 
 from __future__ import annotations
@@ -11,7 +14,8 @@ import struct
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, fields, is_dataclass
+from contextlib import suppress
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.errors import FacerenderError, InputError, check_switch, warn
+from facerender.errors import FacerenderError, check_switch, warn
 from facerender.loading.source import Source, check_normal_map_y, content_of
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, Region
 from facerender.scenes.mips import Kind, Levels
 from facerender.scenes.texture import LARGE, Texture, Wrap, pack
 from facerender.system import cache
-from facerender.system.files import digest_of, read_file
+from facerender.system.files import digest_of
 
-Chains = dict[Texture, dict[Kind, Future[Levels]]]
-
-_KIND = "meshes"
+_FOLDER = "meshes"
 _ALIGNMENT = 64
 _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
@@ -61,86 +63,66 @@ class LoadOptions:
             check_switch(name, getattr(self, name))
 
 
-@dataclass(frozen=True)
-class MeshFiles:
-    """The files from which a mesh is loaded."""
+Files = Mapping[str, bytes | None]  # contents, keyed by the name in the mesh file
 
-    source: Source
-    maps: Mapping[str, Any]  # image files that replace maps, keyed by the field of Material
-    options: LoadOptions = LoadOptions()
 
-    def digest(self) -> str | None:
-        """Return the name of the cache entry, or None if a file cannot be read."""
-        names = [self.source.path.name, *((field, path.name) for field, path in self.maps.items())]
-        facts = __version__, _code(), names, self.source.suffix, self.options
-        try:
-            maps = [read_file(path, "a file") for path in self.maps.values()]
-            return digest_of(repr(facts), self.source.read(), *maps)
-        except InputError:
-            return None
+def entry_name(source: Source, maps: Mapping[str, tuple[str, bytes]], options: LoadOptions) -> str:
+    """Return the name of the cache entry of a mesh.
 
-    def find(self) -> Mesh | None:
-        """Return the mesh from the cache, and repeat the warnings of its original load. Return None
-        if the cache entry is missing or damaged, or a referenced file has changed."""
-        name = self.digest()
-        content = None if name is None else cache.read(_KIND, name)
-        if content is None:
-            return None
-        try:
-            mesh, warnings = self._unpacked(content)
-        except Exception:  # another program may have damaged the entry
-            return None
-        for message in warnings:
-            warn(message)
-        return mesh
+    maps : name and content of the image files that replace maps, keyed by the field of Material
+    """
+    names = [source.path.name, *((field, name) for field, (name, _) in maps.items())]
+    inputs = __version__, _code(), names, source.suffix, options
+    return digest_of(repr(inputs), source.content, *(content for _, content in maps.values()))
 
-    def _unpacked(self, content: memoryview) -> tuple[Mesh | None, list[str]]:
-        """Return mesh and warnings of a cache entry. The mesh is None if a referenced file has
-        changed."""
+
+def find(name: str, source: Source, allow_outside: bool) -> Mesh | None:
+    """Return the mesh of a cache entry, and repeat the warnings of its original load. Return None
+    if the entry is missing or damaged, or a file that the mesh file refers to has changed."""
+    if (content := cache.read(_FOLDER, name)) is None:
+        return None
+    try:
         (length,) = _LENGTH.unpack_from(content)
-        facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
-        if any(self._digest_of(name) != digest for name, digest in facts["files"].items()):
-            return None, []
-        mesh = _mesh(facts, _arrays(content, _LENGTH.size + length, facts["arrays"]))
-        return mesh, [str(message) for message in facts["warnings"]]
+        head = bytes(content[_LENGTH.size : _LENGTH.size + length])
+        for file, digest in json.loads(head)["files"].items():
+            folder = source.folder
+            current = None if folder is None else content_of(folder, file, allow_outside)
+            if digest != (None if current is None else digest_of(current)):
+                return None
+        entry = _decoded(head, content, _LENGTH.size + length)
+    except Exception:  # another program may have damaged the entry
+        return None
+    for message in entry["warnings"]:
+        warn(message)
+    mesh: Mesh = entry["mesh"]
+    return mesh
 
-    def _digest_of(self, name: str) -> str | None:
-        if self.source.folder is None:
-            return None
-        content = content_of(self.source.folder, name, self.options.allow_outside)
-        return None if content is None else digest_of(content)
 
-    def store(
-        self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
-    ) -> None:
-        """Decode the maps and write the mesh to the cache in a thread. The process does not end
-        before this thread.
+def store(name: str, mesh: Mesh, files: Files, has_albedo: bool, warnings: Sequence[str]) -> None:
+    """Decode the maps and write the mesh to the cache in a thread. The process does not end before
+    this thread.
 
-        Parameters
-        ----------
-        name : result of :meth:`digest` before the files were read
-        referred : contents of the files that the mesh file refers to, keyed by the name in the
-            mesh file; None for a missing file
-        """
-        if not cache.limit():
-            return
-        if None in referred.values() and "albedo_map" not in self.maps:
-            return  # the warning of a missing image depends on other files in the mesh's folder
-        maps = (getattr(material, name) for material in mesh.materials for name in MAPS)
-        if any(texture and math.prod(texture.size) > LARGE for texture in maps):
-            return  # storing the mesh would decode large maps at full resolution
-        files = {file: None if data is None else digest_of(data) for file, data in referred.items()}
-        chains = _start(mesh)
+    Parameters
+    ----------
+    name : result of :func:`entry_name`
+    files : the files that the mesh file refers to; None for a missing file
+    has_albedo : whether the caller replaced the albedo map
+    """
+    if not cache.limit():
+        return
+    if None in files.values() and not has_albedo:
+        return  # the warning of a missing image depends on other files in the mesh's folder
+    maps = (getattr(material, name) for material in mesh.materials for name in MAPS)
+    if any(texture and math.prod(texture.size) > LARGE for texture in maps):
+        return  # storing the mesh would decode large maps at full resolution
+    digests = {file: None if data is None else digest_of(data) for file, data in files.items()}
+    chains = _start(mesh)
 
-        def write() -> None:
-            try:
-                pieces = _pieces(mesh, chains, {"files": files, "warnings": warnings})
-            except FacerenderError:  # a damaged map: drawing it reports the error
-                return
-            if self.digest() == name:
-                cache.write(_KIND, name, pieces)
+    def write() -> None:
+        with suppress(FacerenderError):  # a damaged map: drawing it reports the error
+            cache.write(_FOLDER, name, _encoded(mesh, chains, digests, warnings))
 
-        threading.Thread(target=write, name="facerender-cache").start()
+    threading.Thread(target=write, name="facerender-cache").start()
 
 
 def _code() -> list[tuple[str, int, int]]:
@@ -150,13 +132,13 @@ def _code() -> list[tuple[str, int, int]]:
     paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "scenes"):
         paths += sorted((_PACKAGE / folder).glob("*.py"))
-    facts = ((path, path.stat()) for path in (*paths, _PACKAGE / "system/files.py"))
-    return [(str(path), status.st_size, status.st_mtime_ns) for path, status in facts]
+    files = ((path, path.stat()) for path in (*paths, _PACKAGE / "system/files.py"))
+    return [(str(path), status.st_size, status.st_mtime_ns) for path, status in files]
 
 
-def _start(mesh: Mesh) -> Chains:
+def _start(mesh: Mesh) -> dict[Texture, dict[Kind, Future[Levels]]]:
     """Start to decode every map, and return the futures of the mip chains."""
-    chains: Chains = {}
+    chains: dict[Texture, dict[Kind, Future[Levels]]] = {}
     for material in mesh.materials:
         for name in (*MAPS, "property_map"):
             if (texture := getattr(material, name)) is not None:
@@ -167,102 +149,90 @@ def _start(mesh: Mesh) -> Chains:
     return chains
 
 
-def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
-    """Return the pieces of a cache entry: length of the facts, facts as JSON, arrays."""
-    materials = {id(material): material for material in mesh.materials}.values()  # as objects
-    writer = _Writer({texture: i for i, texture in enumerate(chains)})
-    textures = []
-    for texture, futures in chains.items():
-        levels = {kind: future.result() for kind, future in futures.items()}
-        texels = None if levels else texture.texels()
-        if texels is not None and texels.ndim == 3 and (texels == texels[..., :1]).all():
-            texels = texels[..., 0]  # grey
-        textures.append((texture.name, texture.wrap, texture.nearest, levels, texels))
-    facts |= {
-        "textures": writer.packed(textures),
-        "mesh": writer.packed(mesh),
-        "property_maps": writer.packed([material.property_map for material in materials]),
-        "objects": writer.objects,
-        "arrays": [(array.dtype.str, array.shape) for array in writer.arrays],
-    }
-    head = json.dumps(facts, default=float).encode()
+def _encoded(
+    mesh: Mesh,
+    chains: Mapping[Texture, Mapping[Kind, Future[Levels]]],
+    files: Mapping[str, str | None],
+    warnings: Sequence[str],
+) -> list[bytes | memoryview]:
+    """Return the pieces of a cache entry: length of the description, description, arrays.
+
+    Parts share materials and most arrays and values of their rigs: the description has each of
+    these once, with a number, and afterwards the number.
+    """
+    arrays: list[NDArray[Any]] = []
+    # Keyed by id: the number, and the value, which must live as long as its id is a key.
+    known: dict[int, tuple[int, Any]] = {}
+
+    def described(value: Any) -> Any:
+        """Describe a value that JSON lacks; json.dumps() calls this function for the results."""
+        if isinstance(value, np.number):
+            return value.item()
+        if id(value) in known:
+            return {"number": known[id(value)][0]}
+        number = len(known)
+        known[id(value)] = number, value
+        if isinstance(value, np.ndarray):
+            arrays.append(np.ascontiguousarray(value))
+            fields_ = {"dtype": value.dtype.str, "shape": value.shape}
+        elif isinstance(value, Texture):
+            levels = {kind: chain.result() for kind, chain in chains[value].items()}
+            texels = None if levels else value.texels()
+            fields_ = {"name": value.name, "wrap": value.wrap, "nearest": value.nearest}
+            fields_ |= {"levels": levels, "texels": texels}
+        else:
+            fields_ = {field.name: getattr(value, field.name) for field in fields(value)}
+            if isinstance(value, Material):
+                fields_["property_map"] = value.property_map
+        return {"type": type(value).__name__, "as": number, "fields": fields_}
+
+    entry = {"files": files, "warnings": warnings, "mesh": mesh}
+    head = json.dumps(entry, default=described).encode()
     pieces: list[bytes | memoryview] = [_LENGTH.pack(len(head)), head]
     size = _LENGTH.size + len(head)
-    for array in writer.arrays:
+    for array in arrays:
         pieces += [bytes(-size % _ALIGNMENT), array.data]
         size += -size % _ALIGNMENT + array.nbytes
     return pieces
 
 
-class _Writer:
-    """Converts values to plain data. Parts share materials and most objects and arrays of their
-    rigs, so an object is stored once and referred to by its index, before the objects that refer to
-    it."""
+def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
+    """Return a cache entry from its description and the arrays that begin at ``start``."""
+    values: dict[int, Any] = {}
 
-    def __init__(self, textures: Mapping[Texture, int]) -> None:
-        self.textures = textures
-        self.arrays: list[NDArray[Any]] = []
-        self.objects: list[tuple[str, dict[str, Any]]] = []
-        # Keyed by id: the reference, and the value, which must live as long as its id is a key.
-        self.known: dict[int, tuple[dict[str, int], Any]] = {}
+    def made(table: dict[str, Any]) -> Any:
+        """Make a value from its description. Values come before those that contain them."""
+        nonlocal start
+        if table.keys() == {"number"}:
+            return values[table["number"]]
+        if table.keys() != {"type", "as", "fields"}:
+            return table
+        value: Any
+        name = table["type"]
+        attributes = {key: _as_tuple(value) for key, value in table["fields"].items()}
+        if name == "ndarray":
+            shape = attributes["shape"]
+            start += -start % _ALIGNMENT
+            value = np.ndarray(shape, attributes["dtype"], content, start)
+            start += value.nbytes
+        elif name == "Texture":
+            value = _texture(**attributes)
+        else:
+            packed = attributes.pop("property_map", None)
+            value = _type_of(name)(**attributes)
+            if packed is not None:
+                # Sets the cached property before Mesh reads it, which would pack the maps again.
+                red, green, blue = value.properties
+                vars(value)["property_map"] = pack(red, green, blue, packed)
+        values[table["as"]] = value
+        return value
 
-    def packed(self, value: Any) -> Any:
-        if isinstance(value, tuple | list):
-            return [self.packed(element) for element in value]
-        if isinstance(value, Mapping):
-            return {"table": {key: self.packed(element) for key, element in value.items()}}
-        if isinstance(value, Texture):
-            return {"texture": self.textures[value]}
-        if not isinstance(value, np.ndarray) and not is_dataclass(value):
-            return value
-        if id(value) not in self.known:
-            if isinstance(value, np.ndarray):
-                reference = {"array": len(self.arrays)}
-                self.arrays.append(np.ascontiguousarray(value))
-            else:
-                names = [field.name for field in fields(value)]
-                attributes = {name: self.packed(getattr(value, name)) for name in names}
-                reference = {"object": len(self.objects)}
-                self.objects.append((type(value).__name__, attributes))
-            self.known[id(value)] = reference, value
-        return self.known[id(value)][0]
-
-
-def _arrays(
-    content: memoryview, start: int, described: Sequence[tuple[str, Sequence[int]]]
-) -> list[NDArray[Any]]:
-    arrays = []
-    for name, shape in described:
-        start += -start % _ALIGNMENT
-        arrays.append(np.frombuffer(content, name, math.prod(shape), start).reshape(shape))
-        start += arrays[-1].nbytes
-    return arrays
+    entry: dict[str, Any] = json.loads(head, object_hook=made)
+    return entry
 
 
-def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
-    lists: dict[str, list[Any]] = {"array": [*arrays], "texture": [], "object": []}
-
-    def unpacked(value: Any) -> Any:
-        if isinstance(value, list):
-            return tuple(map(unpacked, value))
-        if not isinstance(value, dict):
-            return value
-        ((kind, content),) = value.items()
-        if kind == "table":
-            return {key: unpacked(element) for key, element in content.items()}
-        return lists[kind][content]
-
-    lists["texture"] += [_texture(*unpacked(texture)) for texture in facts["textures"]]
-    property_maps = iter(unpacked(facts["property_maps"]))
-    for name, attributes in facts["objects"]:
-        value = _type_of(name)(**unpacked({"table": attributes}))
-        if name == "Material" and (packed := next(property_maps)) is not None:
-            # Sets the cached property before Mesh reads it, which would pack the maps again.
-            red, green, blue = value.properties
-            vars(value)["property_map"] = pack(red, green, blue, packed)
-        lists["object"].append(value)
-    mesh: Mesh = unpacked(facts["mesh"])
-    return mesh
+def _as_tuple(value: Any) -> Any:
+    return tuple(map(_as_tuple, value)) if isinstance(value, list) else value
 
 
 def _type_of(name: str) -> Any:
@@ -277,11 +247,11 @@ def _texture(
     name: str,
     wrap: tuple[Wrap, Wrap],
     nearest: bool,
-    chains: Mapping[Kind, Sequence[NDArray[Any]]],
+    levels: Mapping[Kind, Sequence[NDArray[Any]]],
     texels: NDArray[np.uint8] | None,
 ) -> Texture:
-    levels: dict[Kind, Levels] = {kind: [*chain] for kind, chain in chains.items()}
-    base = next(iter(levels.values()))[0][..., :3] if texels is None else texels
-    texture = Texture.known(base, name, levels)
+    chains: dict[Kind, Levels] = {kind: [*chain] for kind, chain in levels.items()}
+    base = next(iter(chains.values()))[0][..., :3] if texels is None else texels
+    texture = Texture.known(base, name, chains)
     texture.wrap, texture.nearest = wrap, nearest
     return texture

@@ -76,13 +76,15 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
                 warn(f"{name} has {lacking} vertices without texture coordinates: set to 0")
             library.warn_of_tiles(material_name, part_uv[triangles])
             part_uv = transform.applied(part_uv)
-        colored = colors is not None and material.albedo_map is None
+        part_colors = None
+        if colors is not None and material.albedo_map is None:
+            part_colors = srgb_to_linear(colors[sources] / 255.0)
         piece = Piece(
             positions=vertices[sources, :3],
             faces=triangles,
             normals=_at(normals, part_corners[:, 2]),
             uv=part_uv,
-            colors=srgb_to_linear(colors[sources] / 255.0) if colored else None,
+            colors=part_colors,
             material=material,
             name=part_name,
             material_name=material_name,

@@ -205,7 +205,7 @@ def _decoded_ply(data: bytes, name: str) -> list[_Columns]:
                 "with triangles only, or as text"
             ) from None
         raise ValueError(reason(error)) from None
-    tables = []
+    tables: list[_Columns] = []
     for element in ("vertex", "face"):
         rows = elements.get(element, {}).get("data")
         names = (rows.dtype.names or ()) if isinstance(rows, np.ndarray) else (rows or ())

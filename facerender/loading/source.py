@@ -27,7 +27,6 @@ from facerender.system.files import (
     check_downloaded,
     check_suffix,
     data_dir,
-    open_file,
     read_file,
     suffix_of,
 )
@@ -73,20 +72,16 @@ def check_normal_map_y(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Source:
-    """A mesh file, or its content."""
+    """A mesh file or a mesh in memory, which is read once."""
 
-    path: Path  # for content in memory, a name for messages
+    path: Path  # for a mesh in memory, a name for messages
     suffix: str  # .glb, .gltf, .obj, .ply or .stl for the format; may differ from that of the path
-    content: bytes | None  # None to read the file
+    content: bytes
     folder: Path | None  # folder of the files that the mesh refers to; None if unknown
 
     @property
     def name(self) -> str:
         return clipped(self.path.name, 80)
-
-    def read(self) -> bytes:
-        """Return the content; errors as of :func:`read_file`."""
-        return read_file(self.path, "a mesh file") if self.content is None else self.content
 
 
 def source_of(source: Any, kind: str | None = None) -> Source:
@@ -95,14 +90,16 @@ def source_of(source: Any, kind: str | None = None) -> Source:
     if suffix not in (None, *FORMATS):
         kinds = ", ".join(key[1:] for key in FORMATS)
         raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
+    if isinstance(source, Source):
+        return source
+    folder, path, from_path = None, Path("bytes"), False
     if source is None:
         source = data_dir("assets") / "head.glb"
     if isinstance(source, str | os.PathLike):
         check_path("mesh file", source)
         path = Path(source)
-        return Source(path, suffix or _suffix_at(path), None, path.parent)
-    folder, path = None, Path("bytes")
-    if hasattr(source, "read"):
+        folder, source, from_path = path.parent, _file_content(path), True
+    elif hasattr(source, "read"):
         name = getattr(source, "name", None)
         path = Path(name if isinstance(name, str) and name else "file")
         folder = path.parent if os.path.isfile(path) else None
@@ -114,6 +111,8 @@ def source_of(source: Any, kind: str | None = None) -> Source:
         )
     content = bytes(source)
     if suffix is None and (suffix := _suffix_of(content, path)) is None:
+        if from_path:
+            check_suffix(path, (*FORMATS,), "mesh")
         raise InputError(f"{path.name}: unknown mesh format; specify it, such as kind='obj'")
     return Source(path, suffix, content, folder)
 
@@ -133,16 +132,12 @@ def _content(file: Any, name: str) -> bytes:
     return content
 
 
-def _suffix_at(path: Path) -> str:
-    """Return the suffix of the format of a mesh file; see :func:`_suffix_of`."""
-    named = path.suffix.lower() in FORMATS
+def _file_content(path: Path) -> bytes:
     try:
-        with open_file(path, "a mesh file") as file:
-            content = file.read(_LONGEST_START if named else MOST)
+        return read_file(path, "a mesh file")
     except InputError:
         suffix_of(path, (*FORMATS,), "mesh", "a mesh file")  # may suggest another name
         raise
-    return _suffix_of(content, path) or check_suffix(path, (*FORMATS,), "mesh")
 
 
 def _suffix_of(data: bytes, path: Path) -> str | None:
@@ -343,20 +338,20 @@ def _is_inside(folder: Path, name: str) -> bool:
         return False
 
 
-def named_files(path: Path) -> list[Path]:
+def named_files(source: Source) -> list[Path]:
     """Return the paths of the files to which a mesh file refers, whether they exist or not. The
-    list is empty if the mesh file cannot be read."""
+    list is empty if the mesh file is damaged or in memory."""
+    if source.folder is None:
+        return []
     try:
-        suffix = source_of(path).suffix
-        if suffix in GLTF:
-            return _paths(path.parent, [unquote(uri) for uri in _uris(path)])
-        if suffix == ".obj":
-            lines = _names(_LIBRARY, path)
-            names = [name for line in lines for name in (line, *line.split())]
-            libraries = _paths(path.parent, names)
+        if source.suffix in GLTF:
+            return _paths(source.folder, [unquote(uri) for uri in _uris(source)])
+        if source.suffix == ".obj":
+            lines = _names(_LIBRARY, source.content)
+            libraries = _paths(source.folder, [n for line in lines for n in (line, *line.split())])
             return [*libraries, *(file for library in libraries for file in _maps(library))]
-        if suffix == ".ply":
-            return _paths(path.parent, _names(TEXTURE_FILE, path))
+        if source.suffix == ".ply":
+            return _paths(source.folder, _names(TEXTURE_FILE, source.content))
     except (ValueError, TypeError, RecursionError):  # loading the file reports the error
         pass
     return []
@@ -368,9 +363,9 @@ def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
     return [*dict.fromkeys(path for pair in paths for path in pair if path is not None)]
 
 
-def _uris(path: Path) -> list[str]:
+def _uris(source: Source) -> list[str]:
     """Return the external URIs of a glTF file. The file may be invalid."""
-    document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
+    document = json.loads(chunks(source.content, source.name)[0])
     tables = document if isinstance(document, dict) else {}
     entries = (entry for key in ("buffers", "images") for entry in tables.get(key) or ())
     uris = [entry.get("uri") for entry in entries if isinstance(entry, dict)]
@@ -381,14 +376,14 @@ def _maps(library: Path) -> list[Path]:
     """Return possible paths of the maps of an MTL file. Options may precede the name of a
     map: both the whole text and the last word of each statement are used as names."""
     with suppress(InputError):
-        lines = _names(_MAP, library)
+        lines = _names(_MAP, read_file(library, "an MTL file"))
         names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
         return _paths(library.parent, sorted(names))
     return []
 
 
-def _names(pattern: re.Pattern[bytes], path: Path) -> list[str]:
-    names = pattern.findall(text_of(read_file(path, "a mesh file")).encode())
+def _names(pattern: re.Pattern[bytes], content: bytes) -> list[str]:
+    names = pattern.findall(text_of(content).encode())
     return [name.decode().replace("\\", "/") for name in names]
 
 

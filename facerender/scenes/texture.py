@@ -396,7 +396,7 @@ class Texture:
 
     def _chain(self, kind: Kind) -> Levels:
         try:
-            if self._full and kind != _FLOAT:
+            if self._full and kind != "linear-color":
                 full, omitted = self._full
                 with full._rows() as rows:
                     base = coarse_base(kind, rows, full.size, omitted)
@@ -476,13 +476,13 @@ def pack(
         return cached
 
     def decode() -> NDArray[np.uint8]:
-        bands = [texture and texture.channel(0, names).texels() for texture in (red, green, blue)]
+        bands = [None if t is None else t.channel(0, names).texels() for t in (red, green, blue)]
         merged = np.full((*size[::-1], 3), 255, dtype=np.uint8)
         for index, band in enumerate(bands):
-            if band is not None:
-                same = band.shape == merged.shape[:2]
-                resized = band if same else _image_of(np.ascontiguousarray(band)).resize(size)
-                merged[..., index] = resized
+            if band is not None and band.shape == merged.shape[:2]:
+                merged[..., index] = band
+            elif band is not None:
+                merged[..., index] = _image_of(np.ascontiguousarray(band)).resize(size)
         return merged
 
     present = [texture for texture in (red, green, blue) if texture]
