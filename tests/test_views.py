@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -247,14 +248,20 @@ def encoder(folder: Path, script: str) -> str:
     return str(path)
 
 
-# After the encoder ends, imageio-ffmpeg leaves its pipe open until garbage collection.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("script", "message"),
     [  # ends before it has read its input, writes more than a pipe holds, or writes nothing
-        ("/bin/sh\necho 'Unknown encoder' >&2\nexit 1", r"wrote no .mp4 \(Unknown encoder\):"),
+        (
+            "/bin/sh\necho first >&2\necho 'Unknown encoder' >&2\nexit 1",
+            r".mp4 \(Unknown encoder\):",
+        ),
         ("/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1", r"no .mp4 \(odd\):"),
         ("/bin/sh\nexit 1", r"wrote no .mp4 \(it ended early\):"),
+        ("/bin/sh\nhead -c 9 >/dev/null\nexit 0", r"wrote no .mp4 \(it ended early\):"),
+        (
+            "/bin/sh\nfor name; do :; done\ncat >$name\nexit 1",
+            r"wrote no .mp4 \(the file is incomplete\):",
+        ),
         ("/bin/sh\ncat >/dev/null", r"wrote no .mp4 \(the file is incomplete\):"),
         ("/no/such/shell", "cannot start ffmpeg: no such file .*;"),
     ],
@@ -273,6 +280,37 @@ def test_failures_of_ffmpeg_are_reported(
         fr.save_animation(tmp_path / "a.mp4", many)
     assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
     assert capfd.readouterr() == ("", "")
+
+
+def test_ffmpeg_that_is_not_executable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    require_module("imageio_ffmpeg")
+    path = encoder(tmp_path, "/bin/sh")
+    os.chmod(path, 0o600)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", path)
+    with pytest.raises(fr.InputError, match="cannot start ffmpeg: permission denied; give .gif"):
+        fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
+
+
+@pytest.mark.parametrize("error", [fr.InputError, BrokenPipeError, KeyboardInterrupt])
+def test_ffmpeg_is_ended_if_the_images_fail(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+):
+    require_module("imageio_ffmpeg")
+    process = tmp_path / "process"
+    script = f"/bin/sh\necho $$ >{process}.new\nmv {process}.new {process}\nexec cat >/dev/null"
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder(tmp_path, script))
+
+    def images() -> Iterator[np.ndarray]:
+        yield np.zeros((4, 4, 3), dtype=np.uint8)
+        while not process.exists():
+            time.sleep(0.01)
+        raise error("no more")
+
+    with pytest.raises((error, fr.InputError), match="no more|broken pipe"):
+        fr.save_animation(tmp_path / "a.mp4", images())
+    with pytest.raises(ProcessLookupError):  # a zombie would be found
+        os.kill(int(process.read_text()), 0)
+    assert {path.name for path in tmp_path.iterdir()} == {"ffmpeg", "process"}
 
 
 @pytest.mark.slow

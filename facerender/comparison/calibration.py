@@ -306,8 +306,9 @@ def _flattest(
 
     The two pixels are neither dark nor highlights.
     """
-    level = image.color.mean(axis=-1)
-    lit = (image.coverage >= FULL) & (level > 0.0)
+    color, coverage = image.rows(slice(None))
+    level = color.mean(axis=-1)
+    lit = (coverage >= FULL) & (level > 0.0)
     if mask is not None:
         lit &= mask != 0
     low, high = np.percentile(level[lit], (40.0, 80.0)) if lit.any() else (0.0, 0.0)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import signal
-import struct
 import textwrap
-import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, suppress
+from fractions import Fraction
 from itertools import chain
+from subprocess import DEVNULL, PIPE, Popen
 from tempfile import TemporaryFile
 from typing import Any
 
@@ -30,7 +29,6 @@ from facerender.errors import (
 )
 from facerender.images.files import FRAME_RATES, QUALITY, check_opaque, check_pixels
 from facerender.system.files import check_suffix, write_whole
-from facerender.system.process import redirected_stderr
 
 MOST_COLUMNS = 4  # default largest number of images in a row
 _BYTES = 24  # per pixel: 8-bit RGB, and float32 RGBA of a Frame
@@ -39,9 +37,7 @@ _PAPER, _INK = (255, 255, 255), (20, 20, 20)
 
 
 def arranged(
-    images: Sequence[NDArray[np.uint8]],
-    titles: Sequence[str] = (),
-    columns: int | None = None,
+    images: Sequence[NDArray[np.uint8]], titles: Sequence[str] = (), columns: int | None = None
 ) -> NDArray[np.uint8]:
     """Return one image (H, W, 3) with ``images`` in rows, on white.
 
@@ -51,26 +47,22 @@ def arranged(
     titles : one text above each image; default: no titles
     columns : number of images in a row; default: all, at most :data:`MOST_COLUMNS`
 
-    Raises
-    ------
-    InputError : the sheet is too large
+    Raise InputError if the sheet is too large.
     """
     columns = columns or min(len(images), MOST_COLUMNS)
     rows = math.ceil(len(images) / columns)
     height, width = images[0].shape[:2]
     gap = max(width // 64, 2)
     bands = [_text(title, width) for title in titles] if any(titles) else []
-    band = max(map(len, bands), default=0)
-    across, down = width + gap, band + height + gap
+    across, down = width + gap, max(map(len, bands), default=0) + height + gap
     sheet_size = columns * across + gap, rows * down + gap
     check_pixels(f"a sheet of {number_of(len(images), 'image')}", *sheet_size, _BYTES, math.inf)
     pixels = np.full((*sheet_size[::-1], 3), _PAPER, dtype=np.uint8)
-    for number, image in enumerate(images):
-        top, left = gap + number // columns * down, gap + number % columns * across
-        if bands:
-            bottom = top + band
-            pixels[bottom - len(bands[number]) : bottom, left : left + width] = bands[number]
-        pixels[top + band : top + band + height, left : left + width] = image
+    for index, image in enumerate(images):
+        row, column = divmod(index, columns)
+        tile = np.concatenate([bands[index], image]) if bands else image
+        bottom, left = (row + 1) * down, column * across + gap
+        pixels[bottom - len(tile) : bottom, left : left + width] = tile
     return pixels
 
 
@@ -86,8 +78,8 @@ def _text(title: str, width: int) -> NDArray[np.uint8]:
     step = round(1.5 * size)
     image = Image.new("RGB", (width, step * len(lines)), _PAPER)
     draw = ImageDraw.Draw(image)
-    for number, text in enumerate(lines):
-        draw.text((0, number * step + step // 2), text, _INK, font, "lm")
+    for index, text in enumerate(lines):
+        draw.text((0, index * step + step // 2), text, _INK, font, "lm")
     return np.asarray(image)
 
 
@@ -137,105 +129,83 @@ def check_animation(path: str | os.PathLike[str], fps: float) -> str:
     suffix = check_suffix(path, MOVING, "animation")
     check_range("fps", fps, *FRAME_RATES)
     if suffix == ".mp4":
-        _imageio_ffmpeg()
+        _ffmpeg()
     return suffix
 
 
 def _checked(images: Iterable[Any], path: str) -> Iterator[NDArray[np.uint8]]:
     shape = None
     for image in images:
-        good = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.size > 0
-        if not (good and image.ndim == 3 and image.shape[2] in (3, 4)):
+        valid = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.size > 0
+        if not (valid and image.ndim == 3 and image.shape[2] in (3, 4)):
             raise InputError(f"image = {shown(image)}: give an array (H, W, 3) of uint8")
-        if shape not in (None, image.shape):
+        shape = shape or image.shape
+        if image.shape != shape:
             raise InputError(
                 f"shapes {shape} and {image.shape} in {path} differ: give images of one size"
             )
-        shape = image.shape
         yield image
 
 
-def _pillow(name: str, kind: str, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
+def _pillow(name: str, encoder: str, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
     from PIL import Image
 
-    images = map(Image.fromarray, frames)
-    step = max(10, round(100.0 / fps) * 10) if kind == "gif" else round(1000.0 / fps)
-    options = {"disposal": 1} if kind == "gif" else {"quality": QUALITY, "method": 3}
+    images, gif = map(Image.fromarray, frames), encoder == "gif"
+    duration = 10 * round(100.0 / fps) if gif else round(1000.0 / fps)  # in milliseconds
+    options = {"disposal": 1} if gif else {"quality": QUALITY, "method": 3}
     next(images).save(
-        name, kind, save_all=True, append_images=images, duration=step, loop=0, **options
+        name, encoder, save_all=True, append_images=images, duration=duration, loop=0, **options
     )
 
 
+# The rate factor (crf) sets the quality. H.264 with 4:2:0 needs an even width and height.
+_H264 = (
+    "-vcodec libx264 -crf 16 -pix_fmt yuv420p -f mp4"
+    " -vf pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"
+    " -color_primaries bt709 -color_trc iec61966-2-1 -colorspace bt709"
+)
+
+
 def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], fps: float) -> None:
-    ffmpeg = _imageio_ffmpeg()
-    logging.getLogger(ffmpeg.__name__).addHandler(logging.NullHandler())
-    output = [
-        *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"),
-        *("-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-colorspace", "bt709"),
-        *("-crf", "16", "-f", "mp4"),  # the rate factor sets the quality
-    ]
-    options = {"codec": "libx264", "quality": None, "macro_block_size": 1}
-    logs = {"ffmpeg_log_level": "error", "output_params": output}
-    encoder = ffmpeg.write_frames(name, size[::-1], fps=fps, **options, **logs)
-    with TemporaryFile() as log, _sigpipe_ignored():
-        try:
-            with redirected_stderr(log):
-                encoder.send(None)  # starts ffmpeg
+    """Write the frames to the standard input of ffmpeg, which encodes them."""
+    rate = Fraction(float(fps)).limit_denominator()
+    pixels = f"-f rawvideo -pix_fmt rgb24 -s {size[1]}x{size[0]} -r {rate} -i -"
+    command = [_ffmpeg(), "-v", "error", *pixels.split(), *_H264.split(), name]
+    failure = ""
+    with TemporaryFile() as log, ExitStack() as stack:
+        # Let a write to an ended ffmpeg raise an error: the command line lets SIGPIPE end it.
+        with suppress(AttributeError, ValueError):  # on Windows; not in the main thread
+            handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+            stack.callback(signal.signal, signal.SIGPIPE, handler)
+        try:  # in another process group: Ctrl-C interrupts only this process, which ends ffmpeg
+            ffmpeg: Any = Popen(command, stdin=PIPE, stdout=DEVNULL, stderr=log, process_group=0)
         except OSError as error:
             raise InputError(f"cannot start ffmpeg: {reason(error)}; give .gif or .webp") from None
-        failed = ""
-        with closing(encoder):
-            for frame in frames:
-                try:
-                    encoder.send(np.ascontiguousarray(frame))
-                except OSError:  # ffmpeg has ended
-                    failed = "it ended early"
-                    break
+        stack.callback(ffmpeg.communicate)  # closes the pipe and waits
+        stack.callback(ffmpeg.kill)
+        for frame in frames:
+            try:
+                ffmpeg.stdin.write(np.ascontiguousarray(frame))
+            except OSError:
+                failure = "it ended early"
+                break
+        ffmpeg.communicate()
+        if not failure and (ffmpeg.returncode or not os.path.exists(name)):
+            failure = "the file is incomplete"
         log.seek(0)
-        failed = [failed, *log.read().decode(errors="replace").strip().splitlines()][-1]
-    if failed or not _has_index(name):
-        failed = failed or "the file is incomplete"
-        raise InputError(f"ffmpeg wrote no .mp4 ({clipped(failed)}): give .gif or .webp")
+        failure = [failure, *log.read().decode(errors="replace").strip().splitlines()][-1]
+    if failure:
+        raise InputError(f"ffmpeg wrote no .mp4 ({clipped(failure)}): give .gif or .webp")
 
 
-def _has_index(name: str) -> bool:
-    """Return whether a file is a complete MP4, with the box "moov", which ffmpeg writes last.
-    imageio_ffmpeg.write_frames ignores ffmpeg's exit status, so this check is needed."""
-    with suppress(OSError), open(name, "rb") as file:
-        while len(head := file.read(16)) >= 8:
-            size, kind = struct.unpack_from(">I4s", head)
-            if kind == b"moov":
-                return True
-            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 64-bit size
-            if size < 8:
-                return False
-            file.seek(size - len(head), os.SEEK_CUR)
-    return False
-
-
-@contextmanager
-def _sigpipe_ignored() -> Iterator[None]:
-    """Ignore SIGPIPE, so that a write to ffmpeg raises BrokenPipeError if ffmpeg has ended early.
-    Otherwise SIGPIPE would end the process: the command line enables it for standard output."""
-    if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+def _ffmpeg() -> str:
+    """Return the path of ffmpeg; raise InputError if it or imageio_ffmpeg is missing."""
     try:
-        yield
-    finally:
-        signal.signal(signal.SIGPIPE, handler)
+        from imageio_ffmpeg import get_ffmpeg_exe
 
-
-def _imageio_ffmpeg() -> Any:
-    """Return the package imageio_ffmpeg; raise InputError if it or its ffmpeg is missing."""
-    try:
-        import imageio_ffmpeg
-
-        imageio_ffmpeg.get_ffmpeg_exe()
+        return str(get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:
         raise InputError(
             f"an .mp4 needs ffmpeg ({reason(error)}): pip install 'facerender[mp4]', or give .gif "
             "or .webp"
         ) from None
-    return imageio_ffmpeg

@@ -11,8 +11,8 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Mapping
-from contextlib import nullcontext, redirect_stdout
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -40,13 +40,23 @@ if TYPE_CHECKING:
 MAX_SIDE = 16384  # largest width or height in pixels
 MAX_PIXELS = 178_956_970  # above this number, Pillow raises DecompressionBombError
 MAX_BYTES = 1 << 31  # largest size of a decoded image, in bytes
-_UNSUSPECTED = 64 << 20  # decoded bytes; up to this size the compression ratio is not checked
-_MOST_PACKED = 2000  # largest compression ratio; deflate reaches 1032
 _STRIP = 256  # number of rows that are converted at once
 
 
 class TooLarge(InputError):
     """An image has too many pixels."""
+
+
+@contextmanager
+def _converted(problem: str, remedy: str = "; save it again") -> Iterator[None]:
+    """Raise InputError for every other exception: Pillow, LittleCMS, OpenEXR, NumPy, zipfile and
+    zlib raise many types."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{problem} ({reason(error)}){remedy}") from None
 
 
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
@@ -71,7 +81,7 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float)
             f"{size} of {bytes_each} bytes: at most {MAX_SIDE} a side, {MAX_PIXELS:.3g} pixels and "
             f"{MAX_BYTES >> 20} MiB; make it smaller"
         )
-    if content > _UNSUSPECTED and content > _MOST_PACKED * of:
+    if content > max(64 << 20, 2000 * of):  # the largest compression ratio of deflate is 1032
         raise InputError(f"{size}, which {of} bytes cannot hold: it is damaged; save it again")
 
 
@@ -114,12 +124,8 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
 def in_srgb(image: Image, profile: bytes) -> tuple[Image, str]:
     """Convert an image in mode L, RGB or CMYK from an ICC profile to sRGB, with relative
     colorimetric intent, clipped to the sRGB gamut. Return the image in mode RGB, and the name of
-    the profile.
-
-    Raises
-    ------
-    OSError, ImageCms.PyCMSError : the profile is damaged, or does not match the channels
-    """
+    the profile. Raise OSError or ImageCms.PyCMSError if the profile is damaged, or does not match
+    the channels."""
     from PIL import ImageCms
 
     source = ImageCms.ImageCmsProfile(BytesIO(profile))
@@ -132,13 +138,12 @@ def in_srgb(image: Image, profile: bytes) -> tuple[Image, str]:
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:
     """Return the pixels of a Pillow image, converted to a mode, as an array (H, W, channels).
-    The image is converted in strips to avoid a second full copy. Pillow's errors are not caught.
-    """
+    The image is converted in strips to avoid a second full copy. Pillow's errors are not caught."""
     image.load()
     pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)
     for top in range(0, image.height, _STRIP):
-        strip = image.crop((0, top, image.width, min(top + _STRIP, image.height)))
         rows = pixels[top : top + _STRIP]
+        strip = image.crop((0, top, image.width, top + len(rows)))
         strip = strip if strip.mode == mode else strip.convert(mode)
         rows[:] = np.asarray(strip).reshape(rows.shape)
     return pixels
@@ -146,10 +151,7 @@ def texels(image: Image, mode: str) -> NDArray[np.uint8]:
 
 # EXR's default chromaticities: x and y of red, green, blue and white.
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
-_MAGIC = b"v/1\x01"
-_MULTIPART = 0x10  # bit in byte 5 of an EXR file, set if the file has several parts
-_HALF = 1  # EXR's number for the pixel type HALF
-_PXR24 = 5  # EXR's number for the compression PXR24
+_PXR24, _HALF = b"\5", b"\1\0\0\0"  # a compression and a pixel type in EXR files
 
 
 def save_exr(
@@ -158,10 +160,7 @@ def save_exr(
     metadata: Mapping[str, str],
     rounded: bool = False,
 ) -> None:
-    """Write linear pixels (H, W, 3 or 4) as OpenEXR. Needs the extra ``exr``.
-
-    linear, rounded : see :func:`exr_bytes`
-    """
+    """Write linear pixels (H, W, 3 or 4) as OpenEXR; see :func:`exr_bytes` for the parameters."""
     channels = {"RGBA"[: linear.shape[-1]]: linear}
     write_bytes(path, exr_bytes(os.fspath(path), channels, metadata, rounded))
 
@@ -195,102 +194,75 @@ def exr_bytes(
     return content.getvalue()
 
 
-def read_exr(path: Path, start: bytes, size: int) -> ImageData:
-    """Read an EXR file.
-
-    start : first bytes of the file, which contain the header
-    size : size of the file in bytes
-    """
+def _read_exr(path: Path, start: bytes, size: int) -> ImageData:
+    """Read an EXR file of ``size`` bytes; ``start`` contains its header."""
     OpenEXR = openexr(path)
-    try:
-        raw = _checked_exr(path, start, size)
-        kinds = _exr_channels(raw)
-        names = [name for name in "RGBA" if name in kinds and "R" in kinds]
-        names = names or sorted(kinds, reverse=True)
+    with _converted(f"{path} cannot be read as OpenEXR"):
+        attributes = _exr_attributes(path, start)
+        types = _exr_types(attributes[b"channels"])
+        left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"])
+        check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * max(len(types), 4), size)
+        names = [name for name in "RGBA" if {"R", name} <= {*types}] or sorted(types, reverse=True)
         if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
-            channels = clipped(", ".join(kinds))
+            channels = clipped(", ".join(types))
             raise InputError(f"{path} has channels {channels}: give R, G, B and optionally A")
-        interleaved = len(names) > 2 and len({kinds[name] for name in names}) == 1
+        interleaved = len(names) > 2 and len({types[name] for name in names}) == 1
         # For a damaged file OpenEXR prints to standard output and standard error.
         with open(os.devnull, "w") as nothing, redirected_stderr(nothing), redirect_stdout(nothing):
             file = OpenEXR.File(str(path), separate_channels=not interleaved)
-            header, file_channels = file.header(), file.channels()
+            header, channels = file.header(), file.channels()
         if interleaved:
-            pixels = file_channels["".join(names)].pixels
+            pixels = channels["".join(names)].pixels
         else:
-            pixels = np.stack([file_channels[name].pixels for name in names], axis=-1)
+            pixels = np.stack([channels[name].pixels for name in names], axis=-1)
         if pixels.dtype != np.float16:
             pixels = pixels.astype(np.float32, copy=False)
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
-        noise = 2.0**-16 / 3.0**0.5 if raw[b"compression"][0] == _PXR24 else 0.0
-        noise = HALVED if _HALF in map(kinds.get, names) else noise
-    except InputError:
-        raise
-    except Exception as error:  # from OpenEXR, or from parsing a damaged header
-        raise InputError(
-            f"{path} cannot be read as OpenEXR ({reason(error)}); save it again"
-        ) from None
+        noise = 2.0**-16 / 3.0**0.5 if attributes[b"compression"] == _PXR24 else 0.0
+        noise = HALVED if _HALF in map(types.get, names) else noise
     return ImageData(pixels, "linear", str(path), metadata, space, noise=noise)
 
 
-def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
-    """Return the attributes of each part of an EXR file.
+def _exr_attributes(path: Path, content: bytes) -> dict[bytes, bytes]:
+    """Return the header attributes of an EXR file (OpenEXR, "OpenEXR File Layout"). Raise
+    InputError for a deep image, several parts or two windows, other errors for a damaged header.
 
     Headers are parsed here because OpenEXR reads some damaged headers as an image of 64 x 64
-    pixels: it replaces missing attributes with defaults.
-
-    Raises
-    ------
-    ValueError, IndexError, struct.error : the bytes are no EXR header
-
-    References: OpenEXR, "OpenEXR File Layout".
-    """
-    if not content.startswith(_MAGIC):
+    pixels: it replaces missing attributes with defaults."""
+    if not content.startswith(b"v/1\x01"):
         raise ValueError("it does not start with the EXR signature")
-    headers, offset = [], 8
-    while True:
+    offset, parts, multipart = 8, 0, content[5] & 0x10
+    while not parts or (multipart and content[offset]):
         header: dict[bytes, bytes] = {}
         while content[offset]:
             end = content.index(0, offset)
             start = content.index(0, end + 1) + 5
-            (size,) = struct.unpack_from("<I", content, start - 4)
+            size = int.from_bytes(content[start - 4 : start], "little")
             header[content[offset:end]] = content[start : start + size]
             offset = start + size
-        headers.append(header)
         offset += 1
-        if not content[5] & _MULTIPART or not content[offset]:
-            return headers
-
-
-def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
-    """Return EXR's pixel type number of each channel, keyed by the channel name."""
-    channels, offset, kinds = header[b"channels"], 0, {}
-    while channels[offset]:
-        end = channels.index(0, offset)
-        kinds[channels[offset:end].decode()] = int.from_bytes(channels[end + 1 : end + 5], "little")
-        offset = end + 17
-    return kinds
-
-
-def _checked_exr(path: Path, start: bytes, size: int) -> Mapping[bytes, bytes]:
-    """Return the header of a flat image with one part. Raise InputError for an image that is deep,
-    has several parts or two windows, or is too large, before OpenEXR reads the pixels."""
-    headers = _exr_headers(start)
-    if len(headers) > 1:
-        raise InputError(f"{path} has {len(headers)} parts: save one part as a file")
-    (header,) = headers
+        parts += 1
+    if parts > 1:
+        raise InputError(f"{path} has {parts} parts: save one part as a file")
     if header.get(b"type", b"").startswith(b"deep"):
         raise InputError(f"{path} is a deep image: flatten it")
     if header[b"dataWindow"] != header[b"displayWindow"]:
         raise InputError(
             f"{path} has a data window that is not its display window: save it with one window"
         )
-    left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
-    bytes_of_pixel = 4 * max(len(_exr_channels(header)), 4)
-    check_pixels(str(path), right - left + 1, bottom - top + 1, bytes_of_pixel, size)
     return header
+
+
+def _exr_types(channels: bytes) -> dict[str, bytes]:
+    """Return the pixel type of each channel, keyed by the channel name."""
+    types, offset = {}, 0
+    while channels[offset]:
+        end = channels.index(0, offset)
+        types[channels[offset:end].decode()] = channels[end + 1 : end + 5]
+        offset = end + 17  # 12 other bytes follow the pixel type
+    return types
 
 
 def openexr(path: str | os.PathLike[str]) -> Any:
@@ -317,8 +289,6 @@ _DECODERS = ("PNG", "JPEG", "WEBP", "TIFF", "GIF", "BMP", "TGA")
 _MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's modes that are read as they are
 _MODE_NAMES = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
 SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
-_NPY = b"\x93NUMPY"
-_LONGEST_HEADER = 1 << 16  # largest header of a NumPy array, in bytes
 _LONGEST_EXR = 1 << 24  # largest header of an EXR file, in bytes
 
 
@@ -342,51 +312,37 @@ def read_image(path: str | os.PathLike[str]) -> ImageData:
         raise InputError(f"{path} is empty: save it again")
     check_downloaded(content, f"{path} is")
     if suffix == ".exr":
-        return read_exr(path, content, size)
+        return _read_exr(path, content, size)
     if suffix in (".npz", ".npy"):
         return _read_numpy(path, content)
     return _read_8_bit(path, content)
 
 
 def _read_numpy(path: Path, content: bytes) -> ImageData:
+    """Read a NumPy array after a check of its header. Python objects in it are not read."""
     from zipfile import ZipFile
 
-    try:
-        if content.startswith(_NPY):
-            return image_from_array(_array(BytesIO(content), str(path), len(content)), str(path))
-        with ZipFile(BytesIO(content)) as file:
-            names = file.namelist()
+    file: IO[bytes] = BytesIO(content)
+    with _converted(f"{path} is not a NumPy file"):
+        if not content.startswith(b"\x93NUMPY"):
+            archive = ZipFile(file)
+            names = archive.namelist()
             stems = [name.removesuffix(".npy") for name in names]
             if len(names) != 1 and "linear" not in stems:
                 listing = clipped(", ".join(stems)) or "no array"
                 raise InputError(f"{path} contains {listing}: name one array 'linear'")
-            with file.open(names[stems.index("linear") if len(names) > 1 else 0]) as member:
-                return image_from_array(_array(member, str(path), len(content)), str(path))
-    except InputError:
-        raise
-    except Exception as error:  # NumPy, zipfile and zlib raise many types
-        raise InputError(f"{path} is not a NumPy file ({reason(error)}); save it again") from None
-
-
-def _array(file: IO[bytes], name: str, size: int) -> NDArray[Any]:
-    """Read a NumPy array after a check of its header.
-
-    size : size of the file in bytes
-
-    Raises
-    ------
-    InputError : the array contains Python objects, does not have an image's shape, or is too large
-    """
-    head = BytesIO(file.read(_LONGEST_HEADER))
-    read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0}
-    shape, _, kind = read[npy.read_magic(head)[0]](head)
-    if kind.hasobject:
-        raise InputError(f"{name} contains Python objects, which are not read: give floats")
-    if len(shape) in (2, 3):
-        check_pixels(name, shape[1], shape[0], kind.itemsize * math.prod(shape[2:]), size)
+            file = archive.open(names[stems.index("linear") if len(names) > 1 else 0])
+        head = BytesIO(file.read(1 << 16))  # longer headers are refused
+        read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0}
+        shape, _, dtype = read[npy.read_magic(head)[0]](head)
+        if dtype.hasobject:
+            raise InputError(f"{path} contains Python objects, which are not read: give floats")
+        if len(shape) not in (2, 3):
+            raise InputError(f"{path} has shape {clipped(str(shape))}: give (H, W, 3) or (H, W, 4)")
+        pixel_size = dtype.itemsize * math.prod(shape[2:])
+        check_pixels(str(path), shape[1], shape[0], pixel_size, len(content))
         file.seek(0)
-        return np.asarray(npy.read_array(file, allow_pickle=False))
-    raise InputError(f"{name} has shape {clipped(str(shape))}: give (H, W, 3) or (H, W, 4)")
+        return image_from_array(npy.read_array(file, allow_pickle=False), str(path))
 
 
 def _read_8_bit(path: Path, content: bytes) -> ImageData:
@@ -420,12 +376,10 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
         elif image.mode[0] in "FI":
             remedy = "give numpy.asarray(image) / WHITE, where WHITE is the value of white"
         raise InputError(f"{name} {problem}: {remedy}")
-    try:
+    with _converted(f"{name} is damaged"):
         frames = getattr(image, "n_frames", 1)
         turned = image.getexif().get(ExifTags.Base.Orientation) in range(2, 9)
         pixels = texels(ImageOps.exif_transpose(image) if turned else image, mode)
-    except Exception as error:  # Pillow's decoders raise many types
-        raise InputError(f"{name} is damaged ({reason(error)}); save it again") from None
     if frames > 1:
         remedy = "save each as a file" if in_file else f"give one as image.convert({mode!r})"
         raise InputError(f"{name} has {frames} frames: {remedy}")
@@ -436,12 +390,8 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
     }
     result = replace(image_from_array(pixels, name), metadata=texts, jpeg=image.format == "JPEG")
     if "icc_profile" in image.info:
-        try:
+        with _converted(f"{name} has an ICC profile that cannot be used", ": save it as sRGB"):
             pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
-        except Exception as error:  # LittleCMS raises several types
-            raise InputError(
-                f"{name} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
-            ) from None
         noise = 0.5 if profile else 0.0  # of a conversion from 8 bits to 8 bits, in 8-bit levels
         return replace(result, pixels=pixels, profile=profile, noise=noise)
     gamma = image.info.get("gamma", SRGB_GAMMA)
@@ -450,14 +400,12 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
 
 
 def _to_srgb(pixels: NDArray[np.uint8], content: bytes) -> tuple[NDArray[np.uint8], str]:
-    """Convert 8-bit pixels (H, W, 1 to 4) from an ICC profile to sRGB, with errors as of
-    :func:`in_srgb`. Return the pixels, with their alpha unchanged, and the name of the profile. The
-    name is "" if the conversion changes no pixel."""
+    """Convert 8-bit pixels (H, W, 1 to 4), but not their alpha; see :func:`in_srgb`. The returned
+    name of the profile is "" if the conversion changes no pixel."""
     from PIL import Image
 
     grey = pixels.shape[2] < 3
-    colors = pixels[..., 0] if grey else np.ascontiguousarray(pixels[..., :3])
-    image, name = in_srgb(Image.fromarray(colors), content)
+    image, name = in_srgb(Image.fromarray(pixels[..., 0 if grey else slice(3)]), content)
     converted, result = np.asarray(image), pixels.copy()
     result[..., : 1 if grey else 3] = converted[..., 1:2] if grey else converted
     return result, "" if np.array_equal(result, pixels) else name
@@ -471,7 +419,6 @@ WRITTEN: dict[str, Format] = {
 QUALITY = 95  # quality setting of JPEG and WebP, at most 100
 FRAME_RATES = (0.1, 100.0)  # images per second; a GIF stores delays in hundredths of a second
 PREFIX = "facerender:"
-_INTERPRETED = ("alpha", "background")  # ImageMagick reads these keys of a PNG as settings
 
 
 def format_of(path: str | os.PathLike[str]) -> Format:
@@ -500,16 +447,17 @@ def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[
     gives fewer bytes and avoids the import of Pillow.
     """
     height, width = pixels.shape[:2]
-    kind = {1: 0, 3: 2, 4: 6}[pixels[0, 0].size]  # grey, RGB, RGBA
+    color_type = {1: 0, 3: 2, 4: 6}[pixels[0, 0].size]  # grey, RGB, RGBA
     big_endian = pixels.astype(pixels.dtype.newbyteorder(">"), order="C", copy=False)
     rows = big_endian.reshape(height, -1).view(np.uint8)
     filtered = np.full((height, 1 + rows.shape[1]), 2, dtype=np.uint8)  # 2: the filter "Up"
     filtered[0, 1:] = rows[0]
     np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
     depth = 8 * pixels.itemsize
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))]
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color_type, 0, 0, 0))]
     for name, value in metadata.items():
-        key = f"{PREFIX}{name}" if name in _INTERPRETED else name
+        # ImageMagick reads some keys as settings.
+        key = f"{PREFIX}{name}" if name in ("alpha", "background") else name
         try:
             chunks.append((b"tEXt", f"{key}\0{value}".encode("latin-1")))
         except UnicodeEncodeError:
@@ -528,10 +476,7 @@ def lossy_bytes(
     """Return a JPEG or WebP of 8-bit pixels (H, W, 3); WebP also accepts (H, W, 4), straight alpha.
 
     The Exif field ImageDescription contains the metadata as JSON. JPEG chroma is not subsampled.
-
-    Raises
-    ------
-    InputError : alpha in a JPEG; more pixels on a side than the format allows
+    Raise InputError for alpha in a JPEG, and for more pixels on a side than the format allows.
     """
     from PIL import Image
 
@@ -539,13 +484,9 @@ def lossy_bytes(
         check_opaque("JPEG", pixels.shape[-1] == 4)
     exif = Image.Exif()
     exif[0x010E] = json.dumps(dict(metadata))  # ImageDescription
+    height, width = pixels.shape[:2]
+    problem, remedy = f"cannot store {width} x {height} pixels", ": give a smaller size, or .png"
     file = BytesIO()
-    try:
+    with _converted(f"{kind} {problem}", remedy):
         Image.fromarray(pixels).save(file, kind, quality=QUALITY, subsampling=0, exif=exif)
-    except (OSError, ValueError) as error:
-        height, width = pixels.shape[:2]
-        raise InputError(
-            f"{kind} cannot store {width} x {height} pixels ({reason(error)}): give a smaller "
-            "size, or .png"
-        ) from None
     return file.getvalue()

@@ -90,18 +90,14 @@ class ImageData:
     noise: float = 0.0
 
     @property
-    def coverage(self) -> NDArray[np.float32]:
-        """Alpha (H, W) in [0, 1]. It is 1 if the image has no alpha, or if the image is linear and
-        its alpha is 0 everywhere."""
-        return self.rows(slice(None))[1]
-
-    @property
     def color(self) -> NDArray[np.float32]:
-        """Colour (H, W, 1 or 3), premultiplied by coverage."""
+        """Colour of all rows; see :meth:`rows`."""
         return self.rows(slice(None))[0]
 
     def rows(self, rows: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return colour and coverage of a range of rows."""
+        """Return colour (H, W, 1 or 3), premultiplied by coverage, and coverage (H, W) of a range
+        of rows. Coverage is alpha in [0, 1]. It is 1 if the image has no alpha, or if the image is
+        linear and its alpha is 0 everywhere."""
         pixels = self.pixels[rows]
         channels = pixels.shape[2]
         color = pixels[..., : channels - 1 + channels % 2].astype(np.float32, copy=False)
@@ -121,11 +117,7 @@ class ImageData:
 
 def image_from_array(values: NDArray[Any], name: str) -> ImageData:
     """Return an image from an array (H, W) or (H, W, 1 to 4) of floats (linear) or uint8 (sRGB).
-
-    Raises
-    ------
-    InputError : invalid shape or type
-    """
+    Raise InputError for another shape or type."""
     pixels = values[..., None] if values.ndim == 2 else values
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
         raise InputError(f"{name} has shape {values.shape}: give (H, W, 3) or (H, W, 4)")
