@@ -410,7 +410,7 @@ def binary_ply(kind, faces):
 VERTEX = "element vertex 3\nproperty float x\n"
 STL = files.stl(mini_head())
 REFUSED = [
-    ("a.ply", ply(VERTEX.replace("3", "99999999999")), "declares at least 199999999998 bytes"),
+    ("a.ply", ply(VERTEX.replace("3", "99999999999")), "declares 99999999999 lines, but it has 3"),
     ("a.ply", ply(VERTEX.replace("3", "-3")), "has the invalid line 'element vertex -"),
     ("a.ply", ply(VERTEX.replace("float", "text")), "has the invalid line 'property text x'"),
     ("a.ply", ply(VERTEX + "x\n"), "has the invalid line 'x'"),

@@ -546,7 +546,7 @@ BROKEN = [
     ("unused.glb", changed_glb(nodes=[], scenes=[{}]), "has no geometry"),
     ("hidden.glb", changed_glb(nodes=[{"mesh": 0, "scale": [0, 0, 0]}]), "no face of"),
     ("mini.gltf", missing_buffer, r"mini\.bin"),
-    ("short.ply", cut_ply, "is damaged"),
+    ("short.ply", cut_ply, "or lacks bytes: export it"),
     ("text.ply", content(b"hello"), "is damaged"),
 ]
 

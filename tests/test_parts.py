@@ -176,8 +176,7 @@ def test_names_survive_simplification_occlusion_and_the_cache(tmp_path, cache_fo
     path = write_glb(tmp_path / "a.glb", mini_head(), [{"name": "Head"}])
     assert names(fr.load_mesh(path, cache=True)) == ["Head"]
     wait_for_cache()
-    found = fr.MeshFile(str(path)).cached()
-    assert found is not None
+    found = fr.MeshFile(str(path)).load(cache=True)
     assert names(found) == ["Head"]
     require_module("meshoptimizer")
     assert names(fr.simplified(found, 300)) == ["Head"]

@@ -92,8 +92,8 @@ def load_mesh(
         1000 for .glb and .gltf, the unit of a trimesh object, undefined for other formats
     cache : load the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
         since the mesh was stored. Otherwise decode all maps, and store the mesh in the background;
-        "read" does not store it.
-        Trimesh objects, and meshes with maps that are not files, are not cached
+        "read" does not store it. Trimesh objects, and meshes with maps that are not files, are not
+        cached
     allow_outside : open referenced files at any path. By default, only files below the mesh file's
         folder are opened. A mesh given as bytes has no folder: no file that it references is opened
     kind : "glb", "gltf", "obj", "ply" or "stl"; required if neither the file name nor the bytes
@@ -125,10 +125,6 @@ def load_mesh(
             mesh = _assembled(pieces, name, millimetres_of(source), textures, options)
     else:
         mesh = _loaded(source_of(source, kind), maps, options, cache)
-    return _finished(mesh, millimetres, double_sided)
-
-
-def _finished(mesh: Mesh, millimetres: float | None, double_sided: bool) -> Mesh:
     if double_sided:
         mesh = mesh.with_material(double_sided=True)
     return remember(mesh if millimetres is None else replace(mesh, millimetres=millimetres))
@@ -166,18 +162,12 @@ def _loaded(
     """Return the mesh of a mesh file, from the cache if possible."""
     if not cache or any(isinstance(file, Texture) for file in maps.values()):
         return _read(source, _opened(maps), options)[0]
-    contents = {
-        field: (path.name, read_file(path, "an image file"))
-        for field, path in maps.items()
-        if isinstance(path, Path)
-    }
-    entry = mesh_cache.entry_name(source, contents, options)
+    contents = {n: read_file(path, "an image file") for n, path in maps.items()}  # type: ignore[arg-type]
+    entry = mesh_cache.entry_name(source, {n: (maps[n].name, contents[n]) for n in maps}, options)
     if (stored_mesh := mesh_cache.find(entry, source, options.allow_outside)) is not None:
         return stored_mesh
-    textures = _opened(maps, contents)
-    del contents
     with noting() as warnings:
-        mesh, references = _read(source, textures, options)
+        mesh, references = _read(source, _opened(maps, contents), options)
     if cache != "read":
         mesh = replace(mesh, regions=find_regions(mesh))
         mesh_cache.store(entry, mesh, references.files, "albedo_map" in maps, warnings)
@@ -185,20 +175,21 @@ def _loaded(
 
 
 def _opened(
-    maps: Mapping[str, Path | Texture], contents: Mapping[str, tuple[str, bytes]] | None = None
+    maps: Mapping[str, Path | Texture], contents: Mapping[str, bytes] | None = None
 ) -> dict[str, Texture]:
-    """Return the textures of maps. Files are not read again, unless their images are large: the
-    cache does not store these, and their contents take memory until they are decoded."""
+    """Return the textures of maps.
+
+    contents : contents of the files, which are not read again. But those of large images would take
+        memory as long as their textures, and the cache does not store them
+    """
     textures = {}
     for field, source in maps.items():
-        texture = source if isinstance(source, Texture) else None
-        if texture is None and contents is not None:
-            name, content = contents[field]
-            texture = Texture.of(content, clipped(name))
-        if texture is None or (isinstance(source, Path) and math.prod(texture.size) > LARGE):
-            assert isinstance(source, Path)
-            texture = Texture.open(source)
-        textures[field] = texture
+        if not isinstance(source, Texture):
+            path, content = source, contents and contents[field]
+            source = Texture.of(content, clipped(path.name)) if content else Texture.open(path)
+            if content and math.prod(source.size) > LARGE:
+                source = Texture.open(path)
+        textures[field] = source
     return textures
 
 
@@ -224,26 +215,18 @@ def _pieces(
 
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
     """
+    if suffix in GLTF:
+        from facerender.loading.gltf import read_gltf as read
+    elif suffix == ".obj":
+        from facerender.loading.obj import read_obj as read
+    elif suffix == ".ply":
+        from facerender.loading.ply_stl import read_ply as read
+    else:
+        from facerender.loading.ply_stl import read_stl as read
     try:
-        if suffix in GLTF:
-            from facerender.loading.gltf import read_gltf
-
-            pieces = read_gltf(data, references, albedo_given)
-        elif suffix == ".obj":
-            from facerender.loading.obj import read_obj
-
-            pieces = read_obj(data, references, albedo_given)
-        elif suffix == ".ply":
-            from facerender.loading.ply_stl import read_ply
-
-            pieces = read_ply(data, references, albedo_given)
-        else:
-            from facerender.loading.ply_stl import read_stl
-
-            pieces = read_stl(data, references.name)
-        if suffix not in GLTF and not albedo_given:
-            for missing in references.missing():
-                missing_image(references, missing)
+        pieces = read(data, references, albedo_given)
+        for missing in () if albedo_given or suffix in GLTF else references.missing():
+            missing_image(references, missing)
     except InputError:
         raise
     except (ValueError, LookupError, ArithmeticError) as error:

@@ -90,12 +90,12 @@ def find(name: str, source: Source, allow_outside: bool) -> Mesh | None:
             if digest != (None if current is None else digest_of(current)):
                 return None
         entry = _decoded(head, content, _LENGTH.size + length)
+        mesh, warnings = entry["mesh"], [str(message) for message in entry["warnings"]]
     except Exception:  # another program may have damaged the entry
         return None
-    for message in entry["warnings"]:
+    for message in warnings:
         warn(message)
-    mesh: Mesh = entry["mesh"]
-    return mesh
+    return mesh if isinstance(mesh, Mesh) else None
 
 
 def store(name: str, mesh: Mesh, files: Files, has_albedo: bool, warnings: Sequence[str]) -> None:

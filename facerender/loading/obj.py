@@ -56,11 +56,9 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
     corners, faces, dropped = _faces(lines, (len(vertices), len(uv), len(normals)))
     if not len(faces):
         raise ValueError(f"none of its {dropped} faces has valid references")
-    spans = np.searchsorted(owner_lines, faces[:, 0]) - 1
-    parts, numbers = _parts(owners, spans, name)
-    check_count(len(parts), name)
+    parts, numbers = _parts(owners, np.searchsorted(owner_lines, faces[:, 0]) - 1, name)
     library = Library(libraries, references, albedo_given)
-    materials = library.matched([" ".join(key[2].split()) for key in parts])
+    materials = library.matched([material for *_, material in parts])
     pieces = []
     for index, (part_name, material_name) in enumerate(zip(_names(parts), materials, strict=True)):
         material, transform = library.look(material_name, colors is not None)
@@ -137,19 +135,12 @@ class _Lines:
     def content(self, key: bytes) -> bytes:
         """Return the lines whose first word is ``key``, with spaces instead of this word and
         without comments."""
-        lines = self.numbers(key)
-        if not len(lines):
-            return b""
-        first, last = lines[0], lines[-1]
-        span = self.characters[self.starts[first] : self.ends[last] + 1]
-        lengths = self.ends[first : last + 1] - self.starts[first : last + 1] + 1
-        if len(lines) < len(lengths):
-            mask = np.zeros(len(lengths), dtype=bool)
-            mask[lines - first] = True
-            span, lengths = span[np.repeat(mask, lengths)], lengths[mask]
-        content = span.copy()
+        lines, lengths = self.numbers(key), self.ends - self.starts + 1
+        mask = np.zeros(len(lengths), dtype=bool)
+        mask[lines] = True
+        content = self.characters[np.repeat(mask, lengths)]
         for offset in range(len(key)):
-            content[np.cumsum(lengths) - lengths + offset] = _SPACE
+            content[np.cumsum(lengths[lines]) - lengths[lines] + offset] = _SPACE
         text = content.tobytes()
         return _COMMENT.sub(b"", text) if b"#" in text else text
 
@@ -205,17 +196,17 @@ def _owners(lines: _Lines) -> tuple[list[str], list[_Keys], list[int]]:
     """Return the names of the MTL files, the names of object, group and material after each line
     that changes one of them, and the indices of these lines. The first names are empty."""
     libraries: list[str] = []
-    names = dict.fromkeys(("o", "g", "usemtl"), "")
+    names = {"o": "", "g": "", "usemtl": ""}
     owners, numbers = [("", "", "")], [-1]
-    for number in np.flatnonzero(np.isin(lines.characters[lines.starts], [*b"ogum"])).tolist():
-        line = lines.characters[lines.starts[number] : lines.ends[number]].tobytes().decode()
+    for index in np.flatnonzero(np.isin(lines.characters[lines.starts], [*b"ogum"])).tolist():
+        line = lines.characters[lines.starts[index] : lines.ends[index]].tobytes().decode()
         key, _, value = line.partition(" ")
         if key == "mtllib":
             libraries.append(value.strip())
         elif key in names:
-            names[key] = value.strip()
+            names[key] = " ".join(value.split()) if key == "usemtl" else value.strip()
             owners.append((names["o"], names["g"], names["usemtl"]))
-            numbers.append(number)
+            numbers.append(index)
     return libraries, owners, numbers
 
 
@@ -230,14 +221,14 @@ def _parts(
     keys = [owners[i] for i in used]
     parts = [*dict.fromkeys(keys)]
     if len(parts) > _MAX_GROUPS:
-        keys = [("", "", material) for *_, material in keys]
-        joined = [*dict.fromkeys(keys)]
-        if len(joined) < len(parts):
+        joined = [("", "", material) for *_, material in keys]
+        if len({*joined}) < len(parts):
             warn(
                 f"{name} has {len(parts)} groups with faces, but the limit is {_MAX_GROUPS} "
                 "parts: groups of the same material are joined"
             )
-        parts = joined
+        keys, parts = joined, [*dict.fromkeys(joined)]
+    check_count(len(parts), name)
     numbers = {key: number for number, key in enumerate(parts)}
     return parts, np.array([numbers[key] for key in keys])[inverse]
 
@@ -247,12 +238,10 @@ def _names(parts: Sequence[_Keys]) -> list[str]:
     material. Parts with the same name are renamed to group.material or, if they share this name,
     too, to object.group.material."""
     names = [group or owner or material for owner, group, material in parts]
-    for which in (slice(1, 3), slice(0, 3)):
+    for start in (1, 0):
         counts = Counter(names)
-        names = [
-            name if counts[name] == 1 else ".".join(filter(None, key[which]))
-            for name, key in zip(names, parts, strict=True)
-        ]
+        longer = (".".join(filter(None, key[start:])) for key in parts)
+        names = [a if counts[a] == 1 else b for a, b in zip(names, longer, strict=True)]
     return names
 
 

@@ -30,16 +30,10 @@ from facerender.scenes.repair import Piece, check_count, subset, with_face_color
 from facerender.scenes.texture import Texture
 
 _MAX_HEADER = 1 << 16  # longest header of a PLY file in bytes
-_BYTES = {
-    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
-    **dict.fromkeys(("short", "ushort", "int16", "uint16", "float16"), 2),
-    **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
-    **dict.fromkeys(("double", "int64", "uint64", "float64"), 8),
-}
-_TYPE = "|".join(_BYTES)
+_TYPE = r"(?:u?(?:char|short|int|int8|int16|int32|int64)|float|float16|float32|float64|double)"
 _LINES = re.compile(
     r"ply|format (?:ascii|binary_little_endian|binary_big_endian) \S+|(?:comment|obj_info)\b.*|"
-    rf"element \S+ \d{{1,18}}|property (?:{_TYPE}) \S+|property list (?:{_TYPE}) (?:{_TYPE}) \S+"
+    rf"element \S+ \d{{1,18}}|property {_TYPE} \S+|property list {_TYPE} {_TYPE} \S+"
 )
 _INDICES = ("vertex_index", "vertex_indices")
 _COLORS = (
@@ -153,38 +147,25 @@ def _checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
     lines = [*filter(None, stripped)]
     is_text = any(line.startswith("format ascii") for line in lines)
     body = text_of(data[end:]).encode() if is_text and b"\r" in data[end:] else data[end:]
-    textures = []
-    count = rows = needed = 0
+    textures, declared = [], 0
     for line in lines:
         if _LINES.fullmatch(line) is None:
             raise ValueError(f"its header has the invalid line {clipped(line, 60)!r}")
         words = line.split()
         if words[0] == "element":
-            count = int(words[2])
-            rows += count
-            if words[1] == "tristrips" and count:
+            declared += int(words[2])
+            if words[1] == "tristrips" and int(words[2]):
                 raise InputError(
                     f"{name} has triangle strips, which are not supported; export it with triangles"
                 )
-        elif words[0] == "property":
-            needed += count * _least_bytes(words, is_text)
         elif (comment := TEXTURE_FILE.fullmatch(line.encode())) is not None:
             textures.append(comment[1].decode())
-    if needed > len(body):
-        raise ValueError(f"its header declares at least {needed} bytes, but it has {len(body)}")
-    if is_text and body.count(b"\n") > rows + 16:  # allows for blank lines at the end
-        raise ValueError(f"its header declares {rows} lines, but it has more")
+    # trimesh checks the number of bytes of a binary file, but not the number of lines of a text.
+    rows = len(re.findall(rb"\S[^\n]*", body)) - 1 if is_text else declared
+    if not declared <= rows <= declared + 16:
+        raise ValueError(f"its header declares {declared} lines, but it has {rows}")
     header = "".join(f"{line}\n" for line in lines)
     return header.replace("\nelement edge ", "\nelement line ").encode() + body, textures
-
-
-def _least_bytes(words: list[str], is_text: bool) -> int:
-    """Return the minimum size of a property's value in bytes; the vertex list of a face has at
-    least 3 entries."""
-    if words[1] != "list":
-        return 2 if is_text else _BYTES[words[1]]
-    entries = 3 if words[4] in _INDICES else 0
-    return 2 * (1 + entries) if is_text else _BYTES[words[2]] + entries * _BYTES[words[3]]
 
 
 def _decoded_ply(data: bytes, name: str) -> list[_Columns]:
@@ -249,9 +230,10 @@ def _texture_of(name: str, references: References, fatal: bool) -> Material | No
     return Material(albedo=(1.0, 1.0, 1.0), albedo_map=Texture.of(content, clipped(name, 80)))
 
 
-def read_stl(data: bytes, name: str) -> list[Piece]:
+def read_stl(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
     """Return a piece for each solid of an STL file: binary, or text in any encoding. Bytes after
-    the last triangle of a binary file are ignored with a warning.
+    the last triangle of a binary file are ignored with a warning. Parameters as in
+    :func:`read_ply`; an STL file has neither references nor maps.
 
     Raises
     ------
@@ -260,6 +242,7 @@ def read_stl(data: bytes, name: str) -> list[Piece]:
     """
     from trimesh.exchange.stl import load_stl
 
+    name = references.name
     if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
         data = text_of(data).encode()
         check_count(data.lower().count(b"endsolid"), name)
