@@ -332,6 +332,33 @@ def test_writers_at_the_same_time_leave_whole_entries(place):
     assert [path.name for path in entries(place)] == ["same"]
 
 
+def test_other_users_cannot_read_the_folder(place):
+    place.mkdir(mode=0o755, parents=True)
+    cache.write("meshes", "a", [b"1"])
+    assert place.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.slow
+def test_entries_that_are_cut_anywhere(reads, place):
+    plain = fr.load_mesh(MINI_HEAD)
+    load(MINI_HEAD)
+    (entry,) = entries(place)
+    good = entry.read_bytes()
+    for size in range(0, len(good), 1024):
+        entry.write_bytes(good[:size])
+        assert_equal(replace(load(MINI_HEAD), regions=None), replace(plain, regions=None), "mesh")
+        assert entry.read_bytes() == good
+
+
+def test_entry_that_is_replaced_while_it_is_mapped(place):
+    plain, _ = load(MINI_HEAD), load(MINI_HEAD)
+    mapped = load(MINI_HEAD)
+    (entry,) = entries(place)
+    content = cache.read("meshes", entry.name)
+    cache.write("meshes", entry.name, [bytes(len(content or b""))])
+    assert_same(mapped, plain)
+
+
 def test_old_partial_files_are_removed(place):
     cache.write("meshes", "a", [b"1"])
     old, new = (place / "meshes" / f".b-{name}" for name in ("old", "new"))
