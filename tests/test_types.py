@@ -47,7 +47,7 @@ RIGHT: dict[str, list[Any]] = {
         for name in ("Mesh bounds", "Texture.from_array texels", "Mesh.from_arrays faces")
     },
 }
-UNCHECKED = ("Texture size", "Texture coarser", "plan progress")  # for internal use
+UNCHECKED = ("Texture size", "plan progress")  # for internal use
 METHODS = [
     *("Shading.from_dict", "Job.from_dict", "Renderer.of", "Renderer.render", "Renderer.gbuffer"),
     *("Renderer.can_shade_per_pixel", "Frame.srgb8", "Frame.save", "Mesh.from_arrays"),

@@ -33,6 +33,7 @@ from facerender.loading.source import (
     References,
     Source,
     check_format,
+    check_normal_map_y,
     missing_image,
     no_faces,
     source_of,
@@ -113,9 +114,12 @@ def load_mesh(
         normal_map_y is invalid
     """
     maps = _maps(albedo, normal_map, specular_map, roughness_map, lobe_map)
-    if cache != "read":
+    if not (isinstance(cache, str) and cache == "read"):
         check_switch("cache", cache)
-    check_switch("double_sided", double_sided)
+    check_normal_map_y(normal_map_y)
+    switches = {"flip_v": flip_v, "allow_outside": allow_outside, "as_is": as_is}
+    for name, value in {**switches, "double_sided": double_sided}.items():
+        check_switch(name, value)
     selected = names_of("parts", parts), names_of("hide", hide)
     options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected)
     if is_object(source):

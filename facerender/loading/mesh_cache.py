@@ -15,20 +15,21 @@ import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.errors import FacerenderError, check_switch, warn
-from facerender.loading.source import Source, check_normal_map_y, content_of
+from facerender.errors import FacerenderError, warn
+from facerender.loading.source import Source, content_of
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part, Region
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind, Levels
-from facerender.scenes.texture import LARGE, Texture, Wrap, pack
+from facerender.scenes.texture import LARGE, Texture, pack
 from facerender.system import cache
 from facerender.system.files import digest_of
 
@@ -43,27 +44,24 @@ _CHAINS: dict[str, Kind] = {
     "normal_map": "normal",
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
-_RIG = ("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track")  # classes of a rig
+# Keyed by class of a stored value: its module in scenes. Most meshes have no rig: its import takes
+# 5 ms.
+_MODULES = {
+    **dict.fromkeys(("Mesh", "Part", "Region"), "mesh"),
+    "Material": "material",
+    **dict.fromkeys(("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track"), "rig"),
+}
 
 
-@dataclass(frozen=True)
-class LoadOptions:
-    """Options of :func:`facerender.load_mesh`, whose arguments and errors they share."""
+class LoadOptions(NamedTuple):
+    """Options of :func:`facerender.load_mesh`."""
 
-    flip_v: bool = False
-    normal_map_y: str = "up"
-    allow_outside: bool = False
-    as_is: bool = False
-    parts: tuple[str, ...] = ()
-    hide: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_normal_map_y(self.normal_map_y)
-        for name in ("flip_v", "allow_outside", "as_is"):
-            check_switch(name, getattr(self, name))
-
-
-Files = Mapping[str, bytes | None]  # contents, keyed by the name in the mesh file
+    flip_v: bool
+    normal_map_y: str
+    allow_outside: bool
+    as_is: bool
+    parts: tuple[str, ...]
+    hide: tuple[str, ...]
 
 
 def entry_name(source: Source, maps: Mapping[str, tuple[str, bytes]], options: LoadOptions) -> str:
@@ -98,23 +96,32 @@ def find(name: str, source: Source, allow_outside: bool) -> Mesh | None:
     return mesh if isinstance(mesh, Mesh) else None
 
 
-def store(name: str, mesh: Mesh, files: Files, has_albedo: bool, warnings: Sequence[str]) -> None:
+def store(
+    name: str,
+    mesh: Mesh,
+    files: Mapping[str, bytes | None],
+    has_albedo: bool,
+    warnings: Sequence[str],
+) -> None:
     """Decode the maps and write the mesh to the cache in a thread. The process does not end before
     this thread.
 
     Parameters
     ----------
     name : result of :func:`entry_name`
-    files : the files that the mesh file refers to; None for a missing file
+    files : contents of the files to which the mesh file refers, keyed by their names in it; None
+        for a missing file
     has_albedo : whether the caller replaced the albedo map
     """
-    if not cache.limit():
-        return
-    if None in files.values() and not has_albedo:
-        return  # the warning of a missing image depends on other files in the mesh's folder
     maps = (getattr(material, name) for material in mesh.materials for name in MAPS)
-    if any(texture and math.prod(texture.size) > LARGE for texture in maps):
-        return  # storing the mesh would decode large maps at full resolution
+    # The warning of a missing image depends on other files in the mesh's folder. Storing large maps
+    # would decode them at full resolution.
+    if (
+        not cache.limit()
+        or (None in files.values() and not has_albedo)
+        or any(texture and math.prod(texture.size) > LARGE for texture in maps)
+    ):
+        return
     digests = {file: None if data is None else digest_of(data) for file, data in files.items()}
     chains = _start(mesh)
 
@@ -207,8 +214,8 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
             return values[table["number"]]
         if table.keys() != {"type", "as", "fields"}:
             return table
+        name: str = table["type"]
         value: Any
-        name = table["type"]
         attributes = {key: _as_tuple(value) for key, value in table["fields"].items()}
         if name == "ndarray":
             shape = attributes["shape"]
@@ -216,10 +223,15 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
             value = np.ndarray(shape, attributes["dtype"], content, start)
             start += value.nbytes
         elif name == "Texture":
-            value = _texture(**attributes)
+            chains = {kind: [*chain] for kind, chain in attributes["levels"].items()}
+            texels = attributes["texels"]
+            base = next(iter(chains.values()))[0][..., :3] if texels is None else texels
+            texture = Texture.known(base, attributes["name"], chains)
+            value = texture.sampled(attributes["wrap"], attributes["nearest"])
         else:
             packed = attributes.pop("property_map", None)
-            value = _type_of(name)(**attributes)
+            module = import_module(f"facerender.scenes.{_MODULES[name]}")
+            value = getattr(module, name)(**attributes)
             if packed is not None:
                 # Sets the cached property before Mesh reads it, which would pack the maps again.
                 red, green, blue = value.properties
@@ -233,25 +245,3 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
 
 def _as_tuple(value: Any) -> Any:
     return tuple(map(_as_tuple, value)) if isinstance(value, list) else value
-
-
-def _type_of(name: str) -> Any:
-    if name in _RIG:
-        from facerender.scenes import rig  # most meshes have none: this saves 5 ms
-
-        return getattr(rig, name)
-    return {"Mesh": Mesh, "Part": Part, "Material": Material, "Region": Region}[name]
-
-
-def _texture(
-    name: str,
-    wrap: tuple[Wrap, Wrap],
-    nearest: bool,
-    levels: Mapping[Kind, Sequence[NDArray[Any]]],
-    texels: NDArray[np.uint8] | None,
-) -> Texture:
-    chains: dict[Kind, Levels] = {kind: [*chain] for kind, chain in levels.items()}
-    base = next(iter(chains.values()))[0][..., :3] if texels is None else texels
-    texture = Texture.known(base, name, chains)
-    texture.wrap, texture.nearest = wrap, nearest
-    return texture
