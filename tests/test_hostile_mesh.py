@@ -350,6 +350,16 @@ def test_negative_indices_of_obj(tmp_path):
     assert "a.obj has 1 faces with invalid vertex indices: dropped" in messages
 
 
+def test_corners_of_obj_without_texture_coordinates(tmp_path):
+    text = b"vt 0.5 1\nvn 0 0 1\n" + TRIANGLE + b"f 1/1/1 2/1/1 3/1/1\nf 1//1 3 2/1\n"
+    mesh, messages = loaded(write(tmp_path / "a.obj", text))
+    (part,) = mesh.parts
+    uv = {(0, 0.5), (0, 0.0), (1, 0.5), (2, 0.5), (2, 0.0)}
+    assert {*zip(part.sources.tolist(), part.uv[:, 0].tolist(), strict=True)} == uv
+    assert "a.obj has 2 vertices without texture coordinates: set to 0" in messages
+    assert not any("normals" in each for each in messages)  # missing normals are computed
+
+
 def test_a_vertex_far_out_is_named(tmp_path):
     positions = mini_head().positions.copy()
     positions[17] = 1e30, 0.0, 0.0

@@ -59,28 +59,27 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
     parts, numbers = _parts(owners, np.searchsorted(owner_lines, faces[:, 0]) - 1, name)
     library = Library(libraries, references, albedo_given)
     materials = library.matched([material for *_, material in parts])
-    pieces = []
+    pieces, lacking = [], 0
     for index, (part_name, material_name) in enumerate(zip(_names(parts), materials, strict=True)):
         material, transform = library.look(material_name, colors is not None)
         triangles = triangles_of(*faces[numbers == index, 1:].T)
         part_corners, triangles = vertices_of(corners, triangles)
-        sources = part_corners[:, 0]
-        part_uv = _at(uv, part_corners[:, 1])
-        if part_uv is None:
-            if any(getattr(material, key) for key in MAPS):
-                warn(f"{name} has no texture coordinates: its texture is ignored")
-        else:
-            if lacking := int((part_corners[:, 1] < 0).sum()):
-                warn(f"{name} has {lacking} vertices without texture coordinates: set to 0")
+        sources, of_uv, of_normals = part_corners.T
+        part_uv = None
+        if (of_uv >= 0).any():
+            lacking += int((of_uv < 0).sum())
+            part_uv = np.where((of_uv < 0)[:, None], 0.0, uv[of_uv])
             library.warn_of_tiles(material_name, part_uv[triangles])
             part_uv = transform.applied(part_uv)
+        elif any(getattr(material, key) for key in MAPS):
+            warn(f"{name} has no texture coordinates: its texture is ignored")
         part_colors = None
         if colors is not None and material.albedo_map is None:
             part_colors = srgb_to_linear(colors[sources] / 255.0)
         piece = Piece(
             positions=vertices[sources, :3],
             faces=triangles,
-            normals=_at(normals, part_corners[:, 2]),
+            normals=normals[of_normals] if of_normals.min() >= 0 else None,
             uv=part_uv,
             colors=part_colors,
             material=material,
@@ -91,14 +90,10 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
             ks_ignored=library.ignores_ks(material_name),
         )
         pieces.append(piece)
+    if lacking:
+        warn(f"{name} has {lacking} vertices without texture coordinates: set to 0")
     pieces[0].out_of_range = dropped
     return pieces
-
-
-def _at(rows: NDArray[np.float64], indices: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return the rows at indices; 0 at the index -1, and None if all indices are -1."""
-    lacking = indices < 0
-    return None if lacking.all() else np.where(lacking[:, None], 0.0, rows[indices])
 
 
 def _normalized(data: bytes, name: str) -> str:
