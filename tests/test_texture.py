@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import mmap
+import threading
 import time
 import weakref
 
@@ -120,6 +121,25 @@ def test_huge_image_is_refused_before_it_is_decoded():
     huge = Texture(lambda: Image.new("L", (16385, 1)), "huge.png")
     with pytest.raises(InputError, match="huge.png is 16385 x 1 pixels .*: at most 16384 a side"):
         huge.levels("data").result()
+
+
+def test_texels_are_read_while_chains_are_computed():
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    for _ in range(50):
+        image = texture(pixels)
+        green = image.channel(1, "green")
+        chains = [image.levels(kind) for kind in ("data", "normal", "color")]
+        readers = [
+            threading.Thread(target=read, daemon=True)
+            for read in (image.texels, green.texels, image.coarser(1).texels, image.rgb)
+        ]
+        for reader in readers:
+            reader.start()
+        for reader in readers:
+            reader.join(30.0)
+            assert not reader.is_alive()
+        assert all(chain.result(30.0) for chain in chains)
+        np.testing.assert_array_equal(image.texels()[::-1], pixels)
 
 
 def test_texture_is_freed_with_its_last_reference():

@@ -63,8 +63,8 @@ LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the
 class _Decoded:
     """What textures of one image with different sampling share: decoder, texels, mip chains."""
 
-    def __init__(self, decode: Decode | None) -> None:
-        self.decode = decode  # None once a mip chain contains the texels
+    def __init__(self, decode: Decode) -> None:
+        self.decode = decode  # after a mip chain is computed, a function that returns its texels
         self.lock = threading.Lock()
         self.texels: NDArray[np.uint8] | None = None
         self.chains: dict[Kind, Future[Levels]] = {}
@@ -271,22 +271,13 @@ class Texture:
         InputError : the image is damaged, or too large for
             :func:`facerender.images.files.check_pixels`
         """
-        if self._full:
-            with self._full[0]._rows() as rows:
-                return coarse_data(rows, self._full[0].size, self._full[1])
-        if self._channel:
-            return _band(self._channel[0].texels(), self._channel[1])
         decoded = self._decoded
+        if self._full:  # not cached, to save memory
+            return _upright(decoded.decode(), self.name)
         with decoded.lock:
             if decoded.texels is None:
-                if decoded.decode is None:
-                    return self._of_chain()
                 decoded.texels = _upright(decoded.decode(), self.name)
             return decoded.texels
-
-    def _of_chain(self) -> NDArray[np.uint8]:
-        chains = self._decoded.chains.items()
-        return np.asarray(next(c for kind, c in chains if kind != _FLOAT).result()[0][..., :3])
 
     def rgb(self) -> Image:
         """Return the image in mode RGB; see :meth:`texels`."""
@@ -294,8 +285,7 @@ class Texture:
 
     def _original(self) -> Image:
         """Return the image in its own mode, with row 0 on top."""
-        decode = self._decoded.decode
-        image = decode() if decode else self._of_chain()
+        image = self._decoded.decode()
         return _image_of(image[::-1]) if isinstance(image, np.ndarray) else image
 
     @contextmanager
@@ -310,7 +300,7 @@ class Texture:
             decoded = self._decoded
             with decoded.lock:
                 texels, decode = decoded.texels, decoded.decode
-            images = [decode() if decode else self._of_chain()] if texels is None else [texels]
+            images = [decode() if texels is None else texels]
             if not isinstance(images[0], np.ndarray):
                 images[0] = _loaded(images[0], self.name)
             yield lambda low, high: _strip(images[0], low, high, self.name)
@@ -329,9 +319,8 @@ class Texture:
         """Return one channel of this texture as a grey texture with the same sampling."""
         if self._full:  # only this channel is reduced, to save memory
             return self._full[0].channel(index, name).coarser(self._full[1])
-        return self._with(
-            _Decoded(None), name=name, profile=None, _full=None, _channel=(self, index)
-        )
+        decoded = _Decoded(lambda: _band(self.texels(), index))
+        return self._with(decoded, name=name, profile=None, _channel=(self, index))
 
     def coarser(self, levels: int) -> Texture:
         """Return a texture of the same image without the finest mip levels.
@@ -345,17 +334,19 @@ class Texture:
         if self._full:
             return self._full[0].coarser(self._full[1] + levels)
         size = tuple(max(side >> levels, 1) for side in self.size)
-        attributes = {"_full": (self, levels), "coarse": True, "_size": size}
-        return self._variant(levels, None, **attributes)
 
-    def _variant(self, name: Any, decode: Decode | None, **attributes: Any) -> Texture:
+        def decode() -> NDArray[np.uint8]:
+            with self._rows() as rows:
+                return coarse_data(rows, self.size, levels)
+
+        return self._variant(levels, decode, _full=(self, levels), coarse=True, _size=size)
+
+    def _variant(self, name: Any, decode: Decode, **attributes: Any) -> Texture:
         """Return the variant with a name and this sampling, or make it. A renderer uploads each
         texture once, so equal calls must return one object while it is in use."""
         variants, key = self._decoded.variants, (name, self.sampling)
         if (texture := variants.get(key)) is None:
-            shared = next((t for (n, _), t in variants.items() if n == name), None)
-            decoded = shared._decoded if shared else _Decoded(decode)
-            texture = variants[key] = self._with(decoded, **attributes)
+            texture = variants[key] = self._with(_Decoded(decode), **attributes)
         return texture
 
     def turned_green(self) -> Texture:
@@ -408,8 +399,8 @@ class Texture:
         if kind != _FLOAT:  # the chain also contains the texels of the image
             with self._decoded.lock:
                 self._decoded.texels = None
-                if not self.coarse:  # see forget()
-                    self._decoded.decode = None
+                if not self.coarse:  # forget() drops the chains of coarse textures
+                    self._decoded.decode = lambda: levels[0][..., :3]
         return levels
 
     def forget(self) -> None:
