@@ -37,7 +37,7 @@ from facerender.batch.records import Settings, Storage, chunks, code_version, fo
 from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
 from facerender.job import MESH_PATHS
-from facerender.loading.source import named_files
+from facerender.loading.source import named_files, source_of
 from facerender.system.process import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
@@ -263,7 +263,7 @@ def test_files_that_a_mesh_names_are_found(tmp_path):
         ("b.ply", "ply\n comment texturefile  skin.png\n", ["skin.png"]),
     ):
         (tmp_path / name).write_text(text)
-        assert [path.name for path in named_files(tmp_path / name)] == named
+        assert [path.name for path in named_files(source_of(tmp_path / name))] == named
 
 
 @pytest.mark.parametrize("name", MESH_PATHS)

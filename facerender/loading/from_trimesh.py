@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -52,13 +52,12 @@ def frame_count(path: str | os.PathLike[str]) -> int:
 
 def _frame(path: str, frame: int) -> Any:
     """Return the positions of a frame, for :meth:`Mesh.with_positions`."""
-    arrays = _arrays(path)
+    arrays, name = _arrays(path), clipped(Path(path).name)
     count = len(next(iter(arrays.values())))
     if frame >= count:
-        raise InputError(f"{_name(path)} has {count} frames: frame = {frame} is not below {count}")
-    if Path(path).suffix.lower() == ".npy":
-        return arrays[""][frame]
-    return {name: array[frame] for name, array in arrays.items()}
+        raise InputError(f"{name} has {count} frames: frame = {frame} is not below {count}")
+    positions = {key: array[frame] for key, array in arrays.items()}
+    return positions[""] if Path(path).suffix.lower() == ".npy" else positions
 
 
 def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
@@ -70,9 +69,9 @@ def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
 
 @lru_cache(4)
 def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
-    name, suffix = _name(path), Path(path).suffix.lower()
+    name = clipped(Path(path).name)
     try:
-        if suffix == ".npy":
+        if Path(path).suffix.lower() == ".npy":
             arrays = {"": np.load(path, mmap_mode="r", allow_pickle=False)}
         else:
             with zipfile.ZipFile(path) as file:
@@ -80,7 +79,7 @@ def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
             if needed > limit(None) * MIB:
                 raise ValueError(f"its arrays have {needed} bytes, more than the free memory")
             with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
+                arrays = {**file}
     except MemoryError:
         raise InputError(f"{name} does not fit into memory: give fewer frames") from None
     except Exception as error:  # NumPy and zipfile raise many exceptions for damaged files
@@ -99,10 +98,6 @@ def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
     return arrays
 
 
-def _name(path: str) -> str:
-    return clipped(Path(path).name)
-
-
 def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
     """Return whether a source is a trimesh mesh or scene, without importing trimesh."""
     library = sys.modules.get("trimesh")
@@ -111,8 +106,7 @@ def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
 
 def name_of(source: trimesh.Trimesh | trimesh.Scene) -> str:
     """Return a name for messages: the name in the source's metadata, or else the source's type."""
-    facts = source.metadata
-    name = facts.get("name") or facts.get("file_name")
+    name = source.metadata.get("name") or source.metadata.get("file_name")
     return clipped(name, 80) if isinstance(name, str) else f"a trimesh.{type(source).__name__}"
 
 
@@ -134,13 +128,18 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
     InputError : no mesh has faces, or the arrays do not form a mesh
     """
     textures: dict[int, Texture] = {}
-    pieces = []
+    pieces: list[Piece] = []
     try:
-        for called, mesh, world in _instances(source):
+        if hasattr(source, "faces"):
+            instances = [(source.metadata.get("name") or "", source, np.eye(4))]
+        else:
+            nodes = ((node, *source.graph[node]) for node in source.graph.nodes_geometry)
+            instances = [(node, source.geometry[key], world) for node, world, key in nodes]
+        for part_name, mesh, world in instances:
             if not len(getattr(mesh, "faces", ())):  # not a mesh, such as a path
                 continue
-            piece = placed(_piece(mesh, name, textures), world)
-            pieces.append(replace(piece, name=called))
+            piece = placed(_piece(mesh, name, textures), np.asarray(world, dtype=np.float64))
+            pieces.append(replace(piece, name=str(part_name)))
             check_count(len(pieces), name)
     except InputError:
         raise
@@ -149,17 +148,6 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
     if not pieces:
         raise InputError(f"{name} has no faces; give a triangle mesh")
     return pieces
-
-
-def _instances(
-    source: trimesh.Trimesh | trimesh.Scene,
-) -> Iterator[tuple[str, trimesh.Trimesh, NDArray[np.float64]]]:
-    if hasattr(source, "faces"):
-        yield str(source.metadata.get("name") or ""), source, np.eye(4)
-        return
-    for node in source.graph.nodes_geometry:
-        world, key = source.graph[node]
-        yield str(node), source.geometry[key], np.asarray(world, dtype=np.float64)
 
 
 def _piece(geometry: trimesh.Trimesh, name: str, textures: dict[int, Texture]) -> Piece:
@@ -213,16 +201,16 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
     image = None if source is None else source.image
     # trimesh inserts a 2 x 2 image if the MTL file is missing: ignore it and the diffuse colour.
     stub = image is not None and image.size == (2, 2) and not getattr(image, "format", None)
-    if image is None or stub:
-        if has_colors:
-            return Material(albedo=(1.0, 1.0, 1.0))
-        if source is None or stub:
-            return Material(albedo=SKIN_ALBEDO)
-        return Material(albedo=tuple(srgb_to_linear(np.asarray(source.diffuse)[:3] / 255.0)))
-    name = clipped(image.info.get("file_path", f"the albedo map of {file}"), 80)
-    new_texture = Texture(lambda: image, name, profile=profile_of(image))
-    texture = textures.setdefault(id(image), new_texture)
-    return Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture)
+    if image is not None and not stub:
+        name = clipped(image.info.get("file_path", f"the albedo map of {file}"), 80)
+        new_texture = Texture(lambda: image, name, profile=profile_of(image))
+        texture = textures.setdefault(id(image), new_texture)
+        return Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture)
+    if has_colors:
+        return Material(albedo=(1.0, 1.0, 1.0))
+    if source is None or stub:
+        return Material(albedo=SKIN_ALBEDO)
+    return Material(albedo=tuple(srgb_to_linear(np.asarray(source.diffuse)[:3] / 255.0)))
 
 
 def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:

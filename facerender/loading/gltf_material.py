@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from facerender.errors import clipped, warn
 from facerender.loading.gltf_accessors import Buffers
 from facerender.loading.gltf_document import EXTENSIONS, Doc
-from facerender.loading.source import WarnOnce, image_of, inline, missing_image, unreadable
+from facerender.loading.source import image_of, inline, missing_image, unreadable
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
 from facerender.scenes.vectors import MOST_RADIANCE
@@ -78,7 +79,7 @@ class Materials:
         self.sampled: dict[tuple[int, Any, Any], Texture] = {}
         self.looks: dict[tuple[int | None, bool], Look] = {}
         self.lost_images = False
-        self.warn = WarnOnce()
+        self.warn = cache(warn)
 
     def look(self, index: int | None, has_colors: bool) -> Look:
         """Return the look of a material; ``has_colors``: its primitive has vertex colours."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cache
+from itertools import takewhile
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason
+from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
 from facerender.loading.conventions import preset_for
-from facerender.loading.source import References, WarnOnce, image_of, text_of, unreadable
+from facerender.loading.source import References, image_of, text_of, unreadable
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.texture import Texture
 from facerender.scenes.vectors import MOST_RADIANCE, Vector
@@ -65,23 +66,18 @@ def _normals(image: Image) -> Image:
     height, width = heights.shape
     normals = np.empty((height, width, 3), dtype=np.uint8)
     for top in range(0, height, _STRIP):
-        start, end = max(top - 1, 0), min(top + _STRIP + 1, height)
-        strip = slice(top - start, min(top + _STRIP, height) - start)
-        rows = heights[start:end].astype(np.float32) * np.float32(DEPTH / scale)
+        start, end = max(top - 1, 0), min(top + _STRIP, height)
+        rows = heights[start : end + 1].astype(np.float32) * np.float32(DEPTH / scale)
+        rows = np.pad(rows, [(0, size < 2) for size in rows.shape], "edge")  # a slope of 0
+        down, right = (slope[top - start : end - start, :width] for slope in np.gradient(rows))
         # A normal's x is minus the slope; y is plus the slope, because rows run down and y up.
-        slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[strip]
+        slopes = np.stack([-right * width, down * height], axis=-1)
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
-        normals[top : top + _STRIP] = np.round(unit * 127.5 + 127.5)
+        normals[top:end] = np.round(unit * 127.5 + 127.5)
     result = images.fromarray(normals)
     result.info["heights"] = True  # its green points up, whatever the direction in normal maps
     return result
-
-
-def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Return the height difference per texel along an axis; 0 if the axis has only one texel."""
-    flat = rows.shape[axis] < 2
-    return np.zeros_like(rows) if flat else np.asarray(np.gradient(rows, axis=axis))
 
 
 # Keyed by statement: field of the material, name in messages. If a material has several statements
@@ -97,12 +93,8 @@ _MAPS = {
     "map_pr": ("roughness_map", "roughness"),
 }
 # Keyed by option of a map: number of words after the option; the last of 2 or 3 may be missing.
-_OPTIONS = {
-    **dict.fromkeys(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"), 1),
-    **dict.fromkeys(("-bm", "-boost", "-texres"), 1),
-    "-mm": 2,
-    **dict.fromkeys(("-o", "-s", "-t"), 3),
-}
+_FLAGS = ("-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-texres", "-type")
+_OPTIONS = {**dict.fromkeys(_FLAGS, 1), "-mm": 2, "-o": 3, "-s": 3, "-t": 3}
 # Ignored options, each with the value that has no effect; other values cause a warning.
 _UNREAD = {"-cc": "off", "-boost": "0", "-blendu": "on", "-blendv": "on"}
 _CHANNELS = {"r": 0, "g": 1, "b": 2}
@@ -113,26 +105,21 @@ _FINE = ("lashes", "hair-card")  # presets of hairs that a mask would make black
 _LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; no effect if 0
 
 
-class UvSpread(NamedTuple):
-    """Scale and offset of texture coordinates (options -s and -o of a map); v points up."""
-
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-
-    def applied(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return transformed texture coordinates (N, 2)."""
-        return uv if self == UvSpread() else uv * self.scale + self.offset
-
-
 @dataclass
-class _Map:
+class MapStatement:
     """The statement of a map: file name and options."""
 
-    name: str
-    uv: UvSpread = UvSpread()
+    name: str = ""
+    scale: tuple[float, ...] = (1.0, 1.0)  # of texture coordinates; v points up
+    offset: tuple[float, ...] = (0.0, 0.0)
     clamp: bool = False
     strength: float = 1.0
     channel: str = ""
+
+    def applied(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return transformed texture coordinates (N, 2)."""
+        identity = (self.scale, self.offset) == ((1.0, 1.0), (0.0, 0.0))
+        return uv if identity else uv * self.scale + self.offset
 
 
 class Library:
@@ -144,34 +131,28 @@ class Library:
         self.name = referred.name
         self.albedo_given = albedo_given
         self.materials: dict[str, dict[str, str]] = {}
-        self.looks: dict[tuple[str, bool], tuple[Material, UvSpread]] = {}
         self.textures: dict[tuple[Any, ...], Texture | None] = {}
-        self.warn = WarnOnce()
+        self.images: dict[str, Texture] = {}
+        self.warn = cache(warn)  # emits each warning once
         for line in dict.fromkeys(names):
-            for content in self._contents(line):
-                self._parse(content)
+            if not self._parse(line) and True in [self._parse(word) for word in line.split()]:
+                del referred.files[line]  # not one name, but several
 
-    def _contents(self, line: str) -> list[str]:
-        """Return the content of the MTL file with the name ``line`` or, if this file is missing,
-        the contents of the files with the words of ``line`` as names."""
-        with suppress(FileNotFoundError):
-            return [text_of(self.referred.read(line, "an MTL file"))]
-        contents = []
-        for word in line.split() if " " in line else ():
-            with suppress(FileNotFoundError):
-                contents.append(text_of(self.referred.read(word, "an MTL file")))
-        if contents:
-            del self.referred.files[line]
-        return contents
-
-    def _parse(self, text: str) -> None:
+    def _parse(self, name: str) -> bool:
+        """Read the statements of an MTL file. Return whether the file was found."""
+        try:
+            text = text_of(self.referred.read(name, "an MTL file"))
+        except FileNotFoundError:
+            return False
         statements: dict[str, str] = {}
         for line in text.splitlines():
             key, _, arguments = line.strip().partition("#")[0].replace("\t", " ").partition(" ")
-            if key.lower() == "newmtl":
+            key, arguments = key.lower(), arguments.strip()
+            if key == "newmtl":
                 statements = self.materials.setdefault(" ".join(arguments.split()), {})
-            elif arguments.strip():
-                statements[key.lower()] = arguments.strip()
+            elif arguments:
+                statements[key] = arguments.replace("-halo", "") if key == "d" else arguments
+        return True
 
     def matched(self, names: Sequence[str]) -> list[str]:
         """Return a material for the name that each part of the OBJ file has, which is "" without
@@ -196,93 +177,82 @@ class Library:
             )
         return [*names]
 
-    def look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
-        """Return a material and the transform of its texture coordinates, or the default material
-        if the name is not defined."""
-        if (name, has_colors) not in self.looks:
-            self.looks[name, has_colors] = self._look(name, has_colors)
-        return self.looks[name, has_colors]
-
-    # --- factors ---------------------------------------------------------------------------------
-
-    def _look(self, name: str, has_colors: bool) -> tuple[Material, UvSpread]:
+    def look(self, name: str, has_colors: bool) -> tuple[Material, MapStatement]:
+        """Return a material and its first map, which transforms its texture coordinates, or the
+        default material if the name is not defined."""
         white = (1.0, 1.0, 1.0)
         if (statements := self.materials.get(name)) is None:
-            return Material(albedo=white if has_colors else SKIN_ALBEDO), UvSpread()
+            return Material(albedo=white if has_colors else SKIN_ALBEDO), MapStatement()
         for key in statements.keys() - _READ - _IGNORED:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
         uses = self._uses(statements)
-        changes: dict[str, Any] = {key: self._map(key, use) for key, use in uses.items()}
-        has_albedo_map = changes.get("albedo_map") is not None
-        first = uses.get("albedo_map") or next(iter(uses.values()), _Map(""))
+        fields: dict[str, Any] = {field: self._texture(field, use) for field, use in uses.items()}
+        first = next(iter(uses.values()), MapStatement())  # that of the albedo, if there is one
         for use in uses.values():
-            if use.uv != first.uv:
+            if (use.scale, use.offset) != (first.scale, first.offset):
                 self.warn(
                     f"{clipped(use.name, 80)} (named by {self.name}) has other options -s and -o "
                     f"than {clipped(first.name, 80)}: ignored, because all maps of a material have "
                     "one scale and offset"
                 )
-        albedo = self._color(statements, "kd") or white
+        if "normal_map" in uses:
+            fields["normal_strength"] = uses["normal_map"].strength
+        has_albedo_map = fields.get("albedo_map") is not None
+        albedo = self._color(statements, "kd", white)
         if "map_kd" in statements and not has_albedo_map and min(albedo) > 0.99:
             albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map
         # With an albedo map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
-        changes["albedo"] = white if has_albedo_map or has_colors else albedo
-        emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)
-        changes["emissive"] = emissive if any(emissive) or "map_ke" not in statements else white
-        changes |= self._opacity(statements, "map_d" in statements)
-        if changes["alpha"] == "mask" and preset_for(name) in _FINE:
-            changes["alpha"] = "blend"
-        changes |= self._highlight(name, statements)
-        if "normal_map" in uses:
-            changes["normal_strength"] = uses["normal_map"].strength
-        return Material(**changes), first.uv
+        fields["albedo"] = white if has_albedo_map or has_colors else albedo
+        emissive = self._color(statements, "ke", (0.0, 0.0, 0.0))
+        fields["emissive"] = emissive if any(emissive) or "map_ke" not in statements else white
+        fields |= self._opacity(name, statements) | self._highlight(name, statements)
+        return Material(**fields), first
+
+    # --- factors ---------------------------------------------------------------------------------
 
     def _numbers(self, statements: Mapping[str, str], key: str) -> list[float]:
         """Return the numbers of a statement; an empty list if a word is not a finite number."""
-        try:
-            numbers = [float(word) for word in statements.get(key, "").split()]
-        except ValueError:
-            numbers = []
-        if key in statements and not (numbers and all(map(math.isfinite, numbers))):
+        words = statements.get(key, "").split()
+        if key in statements and not (words and all(map(_is_number, words))):
             self.warn(f"{self.name} has {key} {clipped(statements[key], 40)} in its MTL: ignored")
             return []
-        return numbers
+        return [float(word) for word in words]
 
-    def _within(self, key: str, value: float, low: float, high: float) -> float:
-        if not low <= value <= high:
+    def _clamped(self, key: str, value: float, high: float = 1.0) -> float:
+        if not 0.0 <= value <= high:
             self.warn(
-                f"{key} {value:.6g} in the MTL of {self.name} is outside [{low:g}, {high:g}]: "
-                "clamped"
+                f"{key} {value:.6g} in the MTL of {self.name} is outside [0, {high:g}]: clamped"
             )
-        return min(max(value, low), high)
+        return min(max(value, 0.0), high)
 
-    def _color(self, statements: Mapping[str, str], key: str) -> Vector | None:
+    def _color(self, statements: Mapping[str, str], key: str, default: Vector) -> Vector:
         """Return a colour as linear RGB; the file stores sRGB."""
         numbers = self._numbers(statements, key)
         if not numbers:
-            return None
+            return default
         rgb = numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3
         high = MOST_RADIANCE if key == "ke" else 1.0
-        srgb = np.array([self._within(key, channel, 0.0, high) for channel in rgb])
+        srgb = np.array([self._clamped(key, channel, high) for channel in rgb])
         red, green, blue = np.minimum(srgb_to_linear(srgb), MOST_RADIANCE).tolist()
         return red, green, blue
 
-    def _opacity(self, statements: Mapping[str, str], has_map: bool) -> dict[str, Any]:
-        """Return the fields alpha and opacity. Alpha is "blend" for an opacity below 1, else "mask"
-        with an opacity map, else "opaque"."""
-        numbers = self._numbers({"d": statements.get("d", "1").replace("-halo", "")}, "d")
-        opacity = self._within("d", (numbers or [1.0])[0], 0.0, 1.0)
+    def _opacity(self, name: str, statements: Mapping[str, str]) -> dict[str, Any]:
+        """Return the fields alpha and opacity. Alpha is "blend" for an opacity below 1 or a map of
+        fine hairs, else "mask" with an opacity map, else "opaque"."""
+        opacity = self._clamped("d", (self._numbers(statements, "d") or [1.0])[0])
         if "d" not in statements and (tr := self._numbers(statements, "tr")):
-            opacity = 1.0 - self._within("Tr", tr[0], 0.0, 1.0)
+            opacity = 1.0 - self._clamped("Tr", tr[0])
             if not opacity:  # exporters that write Tr 1 for all materials mean d 1
                 self.warn(f"{self.name} has Tr 1 in its MTL, fully transparent: drawn opaque")
                 opacity = 1.0
         tf = self._numbers(statements, "tf")
-        if len({*tf, 1.0}) > 1 and any(tf):
+        if any(tf) and {*tf} != {1.0}:
             self.warn(f"{self.name} has Tf (transmission) in its MTL: ignored")
-        kind = "blend" if opacity < 1.0 else "mask" if has_map else "opaque"
-        return {"alpha": kind, "opacity": opacity}
+        alpha = "mask" if "map_d" in statements else "opaque"
+        if opacity < 1.0 or (alpha == "mask" and preset_for(name) in _FINE):
+            alpha = "blend"
+        return {"alpha": alpha, "opacity": opacity}
 
     def _highlight(self, name: str, statements: Mapping[str, str]) -> dict[str, Any]:
         """Return the fields ks and m. m is Pr^2 or, without Pr, sqrt(2 / (Ns + 2)) with the
@@ -295,10 +265,9 @@ class Library:
         if self.ignores_ks(name):
             ns = []
         elif any(ks):
-            mean = sum(ks[:3]) / len(ks[:3])
-            fields["ks"] = self._within("Ks", mean, 0.0, 1.0)
+            fields["ks"] = self._clamped("Ks", sum(ks[:3]) / len(ks[:3]))
         if pr and (pr[0] or "map_pr" not in statements):
-            fields["m"] = max(self._within("Pr", pr[0], 0.0, 1.0) ** 2, MIN_SLOPE)
+            fields["m"] = max(self._clamped("Pr", pr[0]) ** 2, MIN_SLOPE)
         elif ns and ns[0] > 0.0:
             fields["m"] = min(max(math.sqrt(2.0 / (ns[0] + 2.0)), MIN_SLOPE), MAX_SLOPE)
         return fields
@@ -325,83 +294,75 @@ class Library:
                 "export one map per part"
             )
 
-    def _uses(self, statements: Mapping[str, str]) -> dict[str, _Map]:
+    def _uses(self, statements: Mapping[str, str]) -> dict[str, MapStatement]:
         """Return the statements of maps, keyed by the field of the material."""
-        uses: dict[str, _Map] = {}
-        for key, (field, kind) in _MAPS.items():
+        uses: dict[str, MapStatement] = {}
+        for key, (field, _) in _MAPS.items():
             if key in statements and field not in uses:
-                use = self._options(statements[key], kind)
-                use.channel = use.channel or ("normal" if key == "norm" else "")
+                use = self._options(key, statements[key])
                 if use.name:
                     uses[field] = use
         return uses
 
-    def _options(self, text: str, kind: str) -> _Map:
+    def _options(self, key: str, text: str) -> MapStatement:
         """Parse the statement of a map."""
-        use = _Map("")
-        spread = {"-s": [1.0, 1.0], "-o": [0.0, 0.0]}
-        while (word := text.partition(" ")[0].lower()) in _OPTIONS:
-            text = text[len(word) :].lstrip()
-            values: list[str] = []
-            while len(values) < _OPTIONS[word] and text:
-                value = text.partition(" ")[0]
-                if _OPTIONS[word] > 1 and not _is_number(value):
-                    break
-                values.append(value)
-                text = text[len(value) :].lstrip()
-            numbers = [float(argument) for argument in values if _is_number(argument)]
-            if word in spread:
-                spread[word][: len(numbers[:2])] = numbers[:2]
-            elif word == "-bm" and numbers:
-                use.strength = self._within("-bm", numbers[0], 0.0, MAX_NORMAL_STRENGTH)
-            elif word == "-clamp":
-                use.clamp = values[:1] == ["on"]
-            elif word == "-imfchan":
-                use.channel = "".join(values[:1])
+        use = MapStatement(channel="normal" if key == "norm" else "")
+        words = re.findall("[^ ]+ *", text)  # keeps the spaces of file names
+        while words and (option := words[0].strip().lower()) in _OPTIONS:
+            values = [word.strip() for word in words[1 : 1 + _OPTIONS[option]]]
+            if _OPTIONS[option] > 1:
+                values = [*takewhile(_is_number, values)]
+            del words[: 1 + len(values)]
+            numbers = [float(value) for value in values if _is_number(value)]
+            if option == "-s":
+                use.scale = (*numbers[:2], *use.scale[len(numbers) :])
+            elif option == "-o":
+                use.offset = (*numbers[:2], *use.offset[len(numbers) :])
+            elif option == "-bm" and numbers:
+                use.strength = self._clamped("-bm", numbers[0], MAX_NORMAL_STRENGTH)
+            elif option == "-clamp":
+                use.clamp = values == ["on"]
+            elif option == "-imfchan" and values:
+                use.channel = values[0]
             elif (
-                (word == "-t" and any(numbers))
-                or (word == "-mm" and numbers != [0.0, 1.0])
-                or (word in _UNREAD and values[:1] != [_UNREAD[word]])
+                (option == "-t" and any(numbers))
+                or (option == "-mm" and numbers != [0.0, 1.0])
+                or (option in _UNREAD and values != [_UNREAD[option]])
             ):
-                self.warn(f"the {kind} map of {self.name} has the option {word}: ignored")
-        use.name = text.strip().strip('"')
-        (su, sv), (ou, ov) = spread.values()
-        use.uv = UvSpread((su, sv), (ou, ov))
+                map_name = _MAPS[key][1]
+                self.warn(f"the {map_name} map of {self.name} has the option {option}: ignored")
+        use.name = "".join(words).strip().strip('"')
         return use
 
-    def _map(self, key: str, use: _Map) -> Texture | None:
-        identity = key, use.name, use.channel, use.clamp
-        if identity not in self.textures:
-            self.textures[identity] = self._texture(key, use)
-        return self.textures[identity]
-
-    def _texture(self, key: str, use: _Map) -> Texture | None:
-        kind, name = key.removesuffix("_map"), clipped(use.name, 80)
+    def _texture(self, field: str, use: MapStatement) -> Texture | None:
+        """Return the texture of a map, or None if its image is missing or unreadable."""
+        key = field, use.name, use.channel, use.clamp
+        if key in self.textures:
+            return self.textures[key]
+        self.textures[key] = None
+        name = clipped(use.name, 80)
         try:
             content = self.referred.read(use.name, "an image file")
         except FileNotFoundError:
             return None
         try:
             image = image_of(content)
-        except ValueError as error:
-            if kind != "albedo" or not self.albedo_given:
-                shown = f"{name} (named by {self.name})"
-                unreadable(shown, kind, error, fatal=not self.albedo_given)
+        except InputError as error:
+            if field != "albedo_map" or not self.albedo_given:
+                subject, map_name = f"{name} (named by {self.name})", field.removesuffix("_map")
+                unreadable(subject, map_name, error, fatal=not self.albedo_given)
             return None
-        texture = self._decoding(key, use, content, image, name)
-        return texture.sampled(("clamp", "clamp")) if use.clamp else texture
-
-    def _decoding(self, key: str, use: _Map, content: bytes, image: Image, name: str) -> Texture:
-        if key == "normal_map" and use.channel != "normal":
-            return _bump(image, name)
-        if key == "opacity_map" and use.channel in ("", "m"):
-            alpha = Texture.alpha_of(content, name)
-            if alpha is not None:
-                return alpha
-        texture = self.textures.get(("image", name)) or Texture.of(content, name)
-        self.textures["image", name] = texture
-        if key in ("opacity_map", "roughness_map", "specular_map"):
-            return texture.channel(_CHANNELS.get(use.channel, 0), name)
+        uses_alpha = field == "opacity_map" and use.channel in ("", "m")
+        if field == "normal_map" and use.channel != "normal":
+            texture = _bump(image, name)
+        elif uses_alpha and (alpha := Texture.alpha_of(content, name)) is not None:
+            texture = alpha
+        else:
+            texture = self.images.setdefault(name, Texture.of(content, name))
+            if field in ("opacity_map", "roughness_map", "specular_map"):
+                texture = texture.channel(_CHANNELS.get(use.channel, 0), name)
+        texture = texture.sampled(("clamp", "clamp")) if use.clamp else texture
+        self.textures[key] = texture
         return texture
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -58,10 +59,11 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
         raise ValueError(f"none of its {dropped} faces has valid references")
     parts, numbers = _parts(owners, np.searchsorted(owner_lines, faces[:, 0]) - 1, name)
     library = Library(libraries, references, albedo_given)
+    look = cache(library.look)  # parts share materials
     materials = library.matched([material for *_, material in parts])
     pieces, lacking = [], 0
     for index, (part_name, material_name) in enumerate(zip(_names(parts), materials, strict=True)):
-        material, transform = library.look(material_name, colors is not None)
+        material, first_map = look(material_name, colors is not None)
         triangles = triangles_of(*faces[numbers == index, 1:].T)
         part_corners, triangles = vertices_of(corners, triangles)
         sources, of_uv, of_normals = part_corners.T
@@ -70,7 +72,7 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
             lacking += int((of_uv < 0).sum())
             part_uv = np.where((of_uv < 0)[:, None], 0.0, uv[of_uv])
             library.warn_of_tiles(material_name, part_uv[triangles])
-            part_uv = transform.applied(part_uv)
+            part_uv = first_map.applied(part_uv)
         elif any(getattr(material, key) for key in MAPS):
             warn(f"{name} has no texture coordinates: its texture is ignored")
         part_colors = None

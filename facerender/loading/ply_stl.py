@@ -158,8 +158,8 @@ def _checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
                 raise InputError(
                     f"{name} has triangle strips, which are not supported; export it with triangles"
                 )
-        elif (comment := TEXTURE_FILE.fullmatch(line.encode())) is not None:
-            textures.append(comment[1].decode())
+        elif (comment := TEXTURE_FILE.fullmatch(line)) is not None:
+            textures.append(comment[1])
     # trimesh checks the number of bytes of a binary file, but not the number of lines of a text.
     rows = len(re.findall(rb"\S[^\n]*", body)) - 1 if is_text else declared
     if not declared <= rows <= declared + 16:

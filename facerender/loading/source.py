@@ -60,7 +60,6 @@ _BEGINNINGS = (
 )
 _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
 FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
-_LONGEST_START = 1 << 16  # bytes at the start of a file that are searched for its format
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
 
@@ -92,13 +91,17 @@ def source_of(source: Any, kind: str | None = None) -> Source:
         raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
     if isinstance(source, Source):
         return source
-    folder, path, from_path = None, Path("bytes"), False
+    folder, path = None, Path("bytes")
     if source is None:
         source = data_dir("assets") / "head.glb"
-    if isinstance(source, str | os.PathLike):
+    if from_path := isinstance(source, str | os.PathLike):
         check_path("mesh file", source)
         path = Path(source)
-        folder, source, from_path = path.parent, _file_content(path), True
+        try:
+            folder, source = path.parent, read_file(path, "a mesh file")
+        except InputError:
+            suffix_of(path, (*FORMATS,), "mesh", "a mesh file")  # may suggest another name
+            raise
     elif hasattr(source, "read"):
         name = getattr(source, "name", None)
         path = Path(name if isinstance(name, str) and name else "file")
@@ -132,14 +135,6 @@ def _content(file: Any, name: str) -> bytes:
     return content
 
 
-def _file_content(path: Path) -> bytes:
-    try:
-        return read_file(path, "a mesh file")
-    except InputError:
-        suffix_of(path, (*FORMATS,), "mesh", "a mesh file")  # may suggest another name
-        raise
-
-
 def _suffix_of(data: bytes, path: Path) -> str | None:
     """Return the suffix of the format of a mesh file's bytes, or None if the format is unknown. The
     first bytes identify glTF and PLY. For other formats the name decides, or else the content.
@@ -148,7 +143,7 @@ def _suffix_of(data: bytes, path: Path) -> str | None:
     ------
     InputError : the content has a format that is not supported
     """
-    start = data[:_LONGEST_START].removeprefix(b"\xef\xbb\xbf").lstrip()
+    start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
     for beginning, suffix in _MESHES:
         if start.startswith(beginning):
             return suffix
@@ -169,34 +164,31 @@ def check_format(data: bytes, suffix: str | None, name: str) -> None:
     start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
     format_name = suffix and FORMATS[suffix]
     subject = f"{name} is not {format_name} but" if format_name else f"{name} is"
-    for beginning, kind, remedy in _BEGINNINGS:
+    for beginning, content, remedy in _BEGINNINGS:
         if start.startswith(beginning):
-            raise InputError(f"{subject} {kind}; {remedy}")
+            raise InputError(f"{subject} {content}; {remedy}")
     check_downloaded(start, subject)
     if start.startswith(b"<"):
         raise InputError(f"{subject} an XML file; download the file itself")
     if data[257:262] == b"ustar":
         raise InputError(f"{subject} a tar archive; unpack it")
-    for beginning, actual_suffix in _MESHES if format_name else ():
+    for beginning, actual_suffix in _MESHES:
         if start.startswith(beginning) and FORMATS[actual_suffix] != format_name:
             raise InputError(f"{subject} {FORMATS[actual_suffix]}; name it {actual_suffix}")
-    if format_name not in (None, "glTF") and start.startswith(b"{"):
-        raise InputError(f"{subject} {_json(data)}")
-
-
-def _json(data: bytes) -> str:
-    with suppress(ValueError, RecursionError):
-        document = json.loads(data) if len(data) < 1 << 20 else None
-        if isinstance(document, dict) and "asset" in document:
-            return "glTF; name it .gltf"
-    return f"JSON ({clipped(data[:200].decode('utf-8', 'replace'), 60)}); give a mesh"
+    if start.startswith(b"{") and format_name != "glTF":
+        actual = f"JSON ({clipped(data[:200].decode('utf-8', 'replace'), 60)}); give a mesh"
+        with suppress(ValueError, RecursionError):
+            if len(data) < 1 << 20 and "asset" in json.loads(data):
+                actual = "glTF; name it .gltf"
+        raise InputError(f"{subject} {actual}")
 
 
 ALLOW = "pass --allow-outside (allow_outside=True)"
-_MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
-_LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
+_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
+_MAP = re.compile(r"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.M | re.I | re.A)
+_LIBRARY = re.compile(r"^\s*mtllib\s+(.*\S)", re.M | re.A)
 # The comment of a PLY header that names the texture.
-TEXTURE_FILE = re.compile(rb"^[ \t]*comment[ \t]+texturefile[ \t]+(.*\S)", re.MULTILINE | re.I)
+TEXTURE_FILE = re.compile(r"^[ \t]*comment[ \t]+texturefile[ \t]+(.*\S)", re.M | re.I | re.A)
 # Windows-1252, in which the five unused bytes are control characters.
 _WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte in range(256)}
 
@@ -235,7 +227,7 @@ class References:
         if (cached := self.files.get(name)) is not None:
             return cached
         self.files[name] = None
-        if not self.folder or (path := _place(self.folder, name, self.allow_outside)) is None:
+        if not self.folder or (path := _find(self.folder, name, self.allow_outside)) is None:
             raise FileNotFoundError(self.why_not(name))
         if path not in (self.folder / spelling for spelling in _spellings(name)):
             used = os.path.relpath(path, self.folder)
@@ -262,7 +254,7 @@ class References:
 
 def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
     """Return the content of a file ``name`` to which a mesh file in ``folder`` refers, or None."""
-    path = _place(folder, name, allow_outside)
+    path = _find(folder, name, allow_outside)
     with suppress(InputError):
         return None if path is None else read_file(path, "a file")
     return None
@@ -292,33 +284,24 @@ def text_of(content: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
+def _find(folder: Path, name: str, allow_outside: bool) -> Path | None:
     """Find a referenced file at its path relative to ``folder``, or else by its file name in
-    ``folder``. Return its path, or None if it does not exist or is not allowed."""
-    for find in (_exact, _in_any_case):
-        for spelling in _spellings(name):
-            with suppress(ValueError, OSError):  # an invalid file name, or an unreadable folder
-                inside = allow_outside or _is_inside(folder, spelling)
-                if inside and (path := find(folder, spelling)) is not None:
-                    return path
+    ``folder``; if it does not exist, a file whose path differs in case only. Return its path, or
+    None if it does not exist or is not allowed."""
+    spellings = [s for s in _spellings(name) if allow_outside or _is_inside(folder, s)]
+    for spelling in spellings:
+        if os.path.exists(folder / spelling):
+            return folder / spelling
+    for spelling in spellings:
+        with suppress(ValueError, OSError):  # no such entry, or an unreadable folder
+            path = folder
+            for part in PurePath(spelling).parts:
+                if not os.path.exists(path / part):
+                    part = min(e for e in os.listdir(path) if e.lower() == part.lower())
+                path /= part
+            if path.is_file():
+                return path
     return None
-
-
-def _exact(folder: Path, name: str) -> Path | None:
-    return folder / name if os.path.exists(folder / name) else None
-
-
-def _in_any_case(folder: Path, name: str) -> Path | None:
-    """Return the first file whose path differs from a path below `folder` in case only."""
-    path = folder
-    for part in PurePath(name).parts:
-        if not os.path.exists(path / part):
-            entries = sorted(os.listdir(path))
-            part = next((entry for entry in entries if entry.lower() == part.lower()), "")
-            if not part:
-                return None
-        path /= part
-    return path if path.is_file() else None
 
 
 def _spellings(name: str) -> tuple[str, ...]:
@@ -330,12 +313,8 @@ def _spellings(name: str) -> tuple[str, ...]:
 
 def _is_inside(folder: Path, name: str) -> bool:
     """Return whether a path lies below a folder, without resolving symbolic links."""
-    base = os.path.abspath(folder)
-    try:
-        place = os.path.abspath(os.path.join(base, name))
-        return place != base and os.path.commonpath([base, place]) == base
-    except ValueError:  # the paths are on different drives
-        return False
+    base = os.path.join(os.path.abspath(folder), "")
+    return os.path.abspath(folder / name).startswith(base)
 
 
 def named_files(source: Source) -> list[Path]:
@@ -343,60 +322,37 @@ def named_files(source: Source) -> list[Path]:
     list is empty if the mesh file is damaged or in memory."""
     if source.folder is None:
         return []
-    try:
+    names: list[str] = []
+    # Loading the file reports these errors.
+    with suppress(AttributeError, ValueError, TypeError, RecursionError):
         if source.suffix in GLTF:
-            return _paths(source.folder, [unquote(uri) for uri in _uris(source)])
-        if source.suffix == ".obj":
-            lines = _names(_LIBRARY, source.content)
-            libraries = _paths(source.folder, [n for line in lines for n in (line, *line.split())])
-            return [*libraries, *(file for library in libraries for file in _maps(library))]
-        if source.suffix == ".ply":
-            return _paths(source.folder, _names(TEXTURE_FILE, source.content))
-    except (ValueError, TypeError, RecursionError):  # loading the file reports the error
-        pass
-    return []
+            document = json.loads(chunks(source.content, source.name)[0])
+            entries = [entry for key in ("buffers", "images") for entry in document.get(key) or ()]
+            uris = (entry.get("uri") for entry in entries if isinstance(entry, dict))
+            names = [unquote(uri) for uri in uris if isinstance(uri, str) and uri[:5] != "data:"]
+        elif source.suffix == ".ply":
+            names = _matches(TEXTURE_FILE, source.content)
+        elif source.suffix == ".obj":
+            lines = _matches(_LIBRARY, source.content)
+            names = [name for line in lines for name in (line, *line.split())]
+    paths = _paths(source.folder, names)
+    for library in [*paths] if source.suffix == ".obj" else ():
+        with suppress(InputError):
+            lines = _matches(_MAP, read_file(library, "an MTL file"))
+            # Options may precede the name of a map: the last word may be the name.
+            maps = {name.strip('"') for line in lines for name in (line, *line.split()[-1:])}
+            paths += _paths(library.parent, sorted(maps))
+    return paths
+
+
+def _matches(pattern: re.Pattern[str], content: bytes) -> list[str]:
+    return pattern.findall(text_of(content).replace("\\", "/"))
 
 
 def _paths(folder: Path, names: Iterable[str]) -> list[Path]:
     """Return the paths of referenced files, and the paths of the files that are used instead."""
-    paths = ((folder / name, _place(folder, name, False)) for name in names)
-    return [*dict.fromkeys(path for pair in paths for path in pair if path is not None)]
-
-
-def _uris(source: Source) -> list[str]:
-    """Return the external URIs of a glTF file. The file may be invalid."""
-    document = json.loads(chunks(source.content, source.name)[0])
-    tables = document if isinstance(document, dict) else {}
-    entries = (entry for key in ("buffers", "images") for entry in tables.get(key) or ())
-    uris = [entry.get("uri") for entry in entries if isinstance(entry, dict)]
-    return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
-
-
-def _maps(library: Path) -> list[Path]:
-    """Return possible paths of the maps of an MTL file. Options may precede the name of a
-    map: both the whole text and the last word of each statement are used as names."""
-    with suppress(InputError):
-        lines = _names(_MAP, read_file(library, "an MTL file"))
-        names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
-        return _paths(library.parent, sorted(names))
-    return []
-
-
-def _names(pattern: re.Pattern[bytes], content: bytes) -> list[str]:
-    names = pattern.findall(text_of(content).encode())
-    return [name.decode().replace("\\", "/") for name in names]
-
-
-class WarnOnce:
-    """A callable that emits each warning once."""
-
-    def __init__(self) -> None:
-        self.warned: set[str] = set()
-
-    def __call__(self, message: str) -> None:
-        if message not in self.warned:
-            self.warned.add(message)
-            warn(message)
+    paths = (path for name in names for path in (folder / name, _find(folder, name, False)))
+    return [*dict.fromkeys(filter(None, paths))]
 
 
 def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
@@ -411,26 +367,18 @@ def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(finite * (255.0 / white), 0.0, 255.0).round(), dtype=np.uint8)
 
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
-
-
 def image_of(content: bytes) -> Image:
     """Open an image; its texels are decoded later.
 
     Raises
     ------
-    TooLarge : the image has too many pixels; the message starts with "it"
-    ValueError : the format is not supported, or the image is damaged
+    InputError : the format is not supported, the image is damaged, or it is too large (TooLarge);
+        the message starts with "it"
     """
-    try:
-        return open_image(content, "it", DECODERS, "PNG, JPEG, TIFF or WebP")
-    except TooLarge:
-        raise
-    except InputError as error:
-        raise ValueError(str(error)) from None
+    return open_image(content, "it", DECODERS, "PNG, JPEG, TIFF or WebP")
 
 
-def unreadable(shown: str, kind: str, error: ValueError, fatal: bool) -> None:
+def unreadable(shown: str, kind: str, error: Exception, fatal: bool) -> None:
     """Report an error of :func:`image_of`: raise InputError if ``fatal``, else warn."""
     message, advice = f"{shown} is not an image that can be read", "replace it"
     if isinstance(error, TooLarge):
@@ -446,7 +394,7 @@ def unreadable(shown: str, kind: str, error: ValueError, fatal: bool) -> None:
 def missing_image(referred: References, name: str) -> None:
     """Warn of a missing image. If the mesh file's folder contains exactly one image, suggest it."""
     near = referred.folder.iterdir() if referred.folder else ()
-    beside = [path.name for path in near if path.suffix.lower() in SUFFIXES]
+    beside = [path.name for path in near if path.suffix.lower() in _IMAGES]
     hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
     warn(
         f"{clipped(name, 80)} (named by {referred.name}) "
