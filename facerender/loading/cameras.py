@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason, shown
 from facerender.loading.gltf import scene_nodes
-from facerender.loading.gltf_document import chunks, damaged, document_of
+from facerender.loading.gltf_document import chunks, document_of
 from facerender.loading.source import GLTF
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
@@ -25,6 +24,8 @@ from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file, suffix_of
 
 _DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
+_VECTORS = ("t", "size", *_DISTORTION)
+_MATRICES = ("R", "Rt", "K", "extrinsics", "intrinsics")
 
 
 def load_cameras(
@@ -83,12 +84,8 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     InputError : the file is damaged, has no camera, or has an orthographic camera
     """
     document = document_of(chunks(content, name)[0], name)
-    try:
-        _, worlds, _ = scene_nodes(document)
-    except ValueError as error:
-        raise damaged(name, str(error)) from None
     cameras = []
-    for index, world in worlds.items():
+    for index, world in scene_nodes(document, name)[1].items():
         node = document["nodes"][index]
         if "camera" not in node:
             continue
@@ -108,8 +105,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
 
 
 def _world_to_camera(to_world: NDArray[np.float64]) -> Any:
-    """Return [R|t] of OpenCV's camera space for the pose of a camera whose space is OpenGL's: x to
-    the right, y up, z backwards."""
+    """Return OpenCV's [R|t] of a camera whose axes are OpenGL's: x right, y up, z backwards."""
     axes, position = to_world[:3, :3], to_world[:3, 3]
     turn = (axes * (1.0, -1.0, -1.0)).T
     return np.column_stack([turn, -turn @ position]).tolist()
@@ -120,9 +116,9 @@ def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
         tables = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its JSON cannot be read ({reason(error)})") from None
-    if isinstance(tables, Mapping) and isinstance(tables.get("frames"), list):
+    if isinstance(tables, dict) and isinstance(tables.get("frames"), list):
         tables = [_of_frame(tables, frame, size) for frame in tables["frames"][: MOST_CAMERAS + 1]]
-    elif isinstance(tables, Mapping) and "cameras" in tables:
+    elif isinstance(tables, dict) and "cameras" in tables:
         tables = tables["cameras"]
     tables = tables if isinstance(tables, list) else [tables]
     if len(tables) > MOST_CAMERAS:
@@ -130,13 +126,11 @@ def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
     return tables
 
 
-def _of_frame(
-    shared: Mapping[str, Any], frame: Any, size: tuple[int, int] | None
-) -> dict[str, Any]:
+def _of_frame(shared: dict[str, Any], frame: Any, size: tuple[int, int] | None) -> dict[str, Any]:
     """Convert an item of "frames" in a transforms.json of nerfstudio or instant-ngp to a table with
     matrices. The file's table ``shared`` has the intrinsics of frames without their own."""
     table = dict(zip("wh", size or (), strict=False))
-    table |= {**shared, **frame} if isinstance(frame, Mapping) else {}
+    table |= {**shared, **frame} if isinstance(frame, dict) else {}
     model = table.get("camera_model", "OPENCV")
     is_fisheye = table.get("k4") or table.get("is_fisheye")
     if is_fisheye or model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
@@ -177,15 +171,14 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
         )
     several = pose.ndim == 3
     count = len(pose) if several else 1
-    depths = {"R": 2, "Rt": 2, "K": 2, "extrinsics": 2, "intrinsics": 2, "t": 1, "size": 1}
     tables: list[dict[str, Any]] = [{} for _ in range(min(count, MOST_CAMERAS))]
     for key, value in values.items():
-        depth = depths.get(key, key in _DISTORTION)
         if key == "t" and value.shape[-1:] == (1,):
             value = value[..., 0]
         if key in _DISTORTION:  # OpenCV writes one row or one column
             apart = several and value.ndim > 1 and len(value) == count and value[0].size > 1
             value = value.reshape(count, -1) if apart else value.reshape(-1)
+        depth = 2 if key in _MATRICES else int(key in _VECTORS)
         shared = value.ndim == depth
         if not shared and not (several and value.ndim == depth + 1 and len(value) == count):
             raise InputError(
@@ -198,7 +191,7 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
 
 def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
     """Convert a table with matrices, or with fields of Camera, to a camera."""
-    if not isinstance(table, Mapping):
+    if not isinstance(table, dict):
         raise InputError(f"camera = {shown(table)}: give a table")
     fields = {**table}
     fields.pop("transform_matrix", None)  # in records of batches, where Rt also holds the pose

@@ -77,9 +77,9 @@ def preset_for(name: str) -> str | None:
     bare = [word for word in words if word not in _AFFIXES]
     stem = [word for word in bare if word not in _SIDES]
     of_eye = stem[1:] if stem[:1] in (["eye"], ["eyes"]) else stem
-    name_matches = (_WHOLE_BY_LETTERS.get("".join(candidate)) for candidate in (words, bare))
-    word_matches = (_WORDS_BY_LETTERS.get("".join(candidate)) for candidate in (stem, of_eye))
-    return next(filter(None, (*name_matches, *word_matches)), None)
+    matches = [_WHOLE_BY_LETTERS.get("".join(candidate)) for candidate in (words, bare)]
+    matches += [_WORDS_BY_LETTERS.get("".join(candidate)) for candidate in (stem, of_eye)]
+    return next(filter(None, matches), None)
 
 
 def mark_skin(pieces: Sequence[Piece]) -> None:
@@ -104,7 +104,7 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
         piece.material, piece.preset = changed(piece.material, {"preset": preset}), preset
         if preset == "skin" and np.ptp(piece.material.albedo) < 0.02:  # grey
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
-        if eye_map and id(piece) in eyes:
+        if id(piece) in eyes:
             _close_pupil(piece)
             piece.material = replace(piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=eye_map)
         elif _stem(piece) == _LASHES and piece.uv is not None:
@@ -117,19 +117,16 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
 
 def _presets_of(pieces: Sequence[Piece]) -> list[str | None]:
     presets = [preset_for(piece.material_name) or preset_for(piece.name) for piece in pieces]
-    if {"lashes", "teeth"}.isdisjoint(presets):
-        return presets
-    return [
-        "sclera" if _stem(piece) in _EYES else preset
-        for piece, preset in zip(pieces, presets, strict=True)
-    ]
+    if {"lashes", "teeth"} & {*presets}:
+        eyes = [_stem(piece) in _EYES for piece in pieces]
+        return ["sclera" if eye else preset for eye, preset in zip(eyes, presets, strict=True)]
+    return presets
 
 
 def _is_bare(piece: Piece) -> bool:
     material = piece.material
-    mapped = any(getattr(material, key) is not None for key in MAPS)
-    clear = material.alpha != "opaque" or material.transmission > 0.0
-    return not mapped and not clear and piece.colors is None
+    solid = material.alpha == "opaque" and not material.transmission and piece.colors is None
+    return solid and not any(getattr(material, key) for key in MAPS)
 
 
 def _stem(piece: Piece) -> str:
@@ -166,8 +163,8 @@ def _close_pupil(piece: Piece) -> None:
     fan = np.stack([middle, rim, np.roll(rim, -1)], axis=1)
     front = piece.normals[(radii > 0.15) & (radii < 0.35)].mean(axis=0)
     positions = np.vstack([piece.positions, piece.positions[rim].mean(axis=0)])
-    corners = positions[fan]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    a, b, c = positions[fan.T]
+    across = np.cross(b - a, c - a).sum(axis=0)
     piece.faces = np.vstack([piece.faces, fan if across @ front > 0.0 else fan[:, ::-1]])
     piece.positions, piece.uv = positions, np.vstack([piece.uv, (0.5, 0.5)])
     piece.normals = np.vstack([piece.normals, front / np.linalg.norm(front)])

@@ -70,8 +70,7 @@ def _read_hdr(content: bytes, path: Path) -> NDArray[np.float32]:
         ) from None
     file, why = None, "it does not start like a Radiance file"
     if content.startswith(b"#?"):  # otherwise OpenImageIO would try other formats
-        file = oiio.ImageInput.open(str(path))
-        why = oiio.geterror()
+        file, why = oiio.ImageInput.open(str(path)), oiio.geterror()
     if file:
         spec = file.spec()
         check_pixels(str(path), spec.width, spec.height, 4 * spec.nchannels, len(content))

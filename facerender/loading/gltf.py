@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason
 from facerender.loading.gltf_accessors import Buffers, RigReader
 from facerender.loading.gltf_document import EXTENSIONS, Doc, chunks, damaged, document_of
-from facerender.loading.gltf_material import Materials, TextureTransform
+from facerender.loading.gltf_material import Materials
 from facerender.loading.source import References
 from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
@@ -27,10 +28,9 @@ _BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head
 _TIMES, _MOST_REPEATED = 8, 1 << 20
 
 Float = NDArray[np.float64]
-_Weights = tuple[float, ...]  # of the morph targets
 
 
-def scene_nodes(document: Doc) -> tuple[Skeleton, dict[int, Float], set[int]]:
+def scene_nodes(document: Doc, name: str) -> tuple[Skeleton, dict[int, Float], set[int]]:
     """Return the nodes of a checked document's scene as a skeleton without clips, their world
     matrices (4, 4), and the visible nodes. Without a scene, all nodes are used.
 
@@ -39,7 +39,7 @@ def scene_nodes(document: Doc) -> tuple[Skeleton, dict[int, Float], set[int]]:
 
     Raises
     ------
-    ValueError : a node has two parents, or is its own ancestor
+    InputError : a node has two parents, or is its own ancestor
     """
     nodes = document["nodes"]
     if scenes := document["scenes"]:
@@ -53,7 +53,7 @@ def scene_nodes(document: Doc) -> tuple[Skeleton, dict[int, Float], set[int]]:
     while queue:
         index, parent = queue.pop()
         if index in tree:
-            raise ValueError(f"nodes[{index}] has two parents, or is its own ancestor")
+            raise damaged(name, f"nodes[{index}] has two parents, or is its own ancestor")
         node = nodes[index]
         transforms = {key: tuple(node[key]) for key in _TRANSFORMS if key in node}
         tree[index] = Node(index, parent, **transforms)
@@ -82,18 +82,17 @@ class Primitive:
     def __init__(self, buffers: Buffers, mesh: Doc, index: int, where: str) -> None:
         properties = mesh["primitives"][index]
         self.buffers, self.properties, self.where = buffers, properties, where
+        self.attributes: dict[str, int] = properties["attributes"]
         self.extras = mesh.get("extras"), properties.get("extras")
         draco = properties.get("extensions", {}).get("KHR_draco_mesh_compression")
         self.decoded = {} if draco is None else self._draco(draco)
-        keys = [key for key in ("POSITION", "NORMAL") if key in properties["attributes"]]
+        keys = [key for key in ("POSITION", "NORMAL") if key in self.attributes]
         self.targets: list[dict[str, int]] = [
             {key: target[key] for key in keys if key in target}
             for target in properties.get("targets", ())
         ]
         self.positions = self._attribute("POSITION", (3,))
-        corners = self._corners()
-        self.corner_count = len(corners)
-        faces = _triangles(corners, properties.get("mode", _TRIANGLES), where)
+        faces = self._all_faces(properties.get("mode", _TRIANGLES))
         valid = (faces < len(self.positions)).all(axis=1)
         self.out_of_range = len(faces) - int(valid.sum())
         self.faces = faces[valid] if self.out_of_range else faces
@@ -104,46 +103,55 @@ class Primitive:
             self.faces = inverse.reshape(-1, 3)
 
     def _attribute(self, key: str, widths: tuple[int, ...]) -> NDArray[Any]:
-        accessor = self.properties["attributes"][key]
-        if key in self.decoded:
-            values = self.buffers.converted(self.decoded[key], accessor)
-        else:
-            values = self.buffers.accessor(accessor)
+        values = self.buffers.accessor(self.attributes[key], self.decoded.get(key))
         if values.ndim != 2 or values.shape[1] not in widths:
             raise ValueError(f"{self.where}: {key} has the wrong type")
         return values
 
-    def _corners(self) -> NDArray[Any]:
-        """Return the vertex index of each corner in file order."""
+    def _all_faces(self, mode: int) -> NDArray[np.int64]:
+        """Return the faces (F, 3) of a triangle list, strip or fan, and set ``corner_count``."""
         if "faces" in self.decoded:
-            return self.decoded["faces"].reshape(-1)
-        if "indices" not in self.properties:
-            return np.arange(len(self.positions))
-        indices = self.buffers.accessor(self.properties["indices"])
-        if indices.shape[1] != 1 or indices.dtype.kind != "u":
-            raise ValueError(f"{self.where}: its indices have the wrong type")
-        return indices.reshape(-1)
+            corners = self.decoded["faces"]
+        elif "indices" in self.properties:
+            corners = self.buffers.accessor(self.properties["indices"])
+            if corners.shape[1] != 1 or corners.dtype.kind != "u":
+                raise ValueError(f"{self.where}: its indices have the wrong type")
+        else:
+            corners = np.arange(len(self.positions))
+        corners = corners.reshape(-1).astype(np.int64)
+        self.corner_count = len(corners)
+        if mode == _TRIANGLES:
+            if len(corners) % 3:
+                raise ValueError(f"{self.where}: {len(corners)} corners are not a multiple of 3")
+            return corners.reshape(-1, 3)
+        first = corners[:1].repeat(len(corners[2:])) if mode == _FAN else corners[:-2]
+        faces = np.stack([first, corners[1:-1], corners[2:]], axis=1)
+        if mode != _FAN:
+            faces[1::2] = faces[1::2, ::-1]
+        return faces
 
     def column(self, key: str, *widths: int) -> NDArray[Any] | None:
         """Return an attribute's values at ``vertices``, (N, K in ``widths``); None if missing."""
-        if key not in self.properties["attributes"]:
+        if key not in self.attributes:
             return None
         values, count = self._attribute(key, widths), len(self.positions)
         if len(values) != count:
             raise ValueError(f"{self.where}: {key} has {len(values)} entries, POSITION has {count}")
         return values[self.vertices]
 
-    def uv(self, transform: TextureTransform | None) -> NDArray[np.float64] | None:
-        """Return texture coordinates with v upwards; None if they are missing."""
-        if transform is None:
+    def uv(self, transform: Doc | None) -> Float | None:
+        """Return transformed texture coordinates with v upwards; None if they are missing."""
+        if not transform or (uv := self.column(f"TEXCOORD_{transform['texCoord']}", 2)) is None:
             return None
-        uv = self.column(f"TEXCOORD_{transform.texcoord}", 2)
-        return None if uv is None else transform.applied(uv)
+        u, v = uv.T.astype(np.float64) * np.reshape(transform["scale"], (2, 1))
+        if angle := transform["rotation"]:
+            cos, sin = math.cos(angle), math.sin(angle)
+            u, v = cos * u + sin * v, cos * v - sin * u
+        return np.stack([u + transform["offset"][0], 1.0 - (v + transform["offset"][1])], axis=1)
 
     def influences(self) -> tuple[NDArray[Any], NDArray[Any]] | None:
         """Return joint indices and weights, (N, 4 or 8), of ``vertices``; None without joints."""
-        accessors = self.properties["attributes"]
-        sets = [i for i in (0, 1) if f"JOINTS_{i}" in accessors and f"WEIGHTS_{i}" in accessors]
+        sets = [i for i in (0, 1) if {f"JOINTS_{i}", f"WEIGHTS_{i}"} <= self.attributes.keys()]
         if not sets:
             return None
         joints, weights = (
@@ -172,33 +180,19 @@ class Primitive:
         return attributes if faces is None else attributes | {"faces": np.asarray(faces)}
 
 
-def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
-    """Return the faces (F, 3) of a triangle list, strip or fan."""
-    flat = flat.astype(np.int64)
-    if mode == _TRIANGLES:
-        if len(flat) % 3:
-            raise ValueError(f"{where}: {len(flat)} corners are not a multiple of 3")
-        return flat.reshape(-1, 3)
-    if mode == _FAN:
-        first = np.full_like(flat[2:], flat[0] if len(flat) else 0)
-        return np.stack([first, flat[1:-1], flat[2:]], axis=1)
-    strip = np.stack([flat[:-2], flat[1:-1], flat[2:]], axis=1)
-    strip[1::2] = strip[1::2, ::-1]
-    return strip
-
-
-def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Piece]:
+def read_gltf(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
     """Return a piece for every primitive instance with triangles.
 
-    referred : reader of the buffers and images that are separate files
+    references : reader of the buffers and images that are separate files
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
 
     Raises
     ------
-    InputError : the file is damaged, has no mesh, requires an unsupported extension, or has too
-        many pieces, vertices or faces
+    InputError : the JSON is damaged or has no mesh, or the file requires an unsupported extension
+        or has too many pieces, vertices or faces
+    ValueError : the binary data are damaged
     """
-    name = referred.name
+    name = references.name
     text, binary = chunks(data, name)
     document = document_of(text, name)
     for extension in sorted(document.get("extensionsRequired", ())):
@@ -206,17 +200,11 @@ def read_gltf(data: bytes, referred: References, albedo_given: bool) -> list[Pie
             raise InputError(
                 f"{name} requires the extension {clipped(extension, 60)}; export it without this"
             )
-    try:
-        return _File(Buffers(name, document, binary, referred), albedo_given).pieces()
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise damaged(name, reason(error)) from None
+    return _File(Buffers(name, document, binary, references), albedo_given).pieces()
 
 
 class _File:
-    """A glTF file with checked JSON and unchecked buffers. Methods raise ValueError if the data are
-    damaged.
+    """A glTF file with checked JSON. Methods raise ValueError if the binary data are damaged.
 
     A mesh is read once per skin and weights of its nodes. Parameter ``skin`` is the index of the
     skin whose joints place the mesh; None: the node places it.
@@ -228,7 +216,7 @@ class _File:
         self.warn = self.materials.warn
         for extension in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
             self.warn(f"{self.name} uses {clipped(extension, 60)}, which is not supported: ignored")
-        skeleton, self.worlds, self.visible = scene_nodes(self.document)
+        skeleton, self.worlds, self.visible = scene_nodes(self.document, self.name)
         self.rigs = RigReader(buffers)
         clips = self.rigs.clips()
         self.skeleton = replace(skeleton, clips=clips)
@@ -243,13 +231,13 @@ class _File:
         self.used = 0  # number of used vertices and faces, counted for every instance
 
     def pieces(self) -> list[Piece]:
-        meshes: dict[tuple[int, int | None, _Weights], list[Piece]] = {}
+        meshes: dict[tuple[int, int | None, tuple[float, ...]], list[Piece]] = {}
         pieces = []
         for index, offsets in self._instances().items():
             node = self.document["nodes"][index]
             mesh = self.document["meshes"][node["mesh"]]
             skin = node.get("skin") if self.skins.get(node.get("skin")) else None
-            weights = tuple(map(float, node.get("weights", mesh.get("weights", ()))))
+            weights = tuple(node.get("weights", mesh.get("weights", ())))
             label = node.get("name") or mesh.get("name")
             key = node["mesh"], skin, weights
             if key not in meshes:
@@ -268,9 +256,8 @@ class _File:
                     pieces.append(replace(placed(piece, world), name=name, rig=rig))
         return pieces
 
-    def _mesh(self, index: int, skin: int | None, weights: _Weights) -> list[Piece]:
-        """Return the primitives with triangles as pieces in mesh space, or in scene space if they
-        are skinned."""
+    def _mesh(self, index: int, skin: int | None, weights: tuple[float, ...]) -> list[Piece]:
+        """Return the pieces of a mesh, in mesh space, or in scene space if they are skinned."""
         mesh = self.document["meshes"][index]
         pieces = []
         for i, properties in enumerate(mesh["primitives"]):
@@ -291,11 +278,9 @@ class _File:
                 f"{self.name} draws its geometry more than {_TIMES} times: export fewer instances"
             )
 
-    # --- nodes -----------------------------------------------------------------------------------
-
     def _instances(self) -> dict[int, Sequence[Float | None]]:
-        """Return the transforms of the instances of each visible node's mesh within the node's
-        space, keyed by the node's index; None: no transform."""
+        """Return the transforms of the instances of each visible node with a mesh, keyed by the
+        node's index; None: no transform."""
         instances: dict[int, Sequence[Float | None]] = {}
         count = 0
         for index in self.worlds:
@@ -315,7 +300,7 @@ class _File:
         return instances
 
     def _offsets(self, index: int, instancing: Doc) -> list[Float]:
-        """Return the transforms of a node's instances."""
+        """Return the transforms of a node's instances within the node's space."""
         accessors, keys = instancing["attributes"], ("TRANSLATION", "ROTATION", "SCALE")
         columns = {k.lower(): self.buffers.accessor(accessors[k]) for k in keys if k in accessors}
         for key, values in columns.items():
@@ -326,8 +311,7 @@ class _File:
         return [local_matrix(**dict(zip(columns, row, strict=True))) for row in rows]
 
     def _joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
-        """Return the joints and the inverse bind matrices (J, 4, 4) of a skin. Warn and return None
-        if a joint is not in the scene."""
+        """Return the joints and inverse bind matrices of a skin; None if it is ignored."""
         skin = self.document["skins"][index]
         joints = tuple(skin["joints"])
         if not joints or not self.worlds.keys() >= set(joints):
@@ -343,7 +327,7 @@ class _File:
 
     @cached_property
     def _head_nodes(self) -> set[int]:
-        """The nodes that belong to a head by their names or by the name of an ancestor."""
+        """The nodes that belong to a head by their name or by the name of an ancestor."""
         names = {index: self.document["nodes"][index].get("name", "") for index in self.worlds}
         return self.skeleton.below(index for index, name in names.items() if names_head(name))
 
@@ -351,10 +335,7 @@ class _File:
         self, positions: Float, skin: Skin, joints: NDArray[Any], weights: NDArray[Any]
     ) -> Float | None:
         """Return the bounds (2, 3) of the vertices that follow the joints of a head, without hair
-        far below the head; None without such vertices.
-
-        joints, weights : (N, K), indices into ``skin.joints`` and weights of K joints per vertex
-        """
+        far below the head; None without such vertices. ``joints`` and ``weights`` are (N, K)."""
         of_head = np.array([joint in self._head_nodes for joint in skin.joints])
         shares = np.where(of_head[joints], weights, 0.0).sum(axis=1)
         head = positions[of_head.any() & (2.0 * shares > weights.sum(axis=1))]
@@ -365,19 +346,16 @@ class _File:
         low[1] = max(low[1], height - _BELOW_JOINT * (high[1] - height))
         return np.array([low, high])
 
-    # --- triangles -------------------------------------------------------------------------------
-
-    def _piece(self, primitive: Primitive, skin: int | None, weights: _Weights) -> Piece:
+    def _piece(self, primitive: Primitive, skin: int | None, weights: tuple[float, ...]) -> Piece:
         """Return a primitive as a piece. Its rig has no node yet."""
-        attributes = primitive.properties["attributes"]
-        self.stored[attributes["POSITION"]] = len(primitive.positions)
+        self.stored[primitive.attributes["POSITION"]] = len(primitive.positions)
         self.stored[primitive.properties.get("indices", -1)] = primitive.corner_count
         base, base_normals = primitive.positions[primitive.vertices], primitive.column("NORMAL", 3)
         shapes = self._shapes(primitive, weights)
         positions, normals = morphed(base, base_normals, shapes, weights)
         faces, bounds, rig_skin = primitive.faces, None, None
         if joints := self.skins.get(skin):
-            if "JOINTS_2" in attributes:
+            if "JOINTS_2" in primitive.attributes:
                 self.warn(f"{self.name} has more than eight joints per vertex: only eight are used")
             if influences := primitive.influences():
                 rig_skin = Skin.of(*joints, *influences)
@@ -416,19 +394,16 @@ class _File:
 
     def _usable(self, material: Material, has_uv: bool, has_uv2: bool) -> Material:
         """Return a material without the maps whose texture coordinates are missing."""
-        if not has_uv:
-            if any(getattr(material, key) for key in MAPS):
-                self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
-            return material
-        if has_uv2 or not material.second_uv:
+        if not has_uv and any(getattr(material, key) for key in MAPS):
+            self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
+        if not has_uv or has_uv2 or not material.second_uv:
             return material
         self.warn(f"{self.name} has no second texture coordinates: maps that use them are ignored")
         no_maps: dict[str, Any] = dict.fromkeys(material.second_uv)
         return replace(material, second_uv=(), **no_maps)
 
-    def _shapes(self, primitive: Primitive, weights: _Weights) -> tuple[Shape, ...]:
-        """Return a primitive's morph targets, and count the vertices of the targets that the stored
-        pose uses."""
+    def _shapes(self, primitive: Primitive, weights: tuple[float, ...]) -> tuple[Shape, ...]:
+        """Return a primitive's morph targets, and count the vertices that the stored pose uses."""
         if primitive.where not in self.shapes:
             self.shapes[primitive.where] = self.rigs.shapes(primitive)
         for target, weight in zip(primitive.targets, weights, strict=False):

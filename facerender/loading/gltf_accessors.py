@@ -4,7 +4,8 @@ returned with a description of the damage, so that the stored pose can still be 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -16,9 +17,9 @@ from facerender.loading.gltf_document import (
     COMPONENTS,
     TYPES,
     Doc,
-    checked_animation,
-    conversion,
-    converted,
+    check_conversion,
+    checked,
+    counts_of,
 )
 from facerender.loading.source import References, inline
 from facerender.scenes.repair import unique
@@ -48,11 +49,9 @@ _FILTERS = {
 
 
 def _decoded(content: bytes, view: Doc, name: str) -> memoryview:
-    """Decompress a view of a file with this name; ``view`` is the JSON object of the extension
-    EXT_meshopt_compression (Kapoulkine 2022). Raise ValueError if the view is damaged.
-    """
-    count, size = view["count"], view["byteStride"]
-    mode, filter_ = view["mode"], view.get("filter", "NONE")
+    """Decompress a view, ``view`` as in EXT_meshopt_compression (Kapoulkine 2022)."""
+    count, size, mode = view["count"], view["byteStride"], view["mode"]
+    filter_ = view.get("filter", "NONE")
     label = f"a view compressed with meshopt ({mode}, {count} x {size} bytes)"
     function, sizes, multiple = _MODES.get(mode, ("", (), 1))
     filter_function, filter_sizes = _FILTERS.get(filter_, ("", ()))
@@ -82,9 +81,8 @@ def _decoded(content: bytes, view: Doc, name: str) -> memoryview:
 def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
     """Decode the filter COLOR, which meshoptimizer for Python lacks: convert Y, Co, Cg and alpha
     (N, 4) to RGBA. The highest set bit of alpha gives the number of bits per channel."""
-    signed = encoded.view(encoded.dtype.str.replace("u", "i")).astype(np.int32)
-    y, alpha = encoded[:, 0].astype(np.int32), encoded[:, 3].astype(np.int32)
-    orange, green = signed[:, 1], signed[:, 2]
+    y, _, _, alpha = encoded.astype(np.int32).T
+    _, orange, green, _ = encoded.view(encoded.dtype.str.replace("u", "i")).astype(np.int32).T
     full_scale = alpha.copy()
     for bits in (1, 2, 4, 8):
         full_scale |= full_scale >> bits
@@ -93,7 +91,7 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
     with np.errstate(all="ignore"):  # alpha may be 0 in a damaged file
         scale = np.float32(np.iinfo(encoded.dtype).max) / full_scale.astype(np.float32)
         scaled = rgba.astype(np.float32) * scale[:, None] + np.float32(0.5)
-        return scaled.astype(np.int64).astype(encoded.dtype)
+        return np.asarray(scaled.astype(np.int64), dtype=encoded.dtype)
 
 
 _MOST_ZEROS = 1 << 26  # largest sparse accessor without a view, in bytes
@@ -123,15 +121,14 @@ class Buffers:
                 content = self.referred.read(uri, "a buffer of a glTF file")
             except FileNotFoundError as error:
                 raise InputError(f"{clipped(uri, 80)} (named by {self.name}) {error}") from None
-            if how := conversion(content, size):
-                raise converted(clipped(uri, 80), how)
+            check_conversion(clipped(uri, 80), content, size)
         if len(content) < size:
             raise ValueError(f"buffers[{index}] should have {size} bytes, but has {len(content)}")
         self.buffers[index] = memoryview(content)[:size]
         return self.buffers[index]
 
     def view(self, index: int) -> memoryview:
-        """Return the bytes of a view, after decompression if the view is compressed."""
+        """Return the decompressed bytes of a view."""
         view = self.document["bufferViews"][index]
         for packed in view.get("extensions", {}).values():
             if index not in self.unpacked:
@@ -153,8 +150,7 @@ class Buffers:
     def _elements(
         self, where: str, properties: Doc, component: str, shape: tuple[int, int]
     ) -> NDArray[Any]:
-        """Return the elements that an accessor or a part of a sparse accessor has in a view;
-        ``shape`` is (count, components)."""
+        """Return the elements of an accessor or of a part of a sparse accessor."""
         view, start = properties["bufferView"], properties.get("byteOffset", 0)
         content = self.view(view)
         component_size = np.dtype(component).itemsize
@@ -171,10 +167,14 @@ class Buffers:
             )
         return np.ndarray(shape, component, content, start, (stride, component_size))
 
-    def accessor(self, index: int) -> NDArray[Any]:
-        """Return the values of an accessor, (count, components)."""
+    def accessor(self, index: int, decoded: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Return the values of an accessor, (count, components). ``decoded``: from DracoPy, which
+        returns 16-bit unsigned integers in 32 bits, and signed integers as floats."""
         accessor, where = self.document["accessors"][index], f"accessors[{index}]"
         component, shape = _layout(accessor)
+        if decoded is not None:
+            converts = decoded.dtype.kind in "iu" or np.dtype(component).kind == "i"
+            return _normalized(decoded.astype(component) if converts else decoded, accessor)
         if "bufferView" in accessor:
             values = self._elements(where, accessor, component, shape)
         elif "sparse" not in accessor:
@@ -189,18 +189,9 @@ class Buffers:
             values[indices] = replacing
         return _normalized(values, accessor)
 
-    def converted(self, values: NDArray[Any], index: int) -> NDArray[Any]:
-        """Return Draco's values of an accessor as the accessor without Draco would return them:
-        DracoPy returns 16-bit unsigned integers in 32 bits, and signed integers as floats."""
-        accessor = self.document["accessors"][index]
-        stored = np.dtype(COMPONENTS[accessor["componentType"]])
-        if values.dtype.kind in "iu" or stored.kind == "i":
-            values = values.astype(stored)
-        return _normalized(values, accessor)
-
     def rows(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the indices of an accessor's rows that are not 0, in increasing order, and these
-        rows. A sparse accessor without a view may have any length."""
+        rows as float32. A sparse accessor without a view may have any length."""
         accessor = self.document["accessors"][index]
         if "bufferView" in accessor or "sparse" not in accessor:
             values = self.accessor(index)
@@ -210,7 +201,7 @@ class Buffers:
             indices, last = np.unique(all_indices[::-1], return_index=True)
             values = _normalized(replacing[::-1][last], accessor)
         moves = np.logical_or.reduce([column != 0 for column in values.T])
-        return indices[moves], values[moves]
+        return indices[moves].astype(np.uint32), values[moves].astype(np.float32)
 
     def _replacements(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the indices and values of the rows that a sparse accessor replaces."""
@@ -225,12 +216,12 @@ class Buffers:
 
 
 def _layout(accessor: Doc) -> tuple[str, tuple[int, int]]:
-    """Return the type of an accessor's values, and their shape (count, components)."""
+    """Return the type and the shape (count, components) of an accessor's values."""
     return COMPONENTS[accessor["componentType"]], (accessor["count"], TYPES[accessor["type"]])
 
 
 def _normalized(values: NDArray[Any], accessor: Doc) -> NDArray[Any]:
-    """Return integers of a normalised accessor as floats in [-1, 1], other values unchanged."""
+    """Convert integers of a normalised accessor to floats in [-1, 1]."""
     if accessor.get("normalized") and values.dtype.kind != "f":
         largest = np.float32(np.iinfo(values.dtype).max)
         return np.asarray(np.maximum(values / largest, np.float32(-1.0)))
@@ -238,7 +229,6 @@ def _normalized(values: NDArray[Any], accessor: Doc) -> NDArray[Any]:
 
 
 _WIDTHS: dict[Path, int] = {"translation": 3, "rotation": 4, "scale": 3}
-_Rows = tuple[NDArray[Any], NDArray[Any]]  # indices and values
 # Limit of the values read for a rig, because accessors may overlap: _TIMES the bytes of the file's
 # buffers plus _FEW, and at most _MAX_WORDS.
 _TIMES, _FEW, _MAX_WORDS = 8, 1 << 22, 1 << 28
@@ -249,38 +239,41 @@ class RigReader:
 
     def __init__(self, buffers: Buffers) -> None:
         self.buffers, self.document = buffers, buffers.document
+        self.counts = counts_of(self.document)
         size = sum(buffer["byteLength"] for buffer in self.document["buffers"])
         self.left = min(_TIMES * size + _FEW, _MAX_WORDS)  # number of values that may still be read
-        # Keyed by the accessor's index: checked values, checked times, rows that are not 0.
-        self.arrays: dict[int, NDArray[Any]] = {}
-        self.times: dict[int, NDArray[np.float64]] = {}
-        self.rows: dict[int, _Rows] = {}
+        self.values: dict[tuple[int, bool], Any] = {}  # see _read()
+        self.times: dict[int, NDArray[np.float64]] = {}  # keyed by the accessor's index
 
-    def _read(self, index: int, read: Callable[[int], Any]) -> Any:
-        """Return ``read(index)``; raise ValueError if the accessor's values exceed the limit."""
-        accessor = self.document["accessors"][index]
-        rows = accessor["count"] if "bufferView" in accessor else 0
-        rows += accessor.get("sparse", {"count": 0})["count"]
-        needed = rows * TYPES[accessor["type"]]
-        if needed > self.left:
-            raise ValueError("the file has too many animated values")
-        result = read(index)
-        self.left -= needed
-        return result
-
-    # --- clips -----------------------------------------------------------------------------------
+    def _read(self, index: int, moves: bool) -> Any:
+        """Return the finite values of an accessor or, for ``moves``, the indices and values of its
+        rows that are not 0. Several channels and targets may share the result."""
+        if (index, moves) not in self.values:
+            accessor = self.document["accessors"][index]
+            rows = accessor["count"] if "bufferView" in accessor else 0
+            rows += accessor.get("sparse", {"count": 0})["count"]
+            needed = rows * TYPES[accessor["type"]]
+            if needed > self.left:
+                raise ValueError("the file has too many animated values")
+            values = self.buffers.rows(index) if moves else np.array(self.buffers.accessor(index))
+            self.left -= needed
+            if not moves and not np.isfinite(values).all():
+                raise ValueError(f"accessors[{index}] has a value that is not finite")
+            self.values[index, moves] = values
+        return self.values[index, moves]
 
     def clips(self) -> tuple[Clip, ...]:
         """Return the animations with unique names."""
         animations = self.document.get("animations")
         if not isinstance(animations, list):
             return ()
-        stored_names = (clip.get("name") if isinstance(clip, dict) else None for clip in animations)
-        return tuple(self._clip(i, name) for i, name in enumerate(_named(stored_names, "clip")))
+        stored_names = [clip.get("name") if type(clip) is dict else None for clip in animations]
+        names = _named(stored_names, "clip", len(animations))
+        return tuple(map(self._clip, range(len(animations)), animations, names))
 
-    def _clip(self, index: int, name: str) -> Clip:
+    def _clip(self, index: int, animation: Any, name: str) -> Clip:
         try:
-            animation = checked_animation(self.document, index)
+            animation = checked(animation, "animation", f"animations[{index}]", self.counts)
             tracks: dict[tuple[int, str], Track] = {}
             ignored = ""
             for i, channel in enumerate(animation["channels"]):
@@ -320,20 +313,16 @@ class RigReader:
         if interpolation not in get_args(Interpolation):
             raise ValueError(f"{where}: interpolation {clipped(interpolation, 40)!r} is unknown")
         times = self._times(keys["input"], where)
-        values = self._array(keys["output"])
-        per_key = 3 if interpolation == "CUBICSPLINE" else 1
-        rows = per_key * len(times)
-        stored = (rows * width, 1) if path == "weights" else (rows, width)
-        if values.shape != stored:
-            raise ValueError(
-                f"{where}: the values have the shape {values.shape} for {len(times)} keys"
-            )
-        values = values.reshape((len(times), 3, width) if per_key == 3 else (len(times), width))
-        return Track(node, path, times, values, interpolation)
+        values, count = self._read(keys["output"], moves=False), len(times)
+        shape = (count, 3, width) if interpolation == "CUBICSPLINE" else (count, width)
+        columns = 1 if path == "weights" else width
+        if values.shape != (math.prod(shape) // columns, columns):
+            raise ValueError(f"{where}: the values have the shape {values.shape} for {count} keys")
+        return Track(node, path, times, values.reshape(shape), interpolation)
 
     def _times(self, index: int, where: str) -> NDArray[np.float64]:
         if index not in self.times:
-            times = self._array(index)
+            times = self._read(index, moves=False)
             if times.shape[1] != 1 or not len(times):
                 raise ValueError(f"{where}: the times have the shape {times.shape}")
             if times[0, 0] < 0.0:
@@ -343,30 +332,17 @@ class RigReader:
             self.times[index] = times[:, 0].astype(np.float64)
         return self.times[index]
 
-    def _array(self, index: int) -> NDArray[Any]:
-        """Return a copy of an accessor's values, which several channels may share."""
-        if index not in self.arrays:
-            values = np.array(self._read(index, self.buffers.accessor))
-            if not np.isfinite(values).all():
-                raise ValueError(f"accessors[{index}] has a value that is not finite")
-            self.arrays[index] = values
-        return self.arrays[index]
-
-    # --- shapes ----------------------------------------------------------------------------------
-
     def shapes(self, primitive: Primitive) -> tuple[Shape, ...]:
         """Return the morph targets of a primitive. The first list targetNames in the extras of the
         mesh and of the primitive names them. Otherwise the accessors do, if their names differ."""
         targets, accessors = primitive.targets, self.document["accessors"]
-        tables = (table for table in primitive.extras if isinstance(table, dict))
-        lists = [table.get("targetNames") for table in tables]
+        lists = [extras.get("targetNames") for extras in primitive.extras if type(extras) is dict]
         of_accessors = [accessors[t["POSITION"]].get("name") for t in targets if "POSITION" in t]
         if len({*of_accessors, ""}) > len(targets):  # exporters without targetNames write these
             lists.append(of_accessors)
         stored_names = next((names for names in lists if isinstance(names, list)), [])
-        padded = [*stored_names, *[None] * len(targets)][: len(targets)]
-        names = enumerate(_named(padded, "shape"))
-        return tuple(self._shape(primitive, i, name) for i, name in names)
+        names = _named(stored_names, "shape", len(targets))
+        return tuple(self._shape(primitive, i, name) for i, name in enumerate(names))
 
     def _shape(self, primitive: Primitive, index: int, name: str) -> Shape:
         rows: dict[str, tuple[Any, Any]] = dict.fromkeys(("POSITION", "NORMAL"), (None, None))
@@ -378,15 +354,11 @@ class RigReader:
             return Shape(name, fault=clipped(str(error)))
         return Shape(name, *rows["POSITION"], *rows["NORMAL"])
 
-    def _moves(self, index: int, primitive: Primitive, where: str) -> _Rows:
+    def _moves(self, index: int, primitive: Primitive, where: str) -> tuple[Any, Any]:
         """Return the rows of an accessor that are not 0, of the vertices that the part keeps."""
-        accessor = self.document["accessors"][index]
-        if (accessor["count"], TYPES[accessor["type"]]) != (len(primitive.positions), 3):
+        if _layout(self.document["accessors"][index])[1] != (len(primitive.positions), 3):
             raise ValueError(f"{where} has the wrong number of entries")
-        if index not in self.rows:
-            rows, moves = self._read(index, self.buffers.rows)
-            self.rows[index] = rows.astype(np.uint32), moves.astype(np.float32)
-        rows, moves = self.rows[index]
+        rows, moves = self._read(index, moves=True)
         if isinstance(primitive.vertices, slice):
             return rows, moves
         kept = np.isin(rows, primitive.vertices)
@@ -394,8 +366,9 @@ class RigReader:
         return rows.astype(np.uint32), moves[kept]
 
 
-def _named(names: Iterable[Any], noun: str) -> list[str]:
-    """Return a unique name of one line for each name. A name that is empty or no text becomes
+def _named(names: list[Any], noun: str, count: int) -> Iterator[str]:
+    """Yield ``count`` unique names of one line. A name that is missing, empty or no text becomes
     ``shape2`` for the second shape."""
-    clipped_names = (clipped(name, 80) if isinstance(name, str) else "" for name in names)
-    return [*unique(name or f"{noun}{i}" for i, name in enumerate(clipped_names, 1))]
+    padded = enumerate([*names, *[None] * count][:count], 1)
+    texts = ((i, clipped(name, 80) if isinstance(name, str) else "") for i, name in padded)
+    return unique(text or f"{noun}{i}" for i, text in texts)

@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 from facerender.errors import InputError, reason
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
+_MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
+_MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 Doc = dict[str, Any]
-
-MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
-MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 
 # The properties of each JSON object and their types; ! marks required properties. Type "#nodes" is
 # an index into the list "nodes"; "[x]" is a list of values of type x; "3 x" is a list of three
@@ -105,25 +104,25 @@ TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MA
 
 
 def _is_number(value: Any) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and -1e300 < value < 1e300
+    return type(value) in (int, float) and -1e300 < value < 1e300
 
 
 def _is_size(value: Any) -> bool:
     return _is_number(value) and 0 <= value < 1 << 53 and value == int(value)
 
 
-# Keyed by type: check of a value, description for messages. A size such as 3 may be written as 3.0.
-_VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "any": (lambda value: True, ""),
-    "text": (lambda value: isinstance(value, str), "text"),
-    "name": (lambda value: True, "text"),  # only for display: values of other types become ""
-    "switch": (lambda value: isinstance(value, bool), "true or false"),
-    "number": (_is_number, "a number"),
-    "size": (_is_size, "an integer >= 0"),
-    "component": (lambda value: _is_size(value) and value in COMPONENTS, "a glTF component type"),
-    "type": (lambda value: isinstance(value, str) and value in TYPES, "a glTF accessor type"),
-    "mode": (lambda value: _is_size(value) and value in range(7), "a glTF primitive mode"),
+# Keyed by type: check of a value, conversion, description for messages. A size such as 3 may be
+# written as 3.0. A name is only for display: values of other types become "".
+_VALUES: dict[str, tuple[Callable[[Any], bool], Callable[[Any], Any], str]] = {
+    "any": (lambda value: True, lambda value: value, ""),
+    "text": (lambda value: isinstance(value, str), str, "text"),
+    "name": (lambda value: True, lambda value: value if isinstance(value, str) else "", ""),
+    "switch": (lambda value: isinstance(value, bool), bool, "true or false"),
+    "number": (_is_number, float, "a number"),
+    "size": (_is_size, int, "an integer >= 0"),
+    "component": (lambda code: _is_size(code) and code in COMPONENTS, int, "a glTF component type"),
+    "type": (lambda value: isinstance(value, str) and value in TYPES, str, "a glTF accessor type"),
+    "mode": (lambda value: _is_size(value) and value in range(7), int, "a glTF primitive mode"),
 }
 
 
@@ -131,18 +130,17 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     """Return the JSON of a glTF file, and its binary chunk or None. A .gltf file is all JSON."""
     if data[:4] != b"glTF":
         if data.startswith((b"\xef\xbb\xbfglTF", b"\xff\xfeg\0l\0T\0F\0")):
-            raise converted(name, "to Unicode")
+            raise _converted(name, "to Unicode")
         return data, None
-    declared = struct.unpack_from("<I", data, 8)[0] if len(data) >= 20 else 20
-    if how := conversion(data, declared):
-        raise converted(name, how)
+    version, declared = struct.unpack_from("<II", data, 4) if len(data) >= 20 else (2, 20)
+    check_conversion(name, data, declared)
     if declared > len(data):
         expected = declared if len(data) >= 20 else "at least 20"
         raise InputError(
             f"{name} is truncated: it should have {expected} bytes, but has {len(data)}; copy it "
             "again as binary data"
         )
-    if (version := struct.unpack_from("<I", data, 4)[0]) != 2:
+    if version != 2:
         raise InputError(f"{name} is glTF version {version}: export it as version 2")
     contents: dict[int, memoryview] = {}
     start = 12
@@ -157,30 +155,30 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     return bytes(contents[_JSON]), contents.get(_BINARY)
 
 
-def conversion(data: bytes | memoryview, size: int) -> str:
-    """Return how binary data were changed by a conversion of text, or "" if they were not.
+def check_conversion(name: str, data: bytes | memoryview, size: int) -> None:
+    """Raise InputError if a conversion of text changed binary data.
 
     size : number of bytes before the conversion
     """
     if len(data) == size:
-        return ""
+        return
     data = bytes(data)
     feeds, pairs = data.count(b"\n"), data.count(b"\r\n")
     if len(data) > size and pairs == feeds >= len(data) - size:
-        return "from LF to CRLF"
+        raise _converted(name, "from LF to CRLF")
     with suppress(UnicodeDecodeError):
         text = data.decode()  # binary data with bytes above 127 are no UTF-8
         if not text.isascii():
-            return "to UTF-8" + " with replacement characters" * ("\ufffd" in text)
+            replaced = " with replacement characters" * ("\ufffd" in text)
+            raise _converted(name, f"to UTF-8{replaced}")
     # Each conversion of CRLF removes a byte, and few do so by chance in floats and images. If data
     # of this length would hold 4 CRLFs by chance but hold none, they were converted.
     missing, expected = size - len(data), data.count(b"\r") * feeds / max(len(data), 1)
-    few = 0 < missing <= min(feeds, max(8 * expected, 4))
-    return "from CRLF to LF" if few and not pairs and expected > 4.0 else ""
+    if 0 < missing <= min(feeds, max(8 * expected, 4)) and not pairs and expected > 4.0:
+        raise _converted(name, "from CRLF to LF")
 
 
-def converted(name: str, how: str) -> InputError:
-    """Return the error for a file that was converted; ``how`` as of :func:`conversion`."""
+def _converted(name: str, how: str) -> InputError:
     suffix = PurePath(name).suffix or ".glb"
     return InputError(
         f"{name} is damaged, because it was converted as text ({how}): transfer it again as binary "
@@ -196,42 +194,32 @@ def document_of(text: bytes, name: str) -> Doc:
     ------
     InputError : the text is not JSON, has no mesh, has an invalid property, or exceeds a limit
     """
-    if text.count(b",") + text.count(b"[") + text.count(b"{") > MOST_VALUES:
-        raise InputError(f"{name} has more than {MOST_VALUES} values in its JSON: simplify it")
+    if text.count(b",") + text.count(b"[") + text.count(b"{") > _MOST_VALUES:
+        raise InputError(f"{name} has more than {_MOST_VALUES} values in its JSON: simplify it")
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        why = reason(error).partition(";")[0]
-        raise InputError(
-            f"{name} is not glTF: its JSON cannot be read ({why}); export it again"
-        ) from None
-    tables = _OBJECTS["document"]
-    if not isinstance(document, dict) or document.keys().isdisjoint({"asset", *tables}):
+        why = f"its JSON cannot be read ({reason(error).partition(';')[0]})"
+        raise InputError(f"{name} is not glTF: {why}; export it again") from None
+    properties = _OBJECTS["document"]
+    if not isinstance(document, dict) or document.keys().isdisjoint({"asset", *properties}):
         raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
     if document.get("meshes", []) == []:
         raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
-    counts = _counts(document)
-    for key in tables.keys() & counts.keys():
-        if counts[key] > MOST_ENTRIES:
+    counts = counts_of(document)
+    for key in properties.keys() & counts.keys():
+        if counts[key] > _MOST_ENTRIES:
             raise InputError(
-                f"{name} has {counts[key]} {key}, but the limit is {MOST_ENTRIES}: simplify it"
+                f"{name} has {counts[key]} {key}, but the limit is {_MOST_ENTRIES}: simplify it"
             )
     try:
-        checked = _checked(document, "document", "", counts)
+        valid = checked(document, "document", "", counts)
     except ValueError as error:
         raise damaged(name, str(error)) from None
-    return {**{key: [] for key, shape in tables.items() if shape[0] == "["}, **checked}
+    return {**{key: [] for key, shape in properties.items() if shape[0] == "["}, **valid}
 
 
-def checked_animation(document: Doc, index: int) -> Doc:
-    """Check an animation of a document from :func:`document_of`, which does not check animations.
-    Raise ValueError for an invalid property."""
-    animation, where = document["animations"][index], f"animations[{index}]"
-    result: Doc = _checked(animation, "animation", where, _counts(document))
-    return result
-
-
-def _counts(document: Doc) -> dict[str, int]:
+def counts_of(document: Doc) -> dict[str, int]:
     return {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
 
 
@@ -239,40 +227,40 @@ def damaged(name: str, what: str) -> InputError:
     return InputError(f"{name} is damaged ({what}); export it again")
 
 
-def _checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
-    """Convert a value to the type ``shape``, see _SCHEMA; raise ValueError if this fails."""
-    if shape in _OBJECTS:
+def checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
+    """Convert a value to the type ``shape``, see _SCHEMA; raise ValueError if this fails.
+
+    counts : lengths of the document's lists
+    """
+    if shape in _OBJECTS or shape[0] == "{":
         _expect(isinstance(value, dict), value, where, "an object")
+        if shape[0] == "{":
+            return {
+                key: checked(entry, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
+                for key, entry in value.items()
+            }
         result = {}
         for key, inner in _OBJECTS[shape].items():
             name = key.rstrip("!")
             path = f"{where}.{name}" if where else name
             if name in value:
-                result[name] = _checked(value[name], inner, path, counts)
+                result[name] = checked(value[name], inner, path, counts)
             elif key != name:
                 raise ValueError(f"{path} is missing")
         return result
-    if shape[0] == "{":
-        _expect(isinstance(value, dict), value, where, "an object")
-        return {
-            key: _checked(entry, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
-            for key, entry in value.items()
-        }
     if shape[0] == "[" or shape[0].isdigit():
         length, inner = ("", shape[1:-1]) if shape[0] == "[" else shape.split(" ", 1)
         good = isinstance(value, list) and length in ("", str(len(value)))
         _expect(good, value, where, f"{length} numbers" if length else "a list")
-        return [_checked(entry, inner, f"{where}[{i}]", counts) for i, entry in enumerate(value)]
+        return [checked(entry, inner, f"{where}[{i}]", counts) for i, entry in enumerate(value)]
     if shape[0] == "#":
         count = counts.get(shape[1:], 0)
         good = _is_size(value) and value < count
         _expect(good, value, where, f"an index into the {count} {shape[1:]}")
         return int(value)
-    check, description = _VALUES[shape]
+    check, convert, description = _VALUES[shape]
     _expect(check(value), value, where, description)
-    if shape == "name":
-        return value if isinstance(value, str) else ""
-    return int(value) if shape in ("size", "component", "mode") else value
+    return convert(value)
 
 
 def _expect(good: bool, value: Any, where: str, description: str) -> None:

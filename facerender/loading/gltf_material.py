@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import clipped, warn
 from facerender.loading.gltf_accessors import Buffers
 from facerender.loading.gltf_document import EXTENSIONS, Doc
 from facerender.loading.source import image_of, inline, missing_image, unreadable
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
-from facerender.scenes.texture import Texture, Wrap
+from facerender.scenes.texture import Texture, Wrap, profile_of
 from facerender.scenes.vectors import MOST_RADIANCE
 from facerender.terms.ranges import range_of
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
 _Channel = int | Literal["alpha"] | None  # None: the colours
@@ -30,43 +25,19 @@ _ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
 # Objects of a texture whose image is used, in order; "": the texture itself
 _SOURCES = ("EXT_texture_webp", "", "EXT_texture_avif", "MSFT_texture_dds")
 _F0 = 0.028  # f0 of materials without KHR_materials_ior
-_MOST_LOOKED_AT = 1 << 22  # texels; larger metallic maps are not tested
+_MOST_TESTED = 1 << 22  # texels; larger metallic maps are not tested
 _METAL = 0.1  # lower metallic values may be JPEG noise in a map without metal
-
-
-@dataclass(frozen=True)
-class TextureTransform:
-    """The index of a set of texture coordinates, and the transform of these coordinates."""
-
-    texcoord: int
-    offset: tuple[float, ...]
-    rotation: float
-    scale: tuple[float, ...]
-
-    @classmethod
-    def of(cls, use: Doc) -> TextureTransform:
-        """Return the transform of a material's reference to a texture."""
-        transform = use.get("extensions", {}).get("KHR_texture_transform", {})
-        return cls(
-            transform.get("texCoord", use.get("texCoord", 0)),
-            tuple(map(float, transform.get("offset", (0.0, 0.0)))),
-            float(transform.get("rotation", 0.0)),
-            tuple(map(float, transform.get("scale", (1.0, 1.0)))),
-        )
-
-    def applied(self, uv: NDArray[Any]) -> NDArray[np.float64]:
-        """Return transformed texture coordinates (N, 2). The v axis points down in ``uv`` and up
-        in the result."""
-        u, v = (uv[:, i].astype(np.float64) * self.scale[i] for i in (0, 1))
-        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
-        if self.rotation:
-            u, v = cos * u + sin * v, cos * v - sin * u
-        return np.stack([u + self.offset[0], 1.0 - (v + self.offset[1])], axis=1)
-
 
 # A material and the transforms of its texture coordinates: the second for the maps named in
 # ``material.second_uv``, the first for the other maps
-Look = tuple[Material, TextureTransform, TextureTransform | None]
+Look = tuple[Material, Doc, Doc | None]
+
+
+def _transform_of(use: Doc) -> Doc:
+    """Return KHR_texture_transform of a material's reference to a texture, with all properties."""
+    defaults = {"offset": [0.0, 0.0], "rotation": 0.0, "scale": [1.0, 1.0]}
+    stored = use.get("extensions", {}).get("KHR_texture_transform", {})
+    return {"texCoord": use.get("texCoord", 0), **defaults, **stored}
 
 
 class Materials:
@@ -75,24 +46,22 @@ class Materials:
     def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
         self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
         self.albedo_given = albedo_given
-        self.images: dict[int | None, tuple[Image, Texture, Texture | None] | None] = {}
-        self.sampled: dict[tuple[int, Any, Any], Texture] = {}
-        self.looks: dict[tuple[int | None, bool], Look] = {}
-        self.lost_images = False
+        # Keyed by the image's index: content, texture, texture of alpha; None: missing, unreadable
+        self.images: dict[int | None, tuple[bytes, Texture, Texture | None] | None] = {}
+        self.sampled: dict[tuple[Any, ...], Texture] = {}  # keyed by image, channel and sampling
+        self.looks: dict[int, Look] = {}
         self.warn = cache(warn)
 
     def look(self, index: int | None, has_colors: bool) -> Look:
         """Return the look of a material; ``has_colors``: its primitive has vertex colours."""
-        if (index, has_colors) not in self.looks:
-            self.looks[index, has_colors] = self._look(index, has_colors)
-        return self.looks[index, has_colors]
-
-    def _look(self, index: int | None, has_colors: bool) -> Look:
         if index is None:
             albedo = (1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO
-            material = Material(albedo=albedo, double_sided=False)
-            return material, TextureTransform.of({}), None
-        source = self.document["materials"][index]
+            return Material(albedo=albedo, double_sided=False), _transform_of({}), None
+        if index not in self.looks:
+            self.looks[index] = self._look(self.document["materials"][index])
+        return self.looks[index]
+
+    def _look(self, source: Doc) -> Look:
         extensions = source.get("extensions", {})
         metallic = source.get("pbrMetallicRoughness", {})
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
@@ -111,8 +80,8 @@ class Materials:
             "emissive_map": (source.get("emissiveTexture") if any(emissive) else None, None),
             "specular_map": (specular.get("specularTexture"), "alpha"),
         }
-        transforms = {key: TextureTransform.of(use) for key, (use, _) in uses.items() if use}
-        first = next(iter(transforms.values()), TextureTransform.of({}))
+        transforms = {key: _transform_of(use) for key, (use, _) in uses.items() if use}
+        first = next(iter(transforms.values()), _transform_of({}))
         second = next((other for other in transforms.values() if other != first), None)
         maps: dict[str, Any] = {}
         for key, transform in transforms.items():
@@ -130,7 +99,8 @@ class Materials:
         factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
         red, green, blue, opacity = (self._factor("albedo", channel) for channel in factor)
         albedo = (red, green, blue)
-        if self.lost_images and maps.get("albedo_map") is None and min(albedo) > 0.99:
+        lost_images = None in self.images.values()
+        if lost_images and maps.get("albedo_map") is None and min(albedo) > 0.99:
             albedo = SKIN_ALBEDO  # the file's white multiplies only the missing map
         material = Material(
             albedo=albedo,
@@ -150,8 +120,6 @@ class Materials:
             **maps,
         )
         return material, first, second
-
-    # --- factors ---------------------------------------------------------------------------------
 
     def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
         """Warn of the material's unsupported extensions that have an effect."""
@@ -195,8 +163,7 @@ class Materials:
         return min(f0 * grey, 0.999)
 
     def _transmission(self, extensions: Doc, metallic: Doc) -> dict[str, Any]:
-        """Return the fields transmission and refraction, and m from the roughness factor. Without a
-        thickness the surface is thin and does not refract."""
+        """Return transmission, refraction and m. A surface without thickness does not refract."""
         transmission = extensions.get("KHR_materials_transmission", {})
         factor = self._factor("transmission", transmission.get("transmissionFactor", 0.0))
         if not factor:
@@ -218,90 +185,82 @@ class Materials:
             return
         source = None if use is None else self._source(self.document["textures"][use["index"]])
         if (record := self.images.get(source)) is not None:
-            image = record[0]
-            if image.width * image.height > _MOST_LOOKED_AT:
+            content, texture, _ = record
+            if math.prod(texture.size) > _MOST_TESTED:
                 self.warn(f"{self.name} has a metallic map: ignored, drawn as a dielectric")
                 return
             try:
-                image.load()
-                blue = image if image.mode == "L" else image.convert("RGB").getchannel("B")
+                blue = image_of(content).convert("RGB").getchannel("B")
                 factor *= float(np.asarray(blue).max()) / 255.0
             except Exception:  # drawing the map reports the error
                 return
         if factor > _METAL:
             self.warn(f"{self.name} has metallic materials: drawn as dielectrics, like skin")
 
-    # --- maps ------------------------------------------------------------------------------------
-
     @staticmethod
     def _source(texture: Doc) -> Any:
         """Return the index of the image that is read for a texture; None without such an image."""
         tables = {"": texture, **texture.get("extensions", {})}
-        sources = (tables[key].get("source") for key in _SOURCES if key in tables)
-        return next((index for index in sources if index is not None), None)
+        stored = (tables[key] for key in _SOURCES if key in tables)
+        return next((table["source"] for table in stored if "source" in table), None)
 
-    def _replaces(self, kind: str) -> bool:
-        return kind == "albedo" and self.albedo_given
-
-    def _map(self, use: Doc, kind: str, channel: _Channel) -> Texture | None:
-        """Return a material's map, or None if its image is missing. An unreadable image raises
-        InputError, or causes a warning if the caller replaces the albedo map."""
+    def _map(self, use: Doc, map_name: str, channel: _Channel) -> Texture | None:
+        """Return a material's map, or None if its image is missing."""
         texture = self.document["textures"][use["index"]]
         source = self._source(texture)
+        replaced = map_name == "albedo" and self.albedo_given
         if source is None:
             basis = "KHR_texture_basisu" in texture.get("extensions", {})
-            if not self._replaces(kind):
+            if not replaced:
                 self.warn(
-                    f"the {kind} map of {self.name} has no image in a supported format"
+                    f"the {map_name} map of {self.name} has no image in a supported format"
                     f"{' (KHR_texture_basisu)' * basis}: ignored"
                 )
-            self.lost_images = True
-            return None
-        if source not in self.images:
-            self.images[source] = self._image(source, kind)
+            self.images[None] = None
+        elif source not in self.images:
+            self.images[source] = self._image(source, map_name, replaced)
         if (record := self.images[source]) is None:
             return None
         sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
         u, v = (_WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
-        sampling: tuple[tuple[Wrap, Wrap], bool] = (u, v), sampler.get("magFilter") == _NEAREST
-        key = source, channel, sampling
+        nearest = sampler.get("magFilter") == _NEAREST
+        key = source, channel, u, v, nearest
         if key not in self.sampled:
-            image_texture = record[2] if channel == "alpha" else record[1]
-            if image_texture is None:
+            _, colors, alpha = record
+            if (image_texture := alpha if channel == "alpha" else colors) is None:
                 return None
             if isinstance(channel, int):
                 image_texture = image_texture.channel(channel, image_texture.name)
-            if sampling != image_texture.sampling:
-                image_texture = image_texture.sampled(*sampling)
-            self.sampled[key] = image_texture
+            self.sampled[key] = image_texture.sampled((u, v), nearest)
         return self.sampled[key]
 
-    def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
-        """Return an image, its texture, and the texture of its alpha channel or None. Return None
-        for a missing or unreadable image, without a warning if the caller replaces it."""
+    def _image(
+        self, index: int, map_name: str, replaced: bool
+    ) -> tuple[bytes, Texture, Texture | None] | None:
+        """Return an entry of ``images``. An unreadable image raises InputError, or causes a warning
+        if the caller replaces the albedo map; ``replaced``: without a warning."""
         entry = self.document["images"][index]
-        shown = f"the {kind} map of {self.name}"
+        name = label = f"the {map_name} map of {self.name}"
+        content: bytes | None
         try:
             if "bufferView" in entry:
                 content = bytes(self.buffers.view(entry["bufferView"]))
             elif "uri" not in entry:
                 raise ValueError(f"images[{index}] has neither uri nor bufferView")
-            elif (inline_content := inline(entry["uri"])) is not None:
-                content = inline_content
-            else:
-                shown = f"{clipped(entry['uri'], 80)} (named by {self.name})"
+            elif (content := inline(entry["uri"])) is None:
+                label = f"{clipped(entry['uri'], 80)} (named by {self.name})"
                 content = self.buffers.referred.read(entry["uri"], "an image file")
         except FileNotFoundError:
-            if not self._replaces(kind):
+            if not replaced:
                 missing_image(self.buffers.referred, entry["uri"])
-            self.lost_images = True
             return None
         try:
             image = image_of(content)
         except ValueError as error:
-            if not self._replaces(kind):
-                unreadable(shown, kind, error, fatal=not self.albedo_given)
-            self.lost_images = True
+            if not replaced:
+                unreadable(label, map_name, error, fatal=not self.albedo_given)
             return None
-        alpha = Texture.alpha_of(content, f"the opacity map of {self.name}")
-        return image, Texture.of(content, f"the {kind} map of {self.name}"), alpha
+        texture = Texture(lambda: image_of(content), name, image.size, profile_of(image))
+        if not image.has_transparency_data:
+            return content, texture, None
+        return content, texture, Texture.alpha_of(content, f"the opacity map of {self.name}")
