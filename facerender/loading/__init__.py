@@ -183,8 +183,8 @@ def _opened(
 ) -> dict[str, Texture]:
     """Return the textures of maps.
 
-    contents : contents of the files, which are not read again. But those of large images would take
-        memory as long as their textures, and the cache does not store them
+    contents : contents of the files, which are not read again. The cache does not store large
+        images, whose contents would take memory: they are read again
     """
     textures = {}
     for field, source in maps.items():

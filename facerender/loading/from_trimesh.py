@@ -161,8 +161,8 @@ def _piece(geometry: trimesh.Trimesh, name: str, textures: dict[int, Texture]) -
         raise ValueError("its vertices do not have three coordinates")
     faces = np.asarray(geometry.faces, dtype=np.int64)
     valid = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-    # Reading vertex_normals computes missing normals. No public function of trimesh tells whether
-    # the object has normals of its own.
+    # Reading vertex_normals computes missing normals. No public function of trimesh
+    # checks whether the object has stored normals.
     has_normals = "vertex_normals" in geometry._cache.cache
     visual = geometry.visual
     uv = getattr(visual, "uv", None)
@@ -185,7 +185,7 @@ def _piece(geometry: trimesh.Trimesh, name: str, textures: dict[int, Texture]) -
         out_of_range=int((~valid).sum()),
         material_name=str(getattr(source, "name", None) or ""),
     )
-    # Colours before the conversion by trimesh, which needs SciPy and would blur those of faces.
+    # Colours before the conversion by trimesh, which needs SciPy and blurs face colours.
     if visual.kind == "vertex":
         piece.colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
     elif visual.kind == "face":

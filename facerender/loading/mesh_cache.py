@@ -208,7 +208,7 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
     values: dict[int, Any] = {}
 
     def made(table: dict[str, Any]) -> Any:
-        """Make a value from its description. Values come before those that contain them."""
+        """Make a value from its description. A value comes before the values that contain it."""
         nonlocal start
         if table.keys() == {"number"}:
             return values[table["number"]]

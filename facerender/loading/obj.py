@@ -245,7 +245,7 @@ def _names(parts: Sequence[_Keys]) -> list[str]:
 def _faces(
     lines: _Lines, totals: Sequence[int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Return the corners of the faces, the faces, and the number of dropped faces: those with
+    """Return the corners of the faces, the faces, and the number of dropped faces, which have
     fewer than three corners or an invalid reference.
 
     totals : numbers of vertices, texture coordinates and normals of the file
