@@ -268,8 +268,8 @@ def _expect(good: bool, value: Any, where: str, description: str) -> None:
         raise ValueError(f"{where} = {reprlib.repr(value)} is not {description}")
 
 
-class Feature(NamedTuple):
-    """A property or an extension of glTF."""
+class Extension(NamedTuple):
+    """The support of an extension of glTF; docs/formats.md lists all features."""
 
     name: str
     # "drawn": supported; "warned": ignored with a warning; "refused": an error if the file requires
@@ -278,33 +278,8 @@ class Feature(NamedTuple):
     how: str  # details for users
 
 
-# Keyed by name: fate and details
-_FEATURES = {
-    "node transforms": "drawn: every instance is placed by the scene graph",
-    "primitive.mode": "drawn: triangles, strips and fans; points and lines are ignored with a "
-    "warning",
-    "interleaved accessors": "drawn: any byteStride and byteOffset",
-    "sparse accessors": "drawn: vertices, indices and morph targets",
-    "morph targets": "drawn: positions and normals, with the weights of the node or else of the "
-    "mesh; a pose has other weights",
-    "skins": "drawn: up to eight joints per vertex",
-    "animations": "drawn: in the stored pose, or in a pose of a clip",
-    "cameras": "ignored: used only with `--camera gltf`; must be perspective",
-    "COLOR_0": "drawn: multiplies the base colour; its alpha is ignored, with a warning if "
-    "alphaMode uses alpha",
-    "TEXCOORD_n": "drawn: a material may use two sets, or one set with two transforms",
-    "TANGENT": "ignored: tangents are computed from the texture coordinates",
-    "baseColor": "drawn: albedo: factor and texture",
-    "alphaMode": "drawn: mask and blend, with the base colour's alpha and alphaCutoff",
-    "metallic": "warned: drawn as a dielectric, like skin, with its base colour. A missing factor "
-    "is 1 with a texture and 0 without a texture",
-    "roughness": "drawn: m = (factor x green)^2; ignored without a texture",
-    "normalTexture.scale": "drawn: in [0, 100]",
-    "occlusionTexture.strength": "drawn: red channel; dims ambient light",
-    "emissive": "drawn: factor and texture",
-    "doubleSided": "drawn: back faces are drawn if it is true, or with `--double-sided`",
-    "sampler": "drawn: wrapS, wrapT, and magFilter if it is NEAREST; minification always uses mip "
-    "levels",
+# Keyed by name: fate and details.
+_EXTENSIONS = {
     "KHR_texture_transform": "drawn: applied to the texture coordinates",
     "KHR_mesh_quantization": "drawn: all component types",
     "KHR_draco_mesh_compression": "drawn: requires `facerender[draco]`",
@@ -337,7 +312,5 @@ _FEATURES = {
     "KHR_animation_pointer": "warned: its channels are ignored in a pose",
     "KHR_xmp_json_ld": "ignored: metadata",
     "MSFT_lod": "ignored: the node itself, the finest level, is drawn",
-    "any other extension": "refused: ignored with a warning; an error if the file requires it",
 }
-FEATURES = tuple(Feature(name, *text.split(": ", 1)) for name, text in _FEATURES.items())
-EXTENSIONS = {row.name: row for row in FEATURES if row.name.startswith(("KHR_", "EXT_", "MSFT_"))}
+EXTENSIONS = {name: Extension(name, *row.split(": ", 1)) for name, row in _EXTENSIONS.items()}

@@ -1,10 +1,10 @@
-"""The table of supported glTF features."""
+"""The table of supported glTF extensions."""
 
 from __future__ import annotations
 
-from facerender.loading.gltf_document import FEATURES
+from facerender.loading.gltf_document import EXTENSIONS
 
 
 def blocks() -> dict[str, str]:
-    rows = [f"| {each.name} | {each.fate} | {each.how} |" for each in FEATURES]
-    return {"gltf": "\n".join(["| glTF | support | details |", "|---|---|---|", *rows])}
+    rows = [f"| {each.name} | {each.fate} | {each.how} |" for each in EXTENSIONS.values()]
+    return {"gltf": "\n".join(["| extension | support | details |", "|---|---|---|", *rows])}
