@@ -13,7 +13,6 @@ import facerender as fr
 from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.mips import CHAIN, coarse_base, coarse_chain
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import levels_to_spare, view_of
 
@@ -45,10 +44,9 @@ def small_is_large(monkeypatch):
 @pytest.mark.parametrize("size", [(256, 128), (128, 320), (200, 104), (1024, 16)])
 @pytest.mark.parametrize("drop", [1, 2, 3])
 def test_coarse_mip_chains_equal_the_end_of_whole_ones(kind, size, drop):
-    texels = np.asarray(noise(*size))
-    whole = CHAIN[kind](texels)[drop:]
-    base = coarse_base(kind, lambda low, high: texels[low:high], size, drop)
-    coarse = coarse_chain(base)
+    texture = Texture(lambda: noise(*size), "noise")
+    whole = texture.levels(kind).result()[drop:]
+    coarse = texture.coarser(drop).levels(kind).result()
     assert [each.shape for each in coarse] == [each.shape for each in whole]
     for own, expected in zip(coarse, whole, strict=True):
         np.testing.assert_allclose(own.astype(int), expected, atol=kind == "data")

@@ -1,7 +1,7 @@
 """Textures: images that background threads decode and reduce to mip levels. OpenGL is not used.
 
-A :class:`Texture` is a function that decodes an image, a sampling, and mip chains. Its texels are
-arrays; channels, packed maps and reduced maps are functions of these arrays."""
+A :class:`Texture` is an image, of which it reads all channels or one, and all mip levels or coarser
+ones, and a sampling. Textures of one image share its decoded texels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, get_args
@@ -33,14 +32,13 @@ from facerender.errors import (
 from facerender.images.files import check_pixels, in_srgb, open_image, png_bytes
 from facerender.images.image import linear_to_srgb
 from facerender.scenes.mips import (
-    CHAIN,
+    STRIP,
     Kind,
     Levels,
-    Rows,
-    coarse_base,
-    coarse_chain,
-    coarse_data,
+    data_chain,
     in_three,
+    mip_chain,
+    reduced_data,
 )
 from facerender.system.files import open_file
 from facerender.system.process import give_back
@@ -53,23 +51,53 @@ Decode = Callable[[], "Image | NDArray[np.uint8]"]
 
 DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
-_DISPLAYED = 512  # largest side of a texture that a notebook displays, in pixels
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
-_STRIP = 256  # number of rows that are converted at once
-_FLOAT: Kind = "linear-color"  # its mip chain does not contain the 8-bit texels
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
 
-class _Decoded:
-    """What textures of one image with different sampling share: decoder, texels, mip chains."""
+class _Chains(dict[Kind, Future[Levels]]):
+    """Mip chains of textures that differ in sampling."""
 
-    def __init__(self, decode: Decode) -> None:
-        self.decode = decode  # after a mip chain is computed, a function that returns its texels
+    ends: NDArray[np.uint8] | None = None  # see Texture.ends()
+
+
+class _Image:
+    """The image of textures that differ in sampling, channel and number of omitted mip levels."""
+
+    def __init__(self, decode: Decode, name: str, size: tuple[int, int] | None) -> None:
+        self.decode, self.name, self.size = decode, name, size
         self.lock = threading.Lock()
         self.texels: NDArray[np.uint8] | None = None
-        self.chains: dict[Kind, Future[Levels]] = {}
-        self.ends: NDArray[np.uint8] | None = None
-        self.variants: WeakValueDictionary[Any, Texture] = WeakValueDictionary()
+        self.shared: WeakValueDictionary[Any, Any] = WeakValueDictionary()  # chains and textures
+
+    def decoded(self) -> Image | NDArray[np.uint8]:
+        """Return the texels if they are cached, and otherwise the result of ``decode``."""
+        if (texels := self.texels) is not None:
+            return texels
+        image = self.decode()
+        return image if isinstance(image, np.ndarray) else _loaded(image, self.name)
+
+    def all_texels(self) -> NDArray[np.uint8]:
+        """Return the texels (H, W, 3), or (H, W) of a grey array, which are cached."""
+        with self.lock:
+            image = self.decoded()
+            if not isinstance(image, np.ndarray):
+                strips = _strips(image, self.name)
+                del image  # the strips keep it until the last one
+                image = np.concatenate([*strips])
+            self.texels, self.size = image, image.shape[1::-1]
+            return image
+
+    def changed(self, change: Callable[[Image], Image]) -> _Image:
+        """Return the result of a function of this image in its own mode, with row 0 on top."""
+
+        def decode() -> Image:
+            image = self.decode()
+            if isinstance(image, np.ndarray):
+                return change(_image_of(image[::-1]))
+            return change(_loaded(image, self.name))
+
+        return _Image(decode, self.name, self.size)
 
 
 class Texture:
@@ -93,12 +121,12 @@ class Texture:
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     nearest: bool = False
     coarse: bool = False
-    _full: tuple[Texture, int] | None = None  # full texture, and number of omitted finest levels
-    _channel: tuple[Texture, int] | None = None  # texture whose channel this is, and its index
+    _omitted: int = 0  # number of omitted finest levels
+    _channel: int | None = None  # the only channel of the image that this texture contains
 
     def __init__(
         self,
-        decode: Decode,
+        decode: Callable[[], Image | NDArray[np.uint8]],
         name: str,
         size: tuple[int, int] | None = None,
         profile: bytes | None = None,
@@ -106,23 +134,33 @@ class Texture:
         check_type("name of a texture", name, str, "text")
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
         check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
-        self.name, self.profile, self._size = name, profile, size
-        self._decoded = _Decoded(decode)
+        self.name, self.profile = name, profile
+        self._image = _Image(decode, name, size)
+        self._chains: _Chains = self._image.shared.setdefault((None, 0), _Chains())
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Pickle the decoded image instead of its source."""
         return self.name, self.texels(), self.wrap, self.nearest, self.profile
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.name, texels, self.wrap, self.nearest, self.profile = state
-        self._size = texels.shape[1::-1]
-        self._decoded = _Decoded(lambda: texels)
+        name, texels, self.wrap, self.nearest, profile = state
+        Texture.__init__(self, lambda: texels, name, texels.shape[1::-1], profile)
 
-    def _with(self, decoded: _Decoded, **attributes: Any) -> Texture:
-        """Return a texture with the same name and sampling."""
+    def _with(self, **attributes: Any) -> Texture:
+        """Return a texture with other attributes. Textures of equal texels share mip chains."""
         texture = Texture.__new__(Texture)
-        vars(texture).update(vars(self), _decoded=decoded, **attributes)
+        vars(texture).update(vars(self), **attributes)
+        key = texture._channel, texture._omitted
+        texture._chains = texture._image.shared.setdefault(key, _Chains())
         return texture
+
+    def _variant(self, **attributes: Any) -> Texture:
+        """Return a texture with other attributes. A renderer uploads each texture once, so equal
+        calls return one object while it is in use."""
+        texture = self._with(**attributes)
+        key = texture.name, texture._channel, texture._omitted, texture.sampling
+        variant: Texture = texture._image.shared.setdefault(key, texture)
+        return variant
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
@@ -140,9 +178,8 @@ class Texture:
                 return _loaded(_opened(file, name), name)
 
         with open_file(path, "an image file") as file:
-            if file.seek(0, os.SEEK_END) <= _MOST_KEPT:
-                file.seek(0)
-                return cls.of(file.read(), name)
+            if len(content := file.read(_MOST_KEPT + 1)) <= _MOST_KEPT:
+                return cls.of(content, name)
             opened = _opened(file, name)
             return cls(decode, name, opened.size, profile_of(opened))
 
@@ -161,14 +198,11 @@ class Texture:
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
         """Return an image file's alpha channel as a grey texture, or None if it has no alpha.
         Raises the errors of :meth:`of`."""
-        opened = _opened(content, name)
-        if not opened.has_transparency_data:
+        if not _opened(content, name).has_transparency_data:
             return None
-
-        def decode() -> Image:
-            return _loaded(_opened(content, name), name).convert("RGBA").getchannel("A")
-
-        return cls(decode, name, opened.size)
+        texture = cls.of(content, name)
+        alpha = texture._image.changed(lambda image: image.convert("RGBA").getchannel("A"))
+        return texture._with(_image=alpha, profile=None)
 
     @classmethod
     def from_array(cls, texels: ArrayLike, name: str = "an array") -> Texture:
@@ -210,7 +244,7 @@ class Texture:
         return cls(lambda: copy, name, copy.size, profile_of(copy))
 
     def __repr__(self) -> str:
-        size = "" if self._size is None else f", {self._size[0]} x {self._size[1]}"
+        size = ", {} x {}".format(*self.size) if self._image.size else ""
         return f"<Texture {self.name!r}{size}>"
 
     @classmethod
@@ -221,8 +255,8 @@ class Texture:
         """
         texture = cls(lambda: texels, name, texels.shape[1::-1])
         for kind, chain in levels.items():
-            texture._decoded.chains[kind] = Future()
-            texture._decoded.chains[kind].set_result(chain)
+            texture._chains[kind] = Future()
+            texture._chains[kind].set_result(chain)
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
@@ -240,7 +274,7 @@ class Texture:
         for mode in wrap:
             check_known("wrap", mode, modes)
         check_switch("nearest", nearest)
-        return self._with(self._decoded, wrap=(wrap[0], wrap[1]), nearest=nearest)
+        return self._with(wrap=(wrap[0], wrap[1]), nearest=nearest)
 
     @property
     def sampling(self) -> tuple[tuple[Wrap, Wrap], bool]:
@@ -250,15 +284,13 @@ class Texture:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height. The size of an image file is available before decoding."""
-        if self._size is None:
-            height, width = self.texels().shape[:2]
-            self._size = width, height
-        return self._size
+        width, height = self.decoded_size
+        return max(width >> self._omitted, 1), max(height >> self._omitted, 1)
 
     @property
     def decoded_size(self) -> tuple[int, int]:
         """Width and height of the decoded image; for a coarse texture, of the full image."""
-        return self._full[0].size if self._full else self.size
+        return self._image.size or self._image.all_texels().shape[1::-1]
 
     # --- texels ----------------------------------------------------------------------------------
 
@@ -271,56 +303,33 @@ class Texture:
         InputError : the image is damaged, or too large for
             :func:`facerender.images.files.check_pixels`
         """
-        decoded = self._decoded
-        if self._full:  # not cached, to save memory
-            return _upright(decoded.decode(), self.name)
-        with decoded.lock:
-            if decoded.texels is None:
-                decoded.texels = _upright(decoded.decode(), self.name)
-            return decoded.texels
+        if self.coarse:
+            return reduced_data(self._strips(), self._omitted)
+        return _band(self._image.all_texels(), self._channel)
 
     def rgb(self) -> Image:
         """Return the image in mode RGB; see :meth:`texels`."""
         return _image_of(np.ascontiguousarray(in_three(self.texels())))
 
-    def _original(self) -> Image:
-        """Return the image in its own mode, with row 0 on top."""
-        image = self._decoded.decode()
-        return _image_of(image[::-1]) if isinstance(image, np.ndarray) else image
-
-    @contextmanager
-    def _rows(self) -> Iterator[Rows]:
-        """Yield a function that returns rows of the image. The image is not cached."""
-        if self._channel:
-            texture, index = self._channel
-            with texture._rows() as rows:
-                yield lambda low, high: _band(rows(low, high), index)
-            return
+    def _strips(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield strips of the full image of a coarse texture. The image is not cached."""
         with _decoding:
-            decoded = self._decoded
-            with decoded.lock:
-                texels, decode = decoded.texels, decoded.decode
-            images = [decode() if texels is None else texels]
-            if not isinstance(images[0], np.ndarray):
-                images[0] = _loaded(images[0], self.name)
-            yield lambda low, high: _strip(images[0], low, high, self.name)
-            images.clear()
+            strips = _strips(self._image.decoded(), self._image.name, self._omitted)
+            yield from (_band(strip, self._channel) for strip in strips)
             give_back()
 
     def _repr_png_(self) -> bytes:
         """Return the image as PNG of at most 512 pixels a side, which notebooks display."""
         image = _image_of(in_three(self.texels())[::-1])
-        image.thumbnail((_DISPLAYED, _DISPLAYED))
+        image.thumbnail((512, 512))
         return png_bytes(np.asarray(image), {})
 
     # --- textures made of this one ---------------------------------------------------------------
 
     def channel(self, index: int, name: str) -> Texture:
         """Return one channel of this texture as a grey texture with the same sampling."""
-        if self._full:  # only this channel is reduced, to save memory
-            return self._full[0].channel(index, name).coarser(self._full[1])
-        decoded = _Decoded(lambda: _band(self.texels(), index))
-        return self._with(decoded, name=name, profile=None, _channel=(self, index))
+        channel = index if self._channel is None else self._channel
+        return self._with(name=name, profile=None, _channel=channel)
 
     def coarser(self, levels: int) -> Texture:
         """Return a texture of the same image without the finest mip levels.
@@ -331,27 +340,11 @@ class Texture:
         """
         if not levels:
             return self
-        if self._full:
-            return self._full[0].coarser(self._full[1] + levels)
-        size = tuple(max(side >> levels, 1) for side in self.size)
-
-        def decode() -> NDArray[np.uint8]:
-            with self._rows() as rows:
-                return coarse_data(rows, self.size, levels)
-
-        return self._variant(levels, decode, _full=(self, levels), coarse=True, _size=size)
-
-    def _variant(self, name: Any, decode: Decode, **attributes: Any) -> Texture:
-        """Return the variant with a name and this sampling, or make it. A renderer uploads each
-        texture once, so equal calls must return one object while it is in use."""
-        variants, key = self._decoded.variants, (name, self.sampling)
-        if (texture := variants.get(key)) is None:
-            texture = variants[key] = self._with(_Decoded(decode), **attributes)
-        return texture
+        return self._variant(coarse=True, _omitted=self._omitted + levels)
 
     def turned_green(self) -> Texture:
         """Return this normal map, whose green points down, converted to green pointing up."""
-        return self._with(_Decoded(lambda: with_green_turned(self._original())))
+        return self._with(_image=self._image.changed(with_green_turned))
 
     def in_srgb(self) -> Texture:
         """Return this texture converted from its ICC profile to sRGB, or itself without a profile.
@@ -362,11 +355,9 @@ class Texture:
             warn(f"{self.name} has an ICC profile that does not fit its channels: ignored")
             self.profile = None
             return self
-
-        def decode() -> Image:
-            return _srgb_of(_loaded(self._original(), self.name), profile, self.name)
-
-        return self._variant("sRGB", decode, profile=None)
+        image = self._image
+        converted = image.changed(lambda original: _srgb_of(original, profile, image.name))
+        return self._variant(_image=image.shared.setdefault("sRGB", converted), profile=None)
 
     # --- mip levels ------------------------------------------------------------------------------
 
@@ -379,47 +370,44 @@ class Texture:
           a texel (``fr_slope_variance_map``), and 0 in the finest level.
         - "data": uint8 (H, W, 3), averaged as stored, without sRGB decoding
         """
-        chains = self._decoded.chains
         with _starting:
-            if kind not in chains:
-                chains[kind] = _executor().submit(self._chain, kind)
-            return chains[kind]
+            if kind not in self._chains:
+                self._chains[kind] = _executor().submit(self._chain, kind)
+            return self._chains[kind]
 
     def _chain(self, kind: Kind) -> Levels:
         try:
-            if self._full and kind != "linear-color":
-                full, omitted = self._full
-                with full._rows() as rows:
-                    base = coarse_base(kind, rows, full.size, omitted)
-                return coarse_chain(base)
-            levels = CHAIN[kind](in_three(self.texels()))
+            if kind == "data":
+                levels = data_chain(in_three(self.texels()))
+            else:
+                strips = self._strips() if self.coarse else _strips(self.texels(), self.name)
+                levels = mip_chain(kind, strips, self.size[1], self._omitted)
         except MemoryError:
             lacking = "not enough memory for {} of {} x {} texels".format(self.name, *self.size)
             raise InputError(f"{lacking}: make it smaller") from None
-        if kind != _FLOAT:  # the chain also contains the texels of the image
-            with self._decoded.lock:
-                self._decoded.texels = None
-                if not self.coarse:  # forget() drops the chains of coarse textures
-                    self._decoded.decode = lambda: levels[0][..., :3]
+        if kind != "linear-color" and self._channel is None and not self.coarse:
+            finest = levels[0][..., :3]  # replaces the image
+            with self._image.lock:
+                self._image.decode, self._image.texels = (lambda: finest), None
         return levels
 
     def forget(self) -> None:
         """Drop the mip chains of a coarse texture. The chains are computed again on demand."""
         if self.coarse:
-            if "data" in self._decoded.chains:
+            if "data" in self._chains:
                 self.ends()
             with _starting:
-                self._decoded.chains.clear()
+                self._chains.clear()
 
     def ends(self) -> NDArray[np.uint8]:
         """Return the minimum and maximum of each channel over the image, (2, 3). Waits until
         the mip chain "data" is computed."""
-        if self._decoded.ends is None:
+        if self._chains.ends is None:
             finest = self.levels("data").result()[0]
             rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
             limits = np.stack([rows.min(axis=0), rows.max(axis=0)]).reshape(2, *finest.shape[1:])
-            self._decoded.ends = np.stack([limits[0].min(axis=0), limits[1].max(axis=0)])
-        return self._decoded.ends
+            self._chains.ends = np.stack([limits[0].min(axis=0), limits[1].max(axis=0)])
+        return self._chains.ends
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
         """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
@@ -433,11 +421,9 @@ class Texture:
         InputError : the image is damaged or too large
         """
         with _starting:
-            computed = [chain for chain in self._decoded.chains.values() if chain.done()]
+            computed = [chain for chain in self._chains.values() if chain.done()]
         if computed:
-            levels = computed[0].result()
-            small = (mip for mip in levels if max(mip.shape[:2]) <= side)
-            level = next(small, levels[-1])
+            level = next(mip for mip in computed[0].result() if max(mip.shape[:2]) <= side)
             if level.dtype != np.uint8:
                 level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
             return np.asarray(level[..., :3])
@@ -467,12 +453,11 @@ def pack(
         return cached
 
     def decode() -> NDArray[np.uint8]:
+        # The maps are decoded before memory for the result is allocated.
         bands = [None if t is None else t.channel(0, names).texels() for t in (red, green, blue)]
         merged = np.full((*size[::-1], 3), 255, dtype=np.uint8)
         for index, band in enumerate(bands):
-            if band is not None and band.shape == merged.shape[:2]:
-                merged[..., index] = band
-            elif band is not None:
+            if band is not None:
                 merged[..., index] = _image_of(np.ascontiguousarray(band)).resize(size)
         return merged
 
@@ -503,9 +488,9 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
         array = np.asarray(texels)
     except (ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{name} cannot be used ({reason(error)}): give (H, W, 3)") from None
-    if array.ndim == 3 and array.shape[2] == 1:
+    if array.shape[2:] == (1,):
         array = array[..., 0]
-    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
+    if array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
         remedy = "give (H, W), (H, W, 3) or (H, W, 4) texels"
         raise InputError(f"{name} has the shape {array.shape}: {remedy}")
     if array.dtype.kind == "f":
@@ -565,9 +550,8 @@ def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
 
     bands = {b"GRAY": "L", b"CMYK": "CMYK"}.get(profile[16:20], "RGB")
     colors = image.convert(bands)
-    ramp = np.arange(0, 256, 15, dtype=np.uint8)
-    axes = np.meshgrid(*[ramp] * len(bands))
-    samples = np.stack(axes, axis=-1).reshape(len(ramp), -1, len(bands))
+    steps = np.indices((18,) * len(bands), dtype=np.uint8) * np.uint8(15)  # from 0 to 255
+    samples = np.moveaxis(steps, 0, -1).reshape(18, -1, len(bands))
     grid = images.fromarray(samples[..., 0] if bands == "L" else samples, bands)
     try:
         changes = np.asarray(in_srgb(grid, profile)[0], np.int16) - np.asarray(grid.convert("RGB"))
@@ -577,25 +561,23 @@ def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
         return image
 
 
-def _band(texels: NDArray[np.uint8], index: int) -> NDArray[np.uint8]:
-    return texels if texels.ndim == 2 else texels[..., index]
+def _band(texels: NDArray[np.uint8], index: int | None) -> NDArray[np.uint8]:
+    return texels if index is None or texels.ndim == 2 else texels[..., index]
 
 
-def _upright(image: Image | NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
-    """Return the texels of a decoded image, converted in strips to avoid a second full copy."""
-    if isinstance(image, np.ndarray):
-        return image
-    image = _loaded(image, name)
-    texels = np.empty((image.height, image.width, 3), dtype=np.uint8)
-    for low in range(0, image.height, _STRIP):
-        texels[low : low + _STRIP] = _strip(image, low, min(low + _STRIP, image.height), name)
-    return texels
+def _strips(
+    image: Image | NDArray[np.uint8], name: str, drop: int = 0
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield strips of a decoded image for its mip level ``drop``, (H, W, 3), or (H, W) of a grey
+    array. Row 0 is at the bottom. The conversion in strips avoids a second full copy."""
+    height = len(image) if isinstance(image, np.ndarray) else image.height
+    end, step = max(height >> drop, 1) << drop, max(STRIP, 2 << drop)
+    for low in range(0, end, step):
+        high = min(low + step, end, height)
+        yield image[low:high] if isinstance(image, np.ndarray) else _rows(image, low, high, name)
 
 
-def _strip(image: Image | NDArray[np.uint8], low: int, high: int, name: str) -> NDArray[np.uint8]:
-    """Return rows [low, high) of a decoded image; row 0 is at the bottom."""
-    if isinstance(image, np.ndarray):
-        return image[low:high]
+def _rows(image: Image, low: int, high: int, name: str) -> NDArray[np.uint8]:
     try:
         strip = image.crop((0, image.height - high, image.width, image.height - low))
         if strip.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
