@@ -764,25 +764,32 @@ def test_unknown_formats_are_named(tmp_path):
 # --- messages ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("write", [files.write_ply, files.write_stl, files.write_textured_obj])
+@pytest.mark.parametrize("write", [files.write_ply, files.write_stl])
 def test_a_missing_package_is_no_fault_of_the_file(write, tmp_path, monkeypatch):
     path = write(tmp_path / "a.data", HEAD)
-    monkeypatch.setitem(sys.modules, "trimesh", None)
+    for name in ("trimesh", "trimesh.exchange.ply", "trimesh.exchange.stl"):
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ImportError) as caught:
         fr.load_mesh(path, kind=write.__name__[-3:])
     assert caught.value.__notes__ == ["while reading a.data"]
+
+
+def test_obj_needs_no_trimesh(tmp_path, monkeypatch):
+    path = files.write_textured_obj(tmp_path / "a.obj", HEAD)
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    assert fr.load_mesh(path).materials[0].albedo_map is not None
 
 
 def test_an_internal_error_names_the_file(cli, monkeypatch):
     path = files.write_ply(cli.folder / "a.ply", HEAD, COLORS)
 
     def fail(*_):
-        raise AttributeError("no attribute of Trimesh")
+        raise AttributeError("no such attribute")
 
-    monkeypatch.setattr("trimesh.visual.color.ColorVisuals.kind", property(fail))
+    monkeypatch.setattr("facerender.loading.ply_stl.srgb_to_linear", fail)
     status, _, err = cli.run("render", path, "-o", cli.png, "--no-cache")
     assert status == 70
-    assert "internal error (AttributeError: no attribute of Trimesh while reading a.ply)" in err
+    assert "internal error (AttributeError: no such attribute while reading a.ply)" in err
     assert "damaged" not in err
     assert not cli.png.exists()
 
