@@ -423,7 +423,8 @@ class Texture:
         with _starting:
             computed = [chain for chain in self._chains.values() if chain.done()]
         if computed:
-            level = next(mip for mip in computed[0].result() if max(mip.shape[:2]) <= side)
+            levels = computed[0].result()
+            level = next((mip for mip in levels if max(mip.shape[:2]) <= side), levels[-1])
             if level.dtype != np.uint8:
                 level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
             return np.asarray(level[..., :3])
