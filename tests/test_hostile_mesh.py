@@ -460,6 +460,35 @@ def test_invalid_face_indices_in_ply_with_texture_coordinates(tmp_path):
     assert len(mesh.parts[0].faces) == 1
 
 
+def binary_ply(properties, rows):
+    """Return a binary PLY file with a triangle of three vertices and one face."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
+        f"property float y\nproperty float z\nelement face 1\n{properties}end_header\n"
+    )
+    return header.encode() + np.array([0, 0, 0, 1, 0, 0, 0, 1, 0], "<f4").tobytes() + rows
+
+
+def test_vertex_indices_of_a_ply_with_another_name(tmp_path):
+    triangle = b"\3" + np.array([0, 1, 2], "<i4").tobytes()
+    content = binary_ply("property list uchar int corners\n", triangle)
+    mesh, messages = loaded(write(tmp_path / "a.ply", content))
+    assert (len(mesh.parts[0].faces), messages) == (1, [])
+
+
+@pytest.mark.parametrize(
+    ("properties", "rows"),
+    [
+        ("property int vertex_indices\n", bytes(4)),
+        ("property int material\n", bytes(4)),
+        ("property list uchar int corners\nproperty int flags\n", b"\3" + bytes(16)),
+    ],
+)
+def test_ply_faces_without_vertex_indices(properties, rows, tmp_path):
+    path = write(tmp_path / "a.ply", binary_ply(properties, rows))
+    assert "a.ply is damaged (" in refused(path)
+
+
 def test_edges_of_a_ply_are_ignored(tmp_path):
     text = PLY.format(count=1).replace(
         "end_header", "element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header"

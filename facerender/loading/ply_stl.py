@@ -65,7 +65,9 @@ def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Pi
     positions, normals, uv = (None if a is None else a.astype(np.float64) for a in arrays)
     if positions is None:
         raise ValueError("its vertices do not have three coordinates")
-    indices = next(face[key] for key in _INDICES if key in face)
+    # Some exporters give the only property of faces another name.
+    names = [*face] if len(face) == 1 else [key for key in _INDICES if key in face]
+    indices = face[names[0]]
     sizes = np.array([len(polygon) for polygon in indices])
     starts = np.cumsum(sizes) - sizes
     # The order of trimesh.geometry.triangulate_quads sets the last bits of computed normals.
