@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from io import BytesIO
+from io import BufferedReader, BytesIO
 from itertools import chain, count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -354,7 +354,7 @@ def _mesh_content(path: str) -> str:
         source = source_of(path)
     except InputError:
         return digest_of(_content(path))
-    content = hashlib.blake2b(source.content).hexdigest()[:32]
+    content = _digest_of_file(BytesIO(source.content))
     return digest_of(content, *(_content(str(reference)) for reference in named_files(source)))
 
 
@@ -364,10 +364,14 @@ def _content(path: str) -> str:
     try:
         if os.path.isfile(path):
             with open(path, "rb") as file:
-                return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+                return _digest_of_file(file)
     except (OSError, ValueError):
         pass  # the loader reports the error
     return f"absent: {path}"
+
+
+def _digest_of_file(file: BytesIO | BufferedReader) -> str:
+    return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 
 
 ABOUT = "batch.json"  # Settings of the batch, and the ID of the last run.

@@ -82,12 +82,11 @@ def find(name: str, source: Source, allow_outside: bool) -> Mesh | None:
     try:
         (length,) = _LENGTH.unpack_from(content)
         head = bytes(content[_LENGTH.size : _LENGTH.size + length])
-        for file, digest in json.loads(head)["files"].items():
-            folder = source.folder
+        entry, folder = _decoded(head, content, _LENGTH.size + length), source.folder
+        for file, digest in entry["files"].items():
             current = None if folder is None else content_of(folder, file, allow_outside)
             if digest != (None if current is None else digest_of(current)):
                 return None
-        entry = _decoded(head, content, _LENGTH.size + length)
         mesh, warnings = entry["mesh"], [str(message) for message in entry["warnings"]]
     except Exception:  # another program may have damaged the entry
         return None

@@ -358,7 +358,8 @@ class Library:
         elif uses_alpha and (alpha := Texture.alpha_of(content, name)) is not None:
             texture = alpha
         else:
-            texture = self.images.setdefault(name, Texture.of(content, name))
+            texture = self.images.get(name) or Texture.of(content, name)
+            self.images[name] = texture
             if field in ("opacity_map", "roughness_map", "specular_map"):
                 texture = texture.channel(_CHANNELS.get(use.channel, 0), name)
         texture = texture.sampled(("clamp", "clamp")) if use.clamp else texture

@@ -47,8 +47,9 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
     name = references.name
     lines = _Lines(_normalized(data, name))
     vertices, counts = lines.table(b"v", 7)
-    if not len(vertices) or not len(lines.numbers(b"f")):
-        raise no_faces(name, points=len(vertices) > 0 and not len(lines.numbers(b"f")))
+    has_faces = len(lines.numbers(b"f")) > 0
+    if not len(vertices) or not has_faces:
+        raise no_faces(name, points=len(vertices) > 0 and not has_faces)
     if counts.min() < 3:
         raise ValueError("its vertices do not have three coordinates")
     colors = _colors(vertices, counts, name)
@@ -136,8 +137,9 @@ class _Lines:
         mask = np.zeros(len(lengths), dtype=bool)
         mask[lines] = True
         content = self.characters[np.repeat(mask, lengths)]
+        starts = np.cumsum(lengths[lines]) - lengths[lines]
         for offset in range(len(key)):
-            content[np.cumsum(lengths[lines]) - lengths[lines] + offset] = _SPACE
+            content[starts + offset] = _SPACE
         text = content.tobytes()
         return _COMMENT.sub(b"", text) if b"#" in text else text
 

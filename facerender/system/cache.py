@@ -97,7 +97,7 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
     path = folder() / kind / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        folder().chmod(0o700)  # scans of patients are nobody else's business
+        folder().chmod(0o700)  # other users must not read scans of patients
         write_whole(path, write_pieces)
     except (OSError, InputError):
         return
