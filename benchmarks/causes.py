@@ -34,6 +34,7 @@ from facerender.comparison.causes import Change as Changed
 from facerender.comparison.compare import compare
 from facerender.images.image import ImageData, image_from_array
 from facerender.scenes.lod import simplified
+from tests.meshes import with_geometry
 from tests.verification.pairs.changes import (
     CHANGES,
     Against,
@@ -125,7 +126,7 @@ def bent(room: Room) -> Linear:
         near = np.exp(-((places[:, :2] / 0.35) ** 2).sum(axis=1))
         places[:, 2] += 0.03 * near * (places[:, 2] > 0.0)
         parts.append(replace(part, positions=np.ascontiguousarray(mesh.to_mesh_space(places))))
-    return room.draw(mesh=replace(mesh, parts=tuple(parts)), view=room.view)
+    return room.draw(mesh=with_geometry(mesh, parts=tuple(parts)), view=room.view)
 
 
 def other_samples(room: Room) -> Against:

@@ -190,7 +190,9 @@ def compiled(found: Plan, family: str) -> float:
         resolved = resolve(found.scene, shading)
         draws = shade_pass(resolved, view_of(resolved.scene, 1.0), 1).draws
         return sum(
-            len(draw.part.faces) * estimate(draw.program, family) for draw in draws if draw.part
+            len(draw.part.part.faces) * estimate(draw.program, family)
+            for draw in draws
+            if draw.part
         )
 
     return total(found.shading) / total(found.full)

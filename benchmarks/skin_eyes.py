@@ -15,6 +15,7 @@ import numpy as np
 import facerender as fr
 from benchmarks.data import save
 from facerender.pricing.cost import ratio
+from tests.meshes import with_geometry
 from tests.verification.eye import INDEX, iris_errors
 from tests.verification.parts_head import NAMES, parts_head
 
@@ -43,12 +44,12 @@ def costs() -> list[dict[str, Any]]:
     """Return frame times of a head with clear shells around its eyes, relative to the head without
     the shells, with 1 and 4 samples per pixel."""
     whole, shell = parts_head(), NAMES.index("shells")
-    bare = replace(whole, parts=whole.parts[:shell], materials=whole.materials[:shell])
+    bare = with_geometry(whole, parts=whole.parts[:shell], materials=whole.materials[:shell])
     rows = []
     for name, index in (("thin", 1.0), ("refracting", INDEX)):
         clear = replace(whole.materials[shell], alpha="opaque", transmission=1.0, refraction=index)
         parts, materials = whole.parts[: shell + 1], (*bare.materials, clear)
-        scenes = [fr.Scene(replace(whole, parts=parts, materials=materials)), fr.Scene(bare)]
+        scenes = [fr.Scene(with_geometry(whole, parts=parts, materials=materials)), fr.Scene(bare)]
         rows.append({"shells": name, "time": [_time(scenes, samples) for samples in (1, 4)]})
     return rows
 

@@ -19,6 +19,7 @@ from benchmarks.data import save, scenes
 from benchmarks.frame import medians, plan_of
 from facerender.pricing.cost import seconds
 from facerender.scenes.environment import Environment, studio
+from tests.meshes import with_geometry
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject
 
@@ -39,7 +40,7 @@ def with_all(subject: Subject) -> Subject:
     """Return a subject with all skin features that need no environment map."""
     scene = subject.scene
     mesh = scene.mesh.with_material(second_slope=1.6, lobe_weight=0.8, scattering="skin")
-    mesh = replace(mesh, millimetres=mesh.millimetres or SCAN_MILLIMETRES)
+    mesh = with_geometry(mesh, millimetres=mesh.millimetres or SCAN_MILLIMETRES)
     whole = replace(scene, mesh=mesh, lights=_soft(scene.lights, 1))
     return replace(subject, scene=whole, full=subject.full.replace(diffuse="coupled"))
 

@@ -70,13 +70,13 @@ if TYPE_CHECKING:
     from facerender.scenes.file import ImageSettings as ImageSettings
     from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
-    from facerender.scenes.framing import tracked as tracked
     from facerender.scenes.landmarks import Landmarks as Landmarks
     from facerender.scenes.landmarks import load_landmarks as load_landmarks
     from facerender.scenes.light import Light as Light
     from facerender.scenes.lod import simplified as simplified
     from facerender.scenes.material import Material as Material
     from facerender.scenes.mesh import Mesh as Mesh
+    from facerender.scenes.mesh import tracked as tracked
     from facerender.scenes.occlusion import with_occlusion as with_occlusion
     from facerender.scenes.scene import Scene as Scene
     from facerender.scenes.texture import Texture as Texture
@@ -104,12 +104,11 @@ _HOMES = {
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
     "scenes.file": ("EnvironmentFile", "ImageSettings", "Pose", "load_scene"),
-    "scenes.framing": ("tracked",),
     "scenes.lod": ("simplified",),
     "scenes.landmarks": ("Landmarks", "load_landmarks"),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),
-    "scenes.mesh": ("Mesh",),
+    "scenes.mesh": ("Mesh", "tracked"),
     "scenes.occlusion": ("with_occlusion",),
     "scenes.scene": ("Scene",),
     "scenes.texture": ("Texture",),

@@ -35,6 +35,7 @@ from facerender.scenes.file import (
     scene_value,
     toml_text,
 )
+from facerender.scenes.geometry import Geometry
 from facerender.scenes.light import Light, lights_of
 from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
@@ -63,7 +64,7 @@ class MeshFile:
     flip_v: bool = False
     triangles: int | None = ranged(TRIANGLES, None)
     lobe_map: str | None = None
-    millimetres: float | None = ranged(range_of(Mesh, "millimetres"), None)
+    millimetres: float | None = ranged(range_of(Geometry, "millimetres"), None)
     occlusion: bool = False
     allow_outside: bool = False
     parts: tuple[str, ...] | None = None

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from facerender.scenes.mesh import Part
+from facerender.scenes.geometry import Geometry
+from facerender.scenes.part import Part
 
 
 def shape_of(vertices: Any, faces: Any) -> Any:
@@ -133,4 +134,6 @@ def mesh_of(name: str, shapes: list[Any], names: list[str] | None = None) -> fr.
     bounds = np.array([used.min(axis=0), used.max(axis=0)])
     radius = float(np.linalg.norm(used - bounds.mean(axis=0), axis=1).max())
     materials = (fr.Material(),) * len(parts)
-    return fr.Mesh(name, parts, materials, bounds, radius, np.array([(1.0, 1.0), (1.0, -1.0)]))
+    return fr.Mesh(
+        Geometry(name, parts, bounds, radius, np.array([(1.0, 1.0), (1.0, -1.0)])), materials
+    )

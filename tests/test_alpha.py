@@ -10,7 +10,8 @@ from PIL import Image
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.drawing.passes import can_defer, triangle_setup_of
+from facerender.drawing.passes import can_defer
+from facerender.drawing.prepare import resolve
 from facerender.drawing.refraction import regions_of
 from facerender.errors import InputError
 from facerender.explorer.page import drawable, lost_features
@@ -18,8 +19,10 @@ from facerender.job import Job
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import parse_light
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Part
 from facerender.scenes.texture import Texture
+from tests.meshes import with_geometry
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped
 from tests.verification.eye import CLEAR, camera, cap, disc, eye, iris_errors
@@ -277,7 +280,7 @@ def test_shells_cast_no_shadow_and_lashes_cast_shadows_of_hairs(single):
     bare[at] = replace(bare[at], faces=bare[at].faces[:1], positions=0.0 * bare[at].positions)
     camera = fr.Camera(10.0, zoom=6.0, target=(0.032, 0.0, 0.08))
     seen, part = [], []
-    for drawn in (mesh, replace(mesh, parts=tuple(bare)), opaque(at), opaque(lashes)):
+    for drawn in (mesh, with_geometry(mesh, parts=tuple(bare)), opaque(at), opaque(lashes)):
         scene = fr.Scene(drawn, camera, (parse_light("0,75,3"),))
         gbuffer = single.gbuffer(scene, blended=False)
         seen.append(gbuffer.visibility[..., 0])
@@ -428,7 +431,7 @@ def looked_up(texels, uv, wraps, nearest):
 @pytest.mark.slow
 def test_blended_parts_are_composited_after_scattering(single):
     """The image with shells is the image without them, with the shells composited over it."""
-    mesh = replace(parts_head(scattering="skin"), millimetres=1000.0)
+    mesh = with_geometry(parts_head(scattering="skin"), millimetres=1000.0)
     camera = fr.Camera(20.0, zoom=2.0)
     clear = [*mesh.materials]
     clear[NAMES.index("shells")] = replace(clear[NAMES.index("shells")], opacity=0.0)
@@ -454,13 +457,13 @@ def test_blended_parts_are_drawn_over_deferred_shading(
     backend, coarse_head, monkeypatch, scattering, four_samples
 ):
     """They change only their own pixels, and look as in forward shading."""
-    whole = replace(parts_head(scattering=scattering), millimetres=1000.0)
+    whole = with_geometry(parts_head(scattering=scattering), millimetres=1000.0)
     parts = (coarse_head.parts[0], *whole.parts[1:3])
-    shells = replace(whole, parts=parts, materials=whole.materials[:3])
-    bare = replace(whole, parts=parts[:2], materials=whole.materials[:2])
+    shells = with_geometry(whole, parts=parts, materials=whole.materials[:3])
+    bare = with_geometry(whole, parts=parts[:2], materials=whole.materials[:2])
     settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
     scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
-    assert can_defer(scene, 16384)
+    assert can_defer(resolve(scene, fr.Shading()), 16384)
     images = []
     for deferred in (True, False):
         name = "facerender.drawing.renderer.deferred_is_cheaper"
@@ -593,7 +596,7 @@ def test_surfaces_in_front_of_the_cornea_are_not_behind_it(wide):
     positions = plate.positions * (0.1, 0.1, 0.0) + (-4.8, 0.0, -0.6)
     plate = replace(plate, positions=positions, colors=None)
     more = (*mesh.parts, plate), (*mesh.materials, Material((0.0, 0.0, 0.0), ks=0.0))
-    hidden = replace(mesh, parts=more[0], materials=more[1])
+    hidden = with_geometry(mesh, parts=more[0], materials=more[1])
     light = {"lights": (), "ambient": 3.0}
     one, two = (wide.gbuffer(fr.Scene(each, camera(50.0), **light)) for each in (mesh, hidden))
     own = (one.part == CLEAR) & (two.part == CLEAR)
@@ -622,7 +625,7 @@ def test_every_effect_agrees_with_float64(wide):
 @pytest.mark.slow
 def test_forward_deferred_and_per_pixel_shading_agree(backend, monkeypatch):
     scene = fr.Scene(eye(ks=1.0), camera(35.0), EYE_LIGHTS)
-    assert can_defer(scene, 16384)
+    assert can_defer(resolve(scene, fr.Shading()), 16384)
     images = []
     for deferred in (False, True):
         name = "facerender.drawing.renderer.deferred_is_cheaper"
@@ -700,7 +703,7 @@ def test_each_region_has_a_map(wide):
         for own, color in zip(apart, colors, strict=True)
     ]
     two = Mesh.of("eyes", parts, one.materials)
-    assert len(regions_of(triangle_setup_of(two.parts[CLEAR], two))) == 2
+    assert len(regions_of(two.setups[CLEAR])) == 2
     light = {"lights": (), "ambient": 3.0}
     middle = np.s_[100:156, 100:156, :3]
     alone = wide.render(fr.Scene(one, fov(0.0), **light)).linear[middle]
@@ -709,7 +712,7 @@ def test_each_region_has_a_map(wide):
         assert np.abs(alone - beside).max() < 0.01
     shell = cap(-12.6, 12.6, 0.0, np.pi, 24, 64)
     closed = Mesh.of("shell", [*one.parts[:CLEAR], shell], one.materials)
-    (region,) = regions_of(triangle_setup_of(closed.parts[CLEAR], closed))
+    (region,) = regions_of(closed.setups[CLEAR])
     np.testing.assert_allclose(region.matrix[:2, 2], 0.0, atol=1e-6)
     image = wide.render(fr.Scene(closed, fov(0.0), **light)).linear[middle]
     assert np.abs(image - alone).mean() < 0.1
@@ -728,7 +731,7 @@ def test_many_regions_share_one_map(wide):
     ]
     for count, maps in ((1, 1), (8, 8), (9, 1)):
         mesh = Mesh.of("lenses", [joined(row[:count])], eye().materials[CLEAR:])
-        regions = regions_of(triangle_setup_of(mesh.parts[0], mesh))
+        regions = regions_of(mesh.setups[0])
         assert len(regions) == maps
         assert sum(len(each.faces) for each in regions) == len(mesh.parts[0].faces)
     agrees(wide, fr.Scene(mesh, fr.Camera(), EYE_LIGHTS))

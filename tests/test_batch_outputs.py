@@ -26,6 +26,7 @@ from facerender.scenes.lod import Planned
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
+from tests.meshes import with_geometry
 
 SIZE = (96, 64)
 OUTPUTS = tuple(name for name in ALL if name != "motion")  # motion needs the frame before
@@ -49,7 +50,7 @@ def halves(head):
     (part,) = head.parts
     upper = part.positions[part.faces][..., 1].mean(axis=1) > head.center[1]
     parts = tuple(replace(part, faces=part.faces[each]) for each in (upper, ~upper))
-    return replace(head, parts=parts, materials=head.materials * 2)
+    return with_geometry(head, parts=parts, materials=head.materials * 2)
 
 
 def job_of(**changes) -> fr.Job:
@@ -205,7 +206,7 @@ def test_layers_hold_every_pass(halves, drawing, tmp_path):
 def test_outputs_that_cannot_be_drawn_are_refused(head, drawing, monkeypatch):
     with pytest.raises(fr.InputError, match=r"unknown output 'norml'; known: image, specular"):
         draw(job_of(), head, drawing, ("norml",), 0.0)
-    many = replace(head, parts=head.parts * 65536, materials=head.materials * 65536)
+    many = with_geometry(head, parts=head.parts * 65536, materials=head.materials * 65536)
     with pytest.raises(fr.InputError, match=r"65536 parts, but parts.png holds at most 65535: use"):
         draw(job_of(), many, drawing, ("parts",), 0.0)
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
@@ -224,7 +225,7 @@ def moved(mesh: fr.Mesh) -> fr.Mesh:
     offset = np.array([4e5, -2e4, 7e5])
     parts = [replace(part, positions=part.positions * 1e3 + offset) for part in mesh.parts]
     bounds, radius = mesh.bounds * 1e3 + offset, mesh.radius * 1e3
-    return replace(mesh, parts=tuple(parts), bounds=bounds, radius=radius)
+    return with_geometry(mesh, parts=tuple(parts), bounds=bounds, radius=radius)
 
 
 def eye_of(camera):

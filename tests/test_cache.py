@@ -18,11 +18,11 @@ from PIL import Image
 import facerender as fr
 from facerender import loading
 from facerender.commands import main
-from facerender.scenes.framing import find_regions
 from facerender.system import cache
 from facerender.system.files import data_dir
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
+from tests.meshes import with_geometry
 from tests.test_cli import assert_error
 from tests.test_gltf_features import File
 from tests.verification.cache import wait_for_cache
@@ -67,9 +67,9 @@ def textured(folder):
 def assert_same(mesh, other):
     """Check that meshes are bitwise equal, including their regions and the mip levels of their
     maps."""
-    assert_equal(replace(mesh, regions=None), replace(other, regions=None), "mesh")
-    for name, region in find_regions(mesh).items():
-        assert_equal(region, find_regions(other)[name], name)
+    assert_equal(with_geometry(mesh), with_geometry(other), "mesh")
+    for name, region in mesh.regions.items():
+        assert_equal(region, other.regions[name], name)
     for materials in zip(mesh.materials, other.materials, strict=True):
         for name in ("albedo_map", "normal_map", "property_map"):
             maps = [getattr(material, name) for material in materials]
@@ -137,8 +137,8 @@ def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
 def test_regions_are_found_once(tmp_path, monkeypatch):
     path = files.write_gltf(tmp_path / "head.gltf", mini_head())
     load(path)
-    monkeypatch.setattr("facerender.scenes.framing._found", None)
-    assert find_regions(load(path).with_material(m=0.2))["head"] is not None
+    monkeypatch.setattr("facerender.scenes.framing.regions_of", None)
+    assert load(path).with_material(m=0.2).regions["head"] is not None
 
 
 @pytest.mark.slow
@@ -346,7 +346,7 @@ def test_entries_that_are_cut_anywhere(reads, place):
     good = entry.read_bytes()
     for size in range(0, len(good), 1024):
         entry.write_bytes(good[:size])
-        assert_equal(replace(load(MINI_HEAD), regions=None), replace(plain, regions=None), "mesh")
+        assert_equal(replace(load(MINI_HEAD), regions=None), with_geometry(plain), "mesh")
         assert entry.read_bytes() == good
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ import pytest
 import facerender as fr
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
+from tests.meshes import with_geometry
 
 SIZE = (120, 90)
 K = [[310.0, 0.0, 71.25], [0.0, 255.0, 38.5], [0.0, 0.0, 1.0]]
@@ -118,7 +118,9 @@ def test_turntable_replaces_matrices_by_azimuths(mini):
 
 def test_camera_and_its_matrices_give_the_same_image(mini):
     """This includes subsurface scattering, whose radius in pixels depends on the camera."""
-    mesh = replace(mini, millimetres=1000.0 * 0.15 / mini.radius).with_material(scattering="skin")
+    mesh = with_geometry(mini, millimetres=1000.0 * 0.15 / mini.radius).with_material(
+        scattering="skin"
+    )
     camera = fr.Camera(25.0, 10.0, zoom=1.3)
     with fr.Renderer(SIZE, samples=1) as renderer:
         own = renderer.render(fr.Scene(mesh, camera)).linear

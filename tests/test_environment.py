@@ -21,11 +21,13 @@ from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
 from facerender.scenes.environment import SIDE, studio
 from facerender.scenes.file import parse_environment
-from facerender.scenes.mesh import Part
+from facerender.scenes.geometry import Geometry
+from facerender.scenes.part import Part
 from facerender.scenes.scattering import scattering_of
 from facerender.terms.transport import PROFILES, scatter_profile, spiral
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
+from tests.meshes import with_geometry
 from tests.test_reference import skin
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
@@ -337,7 +339,7 @@ def wall(*squares: tuple[float, float, float, fr.Material]) -> fr.Mesh:
     parts = tuple(Part(corners + place, up, faces) for *place, _ in squares)
     materials = tuple(material for *_, material in squares)
     bounds = np.array([(-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)])
-    return fr.Mesh("wall", parts, materials, bounds, 174.0, np.array([(0.5, 0.5)]), 1.0)
+    return fr.Mesh(Geometry("wall", parts, bounds, 174.0, np.array([(0.5, 0.5)]), 1.0), materials)
 
 
 def of_wall(mesh: fr.Mesh, **changes: object) -> fr.Scene:
@@ -394,7 +396,7 @@ def test_other_parts_and_distant_surfaces_do_not_bleed(renderer):
         made = wall(*(parts[i] for i in which))
         lean = [i % 2 for i in which]
         turned = zip(made.parts, lean, strict=True)
-        return replace(
+        return with_geometry(
             made, parts=tuple(replace(p, normals=tilted) if on else p for p, on in turned)
         )
 
@@ -428,7 +430,7 @@ def test_scattering_needs_the_size_of_the_mesh(head, renderer, tmp_path, mini_ob
     for size in (0.0, -1.0, math.nan, "1"):
         with pytest.raises(fr.InputError, match="millimetres = .*: give a"):
             fr.load_mesh(mini_obj, millimetres=size)
-    large = replace(head, millimetres=1e5).with_material(scattering="skin")
+    large = with_geometry(head, millimetres=1e5).with_material(scattering="skin")
     with pytest.warns(fr.FacerenderWarning, match=r"give --millimetres 1000 \(m\)$"):
         renderer.render(fr.Scene(large))
 

@@ -32,6 +32,7 @@ from facerender.scenes.vectors import direction_to
 from facerender.scenes.view import view_of
 from facerender.shading import Term
 from facerender.terms import LOBES, MODELS, lobe_entry
+from tests.meshes import with_geometry
 from tests.test_parts import row
 
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
@@ -415,7 +416,7 @@ def test_maps_wrap_and_filter_as_in_the_renderer(browser, tmp_path, mesh, egl):
         ("clamp", "mirror"), nearest=True
     )
     part = replace(mesh.parts[0], uv=3.0 * mesh.parts[0].uv - 1.0)
-    tiled = replace(mesh, parts=(part,)).with_material(albedo_map=checks, normal_map=None)
+    tiled = with_geometry(mesh, parts=(part,)).with_material(albedo_map=checks, normal_map=None)
     with opened(browser, write(tmp_path, Job(lights=PLAIN), tiled)) as page:
         size, drawn = tuple(page.evaluate("explorer.size")), images(page)[0]
     with fr.Renderer(size, backend=egl) as renderer:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.scenes.framing import find_regions, names_head
+from facerender.scenes.framing import names_head
 from facerender.scenes.view import view_of
 from tests.awkward_files import Glb
 from tests.people import PEOPLE, ball, body, hair, head_shape, limb, mesh_of, person
@@ -36,7 +36,7 @@ def ends(mesh, region):
 @pytest.mark.parametrize("name", PEOPLE)
 def test_face_of_a_person_is_found(name):
     mesh = known(name)
-    low, high = ends(mesh, region := find_regions(mesh)["face"])
+    low, high = ends(mesh, region := mesh.regions["face"])
     assert CHIN - 0.025 < low < CHIN + 0.01
     assert BROW + 0.03 < high < CROWN + 0.015
     assert abs(mesh.to_mesh_space(region.center)[0]) < 0.006
@@ -46,7 +46,7 @@ def test_face_of_a_person_is_found(name):
 @pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
 def test_head_of_a_person_is_found(name):
     mesh = known(name)
-    low, high = ends(mesh, region := find_regions(mesh)["head"])
+    low, high = ends(mesh, region := mesh.regions["head"])
     assert CHIN - 0.06 < low < CHIN + 0.005
     top = 0.19 if name == "bun" else 0.14 if "hair" in name else CROWN
     assert high == pytest.approx(top, abs=0.004)
@@ -75,7 +75,7 @@ def test_face_of_a_mask_is_the_mask():
     mouth = (np.abs(x) < 0.03) & (np.abs(y + 0.068) < 0.006)
     inside = (z > 0.02) & (y > -0.112) & (y < 0.07) & (np.abs(x) < 0.07) & ~mouth
     mesh = mesh_of("mask", [(shape.vertices, shape.faces[inside])])
-    low, high = ends(mesh, find_regions(mesh)["face"])
+    low, high = ends(mesh, mesh.regions["face"])
     assert low == pytest.approx(-0.112 - 0.009, abs=0.006)
     assert high == pytest.approx(0.07 + 0.009, abs=0.006)
 
@@ -118,7 +118,7 @@ def things():
 @pytest.mark.parametrize("name", things())
 def test_the_default_frames_all_of_a_thing(name):
     mesh = mesh_of(name, [(each.vertices, each.faces) for each in things()[name]])
-    assert find_regions(mesh)["auto"] is None
+    assert mesh.regions["auto"] is None
 
 
 @pytest.mark.parametrize(("apart", "scale"), [(0.3, 1.0), (0.9, 1.0), (0.9, 0.8)])
@@ -129,7 +129,7 @@ def test_the_default_frames_both_of_two_heads(apart, scale):
         for x, size in ((-apart / 2.0, 1.0), (apart / 2.0, scale))
         for each in shapes
     ]
-    assert find_regions(mesh_of("two", pairs))["auto"] is None
+    assert mesh_of("two", pairs).regions["auto"] is None
 
 
 @pytest.mark.parametrize(
@@ -157,11 +157,11 @@ def hooded(name):
 
 
 def test_named_parts_are_framed_first():
-    region = find_regions(hooded("CC_Base_Head"))["head"]
+    region = hooded("CC_Base_Head").regions["head"]
     low, high = ends(hooded(""), region)
     assert -0.16 < low < -0.1
     assert 0.1 < high < 0.15
-    assert ends(hooded(""), find_regions(hooded("Headscarf"))["head"])[0] < -0.165
+    assert ends(hooded(""), hooded("Headscarf").regions["head"])[0] < -0.165
 
 
 @pytest.mark.parametrize(("other", "clear"), [("EyeLeft", True), ("Eyelet", False)])
@@ -173,7 +173,7 @@ def test_a_named_head_without_a_nose_needs_eyes(other, clear):
     ]
     names = [""] * (len(shapes) - 2) + ["Head", other]
     mesh = mesh_of("doll", [(each.vertices, each.faces) for each in shapes], names)
-    assert (find_regions(mesh)["auto"] is not None) == clear
+    assert (mesh.regions["auto"] is not None) == clear
 
 
 @pytest.mark.parametrize("named", ["Head", "face", ""])
@@ -183,7 +183,7 @@ def test_a_named_part_may_be_a_whole_body(named):
 
     whole = trimesh.util.concatenate(shapes)
     mesh = mesh_of("body", [(whole.vertices, whole.faces)], [named])
-    low, high = ends(mesh, find_regions(mesh)["head"])
+    low, high = ends(mesh, mesh.regions["head"])
     assert CHIN - 0.06 < low < CHIN + 0.005
     assert high == pytest.approx(CROWN, abs=0.004)
 
@@ -193,7 +193,7 @@ def test_long_hair_does_not_widen_the_head():
     tails = [limb((x, 0.05, -0.08), (2.5 * x, -0.6, -0.1), 0.04) for x in (-0.09, 0.09)]
     shapes = [head_shape(), *body((0.58, 0.0, 0.0)), *tails]
     mesh = mesh_of("tails", [(each.vertices, each.faces) for each in shapes])
-    region = find_regions(mesh)["head"]
+    region = mesh.regions["head"]
     assert region.radius * mesh.radius < 0.2
     assert 0.85 < height_in_image(mesh, fr.Camera(frame="face"), TRICHION, MENTON) < 0.9
 
@@ -224,9 +224,9 @@ def test_vertices_of_a_head_joint_are_framed_first(joint):
     mesh = file.load()
     named = joint != "Spine"
     assert (mesh.parts[0].head is not None) == named
-    assert (find_regions(mesh)["auto"] is not None) == named
+    assert (mesh.regions["auto"] is not None) == named
     if named:
-        low, high = ends(mesh, find_regions(mesh)["head"])
+        low, high = ends(mesh, mesh.regions["head"])
         assert low == pytest.approx(1.6 + 1.7, abs=0.02)
         assert high == pytest.approx(2.2 + 1.7, abs=0.02)
         kept = mesh.select("Body").parts[0].head
@@ -239,7 +239,7 @@ def test_units_and_position_do_not_matter(scale, move):
     own = person("arms down")
     other = person("arms down", scale, shift)
     for name in ("head", "face"):
-        a, b = find_regions(own)[name], find_regions(other)[name]
+        a, b = own.regions[name], other.regions[name]
         center = (other.to_mesh_space(b.center) - shift) / scale
         np.testing.assert_allclose(center, own.to_mesh_space(a.center), atol=2e-3)
         assert b.radius == pytest.approx(a.radius, rel=0.02)
@@ -248,10 +248,10 @@ def test_units_and_position_do_not_matter(scale, move):
 def test_face_of_a_scan_is_found(scan_mesh):
     """The eyes of the scan are at y = 1.9, its chin at -0.45 and its crown at 4. The hairline is
     where the forehead of the bald scan turns to the crown."""
-    low, high = ends(scan_mesh, find_regions(scan_mesh)["face"])
+    low, high = ends(scan_mesh, scan_mesh.regions["face"])
     assert -1.3 < low < -0.3
     assert 2.6 < high < 4.3
-    assert ends(scan_mesh, find_regions(scan_mesh)["head"])[1] == pytest.approx(3.97, abs=0.05)
+    assert ends(scan_mesh, scan_mesh.regions["head"])[1] == pytest.approx(3.97, abs=0.05)
     points = (-0.08, 3.1, 1.95), (-0.08, -0.48, 2.1)
     assert 0.85 < height_in_image(scan_mesh, fr.Camera(frame="face"), *points) < 0.9
 
@@ -259,7 +259,7 @@ def test_face_of_a_scan_is_found(scan_mesh):
 @pytest.mark.parametrize("frame", ["head", "face"])
 @pytest.mark.parametrize("azimuth", [0.0, 70.0, 200.0])
 def test_camera_frames_its_region(head, frame, azimuth):
-    region = find_regions(head)[frame]
+    region = head.regions[frame]
     camera = fr.Camera(azimuth, 10.0, frame=frame)  # type: ignore[arg-type]
     view = view_of(fr.Scene(head, camera), 0.8)
     turn = np.linspace(0.0, 2.0 * np.pi, 16)
@@ -276,7 +276,7 @@ def test_camera_frames_its_region(head, frame, azimuth):
 def test_target_and_zoom_override_the_found_region(head):
     own = view_of(fr.Scene(head, fr.Camera(frame="face")), 1.0)
     near = view_of(fr.Scene(head, fr.Camera(frame="face", zoom=2.0)), 1.0)
-    middle = find_regions(head)["face"].center
+    middle = head.regions["face"].center
     assert np.linalg.norm(near.position - middle) == pytest.approx(
         np.linalg.norm(own.position - middle) / 2
     )
@@ -290,9 +290,9 @@ def test_target_and_zoom_override_the_found_region(head):
 def test_simplified_mesh_keeps_its_regions(head):
     fewer = fr.simplified(head, 3000).with_material(m=0.2)
     for name in ("head", "face"):
-        assert find_regions(fewer)[name] is find_regions(head)[name]
+        assert fewer.regions[name] is head.regions[name]
     again = pickle.loads(pickle.dumps(fewer))
-    assert find_regions(again)["face"].radius == find_regions(head)["face"].radius
+    assert again.regions["face"].radius == head.regions["face"].radius
 
 
 @pytest.mark.parametrize("width", [0.001, 0.01])
@@ -301,7 +301,7 @@ def test_head_below_a_thin_tip_is_found(width):
     shape = head_shape()
     tip = np.array([(-width, 0.115, 0.0), (width, 0.115, 0.0), (0.0, 0.175, 0.0)])
     mesh = mesh_of("tip", [(shape.vertices, shape.faces), (tip, [(0, 1, 2)])])
-    low, high = ends(mesh, region := find_regions(mesh)["head"])
+    low, high = ends(mesh, region := mesh.regions["head"])
     assert CHIN - 0.06 < low < CHIN + 0.005
     assert CROWN - 0.004 < high < 0.176
     assert 0.09 < region.radius * mesh.radius < 0.17
@@ -318,7 +318,7 @@ def test_regions_of_a_flat_box_are_the_box(sizes):
 
 
 def check_regions_are_the_mesh(mesh):
-    regions = find_regions(mesh)
+    regions = mesh.regions
     assert regions["auto"] is None
     whole_position = view_of(fr.Scene(mesh), 1.0).position
     for name in ("head", "face"):

@@ -12,6 +12,7 @@ import pytest
 import facerender as fr
 from facerender.batch.outputs import draw
 from facerender.scenes.landmarks import MOST_LANDMARKS, located
+from tests.meshes import with_geometry
 from tests.verification.rays import Surface, by_opencv, camera_of
 
 
@@ -101,7 +102,7 @@ def test_vertices_that_a_mesh_lacks():
         return fr.Landmarks(("tip",), np.full((1, 3), number), np.eye(3)[:1], (part,))
 
     mesh = tetrahedron()
-    two = replace(mesh, parts=mesh.parts * 2, materials=mesh.materials * 2)
+    two = with_geometry(mesh, parts=mesh.parts * 2, materials=mesh.materials * 2)
     for landmarks, own, message in (
         (at(5), mesh, "landmark 'tip': vertex 5, but arrays has 5 vertices: give the number of a"),
         (at(4), mesh, "landmark 'tip': vertex 4, but no triangle of arrays uses it: give the num"),

@@ -11,10 +11,11 @@ from PIL import Image
 
 import facerender as fr
 from facerender.drawing import prepare
-from facerender.drawing.prepare import reduced
+from facerender.drawing.prepare import reduced, resolve
 from facerender.images.image import linear_to_srgb
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import levels_to_spare, view_of
+from tests.meshes import with_geometry
 
 SIZE = (256, 256)
 VIEWS = (fr.Camera(), fr.Camera(azimuth=70, elevation=-20), fr.Camera(zoom=4.0))
@@ -102,7 +103,9 @@ def test_images_hardly_change(detailed, camera, samples):
 @pytest.mark.usefixtures("small_is_large")
 def test_a_nearer_camera_gets_finer_maps(detailed):
     sizes = [
-        reduced(scene, view_of(scene, 1.0), SIZE, 1.0).mesh.materials[0].albedo_map.size[0]
+        reduced(resolve(scene, fr.Shading()), view_of(scene, 1.0), SIZE, 1.0)
+        .mesh.materials[0]
+        .albedo_map.size[0]
         for zoom in (0.3, 1.0, 20.0)
         for scene in [fr.Scene(detailed, fr.Camera(zoom=zoom))]
     ]
@@ -113,8 +116,10 @@ def test_a_nearer_camera_gets_finer_maps(detailed):
 @pytest.mark.usefixtures("small_is_large")
 def test_maps_keep_at_least_two_texels(detailed):
     part = replace(detailed.parts[0], uv=100.0 * detailed.parts[0].uv)
-    scene = fr.Scene(replace(detailed, parts=(part,)), fr.Camera(zoom=0.1))
-    material = reduced(scene, view_of(scene, 1.0), (16, 16), 1.0).mesh.materials[0]
+    scene = fr.Scene(with_geometry(detailed, parts=(part,)), fr.Camera(zoom=0.1))
+    material = reduced(
+        resolve(scene, fr.Shading()), view_of(scene, 1.0), (16, 16), 1.0
+    ).mesh.materials[0]
     assert material.albedo_map.size == (2, 2)
     assert len(material.albedo_map.levels("normal").result()) == 2
 
@@ -123,7 +128,9 @@ def test_maps_keep_at_least_two_texels(detailed):
 def test_anisotropy_keeps_finer_levels(detailed):
     scene = fr.Scene(detailed, fr.Camera(zoom=0.3))
     sizes = [
-        reduced(scene, view_of(scene, 1.0), SIZE, ratio).mesh.materials[0].albedo_map.size[0]
+        reduced(resolve(scene, fr.Shading()), view_of(scene, 1.0), SIZE, ratio)
+        .mesh.materials[0]
+        .albedo_map.size[0]
         for ratio in (1.0, 4.0)
     ]
     assert sizes[1] == 4 * sizes[0]
@@ -131,7 +138,7 @@ def test_anisotropy_keeps_finer_levels(detailed):
 
 def test_maps_of_usual_sizes_are_not_reduced():
     scene = fr.Scene(fr.load_mesh(), fr.Camera(zoom=0.2))
-    assert reduced(scene, view_of(scene, 1.0), (64, 64), 1.0) is scene
+    assert reduced(resolve(scene, fr.Shading()), view_of(scene, 1.0), (64, 64), 1.0) is scene
 
 
 def test_memory_limit_is_checked_before_drawing():

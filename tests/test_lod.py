@@ -15,8 +15,10 @@ import facerender as fr
 from facerender.drawing import reference
 from facerender.planning.plan import _digest
 from facerender.scenes import occlusion
-from facerender.scenes.mesh import Part
+from facerender.scenes.geometry import Geometry
+from facerender.scenes.part import Part
 from tests.awkward_files import MINI_HEAD
+from tests.meshes import with_geometry
 from tests.test_cli import Cli
 from tests.verification.lights import PLAIN, PLAIN_THREE
 from tests.verification.occlusion import occlusion_error
@@ -29,7 +31,7 @@ def mesh_of(*parts):
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     radius = float(np.linalg.norm(points - bounds.mean(axis=0), axis=1).max())
     materials = tuple(fr.Material(m=0.2 + 0.1 * index) for index in range(len(parts)))
-    return fr.Mesh("made.glb", parts, materials, bounds, radius, np.array([[1.0, 0.0]]))
+    return fr.Mesh(Geometry("made.glb", parts, bounds, radius, np.array([[1.0, 0.0]])), materials)
 
 
 def grid(rows, columns):
@@ -89,7 +91,7 @@ def in_two(mesh, height):
         own = (part.positions[used], part.normals[used], numbers.reshape(-1, 3).astype(np.uint32))
         parts.append(Part(*own, part.uv[used]))
     materials = (mesh.materials[0], replace(mesh.materials[0], ks=0.5))
-    return replace(mesh, parts=tuple(parts), materials=materials)
+    return with_geometry(mesh, parts=tuple(parts), materials=materials)
 
 
 def test_closed_mesh_stays_closed_with_its_maps_in_place():
@@ -357,7 +359,10 @@ def test_every_pixel_agrees_with_float64(egl, baked, name, deferred, monkeypatch
     part = replace(whole, **changes)
     environment = fr.load_environment(fr.EnvironmentFile("studio"))
     scene = fr.Scene(
-        replace(baked, parts=(part,)), fr.Camera(-30.0), environment=environment, background=None
+        with_geometry(baked, parts=(part,)),
+        fr.Camera(-30.0),
+        environment=environment,
+        background=None,
     )
     shading = fr.Shading(environment_samples=0)
     with fr.Renderer((96, 96), samples=1, backend=egl, float_albedo=True) as renderer:
@@ -387,7 +392,7 @@ def test_parts_with_occlusion_maps_are_not_baked(head, ring):
     assert one.occlusion is None
     assert other.occlusion.mean() < ring.occlusion.mean()
     unused = fr.with_occlusion(
-        replace(both, parts=(replace(both.parts[0], uv=None), both.parts[1]))
+        with_geometry(both, parts=(replace(both.parts[0], uv=None), both.parts[1]))
     )
     assert unused.parts[0].occlusion is not None
 
@@ -413,7 +418,7 @@ def test_cache_key_of_occlusion_is_the_geometry(bare, baked, cache_folder, monke
     part = bare.parts[0]
     for other in (replace(part, normals=-part.normals), replace(part, faces=part.faces[1:])):
         with pytest.raises(fr.InputError, match="embreex"):
-            fr.with_occlusion(replace(bare, parts=(other,)), cache=True)
+            fr.with_occlusion(with_geometry(bare, parts=(other,)), cache=True)
     with pytest.raises(fr.InputError, match="embreex"):
         fr.with_occlusion(bare)
     entry.write_bytes(entry.read_bytes()[:-1])
@@ -443,7 +448,7 @@ def test_unused_vertices_are_ignored(bare, baked):
     )  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        (own,) = fr.with_occlusion(replace(bare, parts=(more,))).parts
+        (own,) = fr.with_occlusion(with_geometry(bare, parts=(more,))).parts
     np.testing.assert_array_equal(own.occlusion[:-3], baked.parts[0].occlusion)
     np.testing.assert_array_equal(own.occlusion[-3:], 1.0)
 

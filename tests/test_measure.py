@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from facerender.pricing import cost
 from facerender.pricing.cost import Interval, Variant, bootstrap, lobe_terms, of_model, terms
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing
+from tests.meshes import with_geometry
 from tools.docs.measurement import measurement_of
 
 MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
@@ -201,7 +201,7 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
 @pytest.mark.slow
 def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
     eyes = fr.load_mesh().select("eyeballs").with_material(m=0.9)  # outside the domain of d16
-    head = replace(
+    head = with_geometry(
         coarse_head,
         parts=(*coarse_head.parts, *eyes.parts),
         materials=(*coarse_head.materials, *eyes.materials),

@@ -19,7 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import facerender as fr
-from facerender.drawing.prepare import start_maps
+from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.loading.mtl import DEPTH
 from facerender.scenes.material import SKIN_ALBEDO
 from facerender.scenes.repair import joined
@@ -581,7 +581,7 @@ def test_parts_that_share_an_image(tmp_path):
     (tmp_path / "boxes.glb").write_bytes(boxes(Image.fromarray(pixels)))
     for _ in range(5):
         mesh = fr.load_mesh(tmp_path / "boxes.glb")
-        start_maps(mesh)
+        start_maps(resolved_parts(mesh))
         for material in mesh.materials:
             assert material.albedo_map is not None
             texels = material.albedo_map.levels("color").result()[0]

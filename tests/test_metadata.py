@@ -15,6 +15,7 @@ from facerender.images.files import read_image, save_exr
 from facerender.scenes.environment import studio
 from facerender.scenes.light import LIGHTS
 from tests.awkward_files import MINI_HEAD
+from tests.meshes import with_geometry
 
 TEXELS = np.full((4, 4, 3), 100, np.uint8)
 
@@ -149,7 +150,7 @@ def test_files_keep_the_metadata(renderer, mesh, tmp_path, name):
         replace(mesh.parts[0], name="Gesicht für 顔\n"),
         replace(mesh.parts[1], name="b" * 999),
     ]
-    frame = renderer.render(fr.Scene(replace(mesh, parts=tuple(parts)), camera="profile"))
+    frame = renderer.render(fr.Scene(with_geometry(mesh, parts=tuple(parts)), camera="profile"))
     frame.save(tmp_path / name)
     found = read_image(tmp_path / name).metadata
     assert {key: found.get(key) for key in frame.metadata} == frame.metadata

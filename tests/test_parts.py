@@ -14,7 +14,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.images.files import read_image
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Part
+from facerender.scenes.part import Part
 from tests.awkward_files import (
     gltf,
     join_glb,

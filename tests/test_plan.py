@@ -36,6 +36,7 @@ from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.conftest import require_module
+from tests.meshes import with_geometry
 from tests.test_glsl import OUTPUT, run
 from tests.verification.lights import PLAIN, PLAIN_THREE
 from tests.verification.subjects import Subject, brute_force
@@ -603,7 +604,7 @@ def test_scene_file_of_a_plan(plans, tmp_path):
 
 def test_scene_file_omits_factors_that_differ_between_parts(head, tmp_path):
     (part,) = head.parts
-    mesh = replace(head, parts=(part, part), materials=(
+    mesh = with_geometry(head, parts=(part, part), materials=(
         replace(head.materials[0], ks=0.1), head.materials[0]))  # fmt: skip
     path = tmp_path / "scene.toml"
     path.write_text(scene_toml(fr.Scene(mesh), Shading()))

@@ -19,11 +19,11 @@ import facerender as fr
 from facerender.batch.outputs import draw
 from facerender.commands import main
 from facerender.images.files import read_image
-from facerender.scenes.framing import find_regions
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD
+from tests.meshes import with_geometry
 from tests.test_alpha import quad
 from tests.verification.rays import Surface, by_opencv, camera_of
 
@@ -64,9 +64,8 @@ class TestWithPositions:
         for part, own, wanted in zip(moved.parts, head.parts, waved(head), strict=True):
             np.testing.assert_array_equal(part.positions, wanted)
             assert part.faces is own.faces
-            assert part.root is own
         assert moved.materials == head.materials
-        assert moved.rest is head
+        assert moved.geometry is head.geometry
         np.testing.assert_array_equal(moved.bounds, head.bounds)
 
     def test_computes_area_weighted_normals(self):
@@ -115,7 +114,7 @@ class TestWithPositions:
         name = parts.parts[1].name
         only = parts.with_positions({name: parts.parts[1].positions + 0.001})
         assert only.parts[0] is parts.parts[0]
-        assert only.parts[1].root is parts.parts[1]
+        assert only.geometry is parts.geometry
 
     @pytest.mark.parametrize(
         ("change", "words"),
@@ -136,7 +135,7 @@ class TestWithPositions:
         assert "\n" not in str(error.value)
 
     def test_baked_occlusion_causes_a_warning(self, head):
-        baked = replace(
+        baked = with_geometry(
             head,
             parts=tuple(replace(p, occlusion=np.ones(len(p.positions))) for p in head.parts),
         )
@@ -164,10 +163,8 @@ class TestDrawing:
         """Also after other poses, which share the vertex buffers."""
         monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
         moved = head.with_positions(waved(head))
-        alone = replace(
-            moved, rest=None, parts=tuple(replace(part, rest=None) for part in moved.parts),
-            regions=find_regions(head),
-        )  # fmt: skip
+        geometry = replace(head.geometry, parts=moved.parts, known_regions=head.regions)
+        alone = fr.Mesh(geometry, head.materials)
         with fr.Renderer((128, 128), samples=1, backend=egl) as renderer:
             first = renderer.render(fr.Scene(head)).linear
             renderer.render(fr.Scene(head.with_positions(waved(head, 1.0))))
@@ -484,7 +481,7 @@ def test_masks_and_second_coordinates(drawing, second):
     back, front = card(z=-0.5), card(mask, z=0.5)
     if second:
         (part,) = front.parts
-        front = replace(front, parts=(replace(part, uv=1.0 - part.uv, uv2=part.uv),))
+        front = with_geometry(front, parts=(replace(part, uv=1.0 - part.uv, uv2=part.uv),))
     mesh = fr.Mesh.of("cards", [*back.parts, *front.parts], [*back.materials, *front.materials])
     moved = mesh.with_positions([None, mesh.parts[1].positions + (0.1, 0.0, 0.0)])
     scene = fr.Scene(moved, looking(), before=fr.Scene(mesh, looking()))

@@ -23,6 +23,7 @@ from facerender.scenes.material import PRESETS, SKIN_ALBEDO, Material, changed
 from facerender.scenes.repair import Piece
 from tests.awkward_files import gltf, join_glb, mini_head, write_glb
 from tests.conftest import require_module
+from tests.meshes import with_geometry
 from tests.test_parts import FACES, VERTICES, names, row, run
 from tests.verification.cache import wait_for_cache
 
@@ -450,7 +451,7 @@ def test_clear_parts_are_not_skin_and_a_mesh_has_some_skin():
     clear = mesh.with_material("b", transmission=0.5)
     assert (mesh.skin, clear.skin) == ((0, 1), (0,))
     assert clear.select("b").skin == (0,)
-    eyes = replace(mesh, parts=tuple(replace(each, skin=False) for each in mesh.parts))
+    eyes = with_geometry(mesh, parts=tuple(replace(each, skin=False) for each in mesh.parts))
     assert eyes.skin == (0, 1)
     assert [each.m for each in clear.with_skin(m=0.5).materials] == [0.5, 0.3]
     assert [each.m for each in clear.with_material(m=0.5).materials] == [0.5, 0.5]
@@ -608,4 +609,4 @@ def test_dull_hair_gives_no_hint_on_the_skin():
     mesh = row("head", "hair", "hair.2").with_material("hair*", ks=0.03)
     hair = tuple(replace(part, skin=part.name == "head") for part in mesh.parts)
     assert hints.faint(mesh) is not None
-    assert hints.faint(replace(mesh, parts=hair)) is None
+    assert hints.faint(with_geometry(mesh, parts=hair)) is None

@@ -36,6 +36,7 @@ from facerender.pricing.table import (
 from facerender.scenes.material import PROPERTY_MAPS
 from facerender.shading import Shading
 from tests.conftest import missing
+from tests.meshes import with_geometry
 from tests.verification.lights import PLAIN
 
 COMPILER = pytest.mark.compiler
@@ -93,7 +94,7 @@ def test_price_of_parts_is_weighted_by_their_faces(head):
     (part,) = head.parts
     few = replace(part, faces=part.faces[:100])
     dull = replace(head.materials[0], ks=0.0)
-    mesh = replace(head, parts=(part, few), materials=(head.materials[0], dull))
+    mesh = with_geometry(head, parts=(part, few), materials=(head.materials[0], dull))
     table = load_prices("navi21", fr.Scene(mesh), [])
     shining, matt = (
         table.cost(fr.Scene(replace(head, materials=(each,))), Shading())

@@ -281,7 +281,7 @@ def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
     assert np.quantile(error, 1.0 - case.rounded) < 1e-4
     assert error.max() < 0.5
     covered = gbuffer.part >= 0
-    ((low, high),) = resolve(scene, case.shading).slopes
+    ((low, high),) = resolve(scene, case.shading).appearance.slopes
     if scene.mesh.materials[0].second_slope == 1.0:
         assert low * (1.0 - 1e-6) <= gbuffer.m[covered].min() <= gbuffer.m[covered].max() <= high
     if scene.mesh.materials[0].lobe_map:

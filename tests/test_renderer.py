@@ -36,6 +36,7 @@ from facerender.scenes.material import MAPS
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
+from tests.meshes import with_geometry
 from tests.test_reference import SIDE, around, compared, lit, mixed, programs_of, shadows, skin
 from tests.verification.eye import CLEAR, eye
 from tests.verification.lights import PLAIN_THREE
@@ -96,7 +97,7 @@ PASSES = {  # a scene, and whether it uses deferred shading
     "deferred": (lambda mesh: fr.Scene(mesh, SIDE), True),
     "shadow maps": (shadows, False),
     "environment": (around, True),
-    "scattering": (lambda mesh: skin(replace(mesh, millimetres=1000.0)), False),
+    "scattering": (lambda mesh: skin(with_geometry(mesh, millimetres=1000.0)), False),
     "layers": (lambda _: fr.Scene(parts_head("mask"), SIDE), False),
 }
 
@@ -391,7 +392,7 @@ def every_map() -> fr.Scene:
         **{"second_slope": 2.0, "lobe_weight": 0.5},
     )
     assert not material.packs
-    mesh = replace(
+    mesh = with_geometry(
         mesh, parts=(*mesh.parts[:CLEAR], part), materials=(*mesh.materials[:CLEAR], material)
     )
     lights = (fr.Light(30.0, 20.0, shadow=True, radius=3.0),)
@@ -507,7 +508,7 @@ def test_missing_current_context_is_refused():
 
 
 def test_renderer_does_not_keep_meshes_alive(renderer):
-    others = len(renderer._resources.geometries)
+    others = len(renderer._resources.parts)
     mesh = fr.load_mesh(MINI_HEAD)
     renderer.render(fr.Scene(mesh))
     variant = mesh.with_material(m=0.2)
@@ -517,7 +518,7 @@ def test_renderer_does_not_keep_meshes_alive(renderer):
     textures = [*map(id, renderer._resources.textures.values())]
     renderer.render(*simple)
     assert [*map(id, renderer._resources.textures.values())] == textures, "maps are not packed anew"
-    assert len(renderer._resources.geometries) == others + 1, "variants share their geometry"
+    assert len(renderer._resources.parts) == others + 1, "variants share their geometry"
     dead = weakref.ref(mesh), weakref.ref(variant), weakref.ref(mesh.parts[0])
     del mesh, variant, simple
     gc.collect()
@@ -601,7 +602,7 @@ def pair(head):
     rough = replace(head.materials[0], roughness_map=None, normal_map=None, m=0.75)
     mapped = replace(rough, roughness_map=fr.Texture(lambda: ramp, "ramp"), m=0.3)
     bounds = head.bounds + [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]
-    return replace(head, parts=(part, other), materials=(rough, mapped), bounds=bounds)
+    return with_geometry(head, parts=(part, other), materials=(rough, mapped), bounds=bounds)
 
 
 def test_lobe_of_each_part_depends_on_its_slopes(transparent, pair):

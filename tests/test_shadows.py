@@ -13,8 +13,9 @@ import trimesh
 import facerender as fr
 from facerender.drawing.context import create_context
 from facerender.drawing.shade import MOST
+from facerender.scenes.geometry import Geometry
 from facerender.scenes.light import parse_light
-from facerender.scenes.mesh import Part
+from facerender.scenes.part import Part
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import code
 from tests.test_alpha import quad
@@ -69,7 +70,7 @@ def test_terminator_does_not_show_the_triangles(egl, radius):
     ball = trimesh.creation.icosphere(subdivisions=1)
     part = Part(ball.vertices, ball.vertices.copy(), ball.faces.astype(np.uint32))
     bounds = np.array([(-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)])
-    mesh = fr.Mesh("ball", (part,), (fr.Material(),), bounds, 1.0, np.array([(1.0, 1.0)]))
+    mesh = fr.Mesh(Geometry("ball", (part,), bounds, 1.0, np.array([(1.0, 1.0)])), (fr.Material(),))
     light = fr.Light(-80.0, 10.0, radius=radius)
     with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
         gbuffer = renderer.gbuffer(fr.Scene(mesh, lights=(light,)), fr.Shading())
@@ -130,7 +131,9 @@ def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
     middle of the shadow's edge, half of the light is visible."""
     bounds = np.array([(-0.8, -0.8, -0.4), (0.8, 0.8, 0.4)])
     parts = (quad(-0.4, 0.8), quad(0.4, 0.2))
-    mesh = fr.Mesh("wall", parts, (fr.Material(),) * 2, bounds, 1.2, np.array([(0.8, 0.4)]))
+    mesh = fr.Mesh(
+        Geometry("wall", parts, bounds, 1.2, np.array([(0.8, 0.4)])), (fr.Material(),) * 2
+    )
     radius = 8.0
     light = fr.Light(0.0, 0.0, radius=radius, shadow=True)
     edge, width = 0.2, 2.0 * 0.8 * np.tan(np.radians(radius))

@@ -93,7 +93,7 @@ def test_slope_filter_can_be_disabled(renderer, head):
     covered = renderer.gbuffer(fr.Scene(mesh), off).part >= 0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), off).m[covered]) == 0.0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), fr.Shading()).m[covered]) > 0.01
-    assert resolve(fr.Scene(mesh, lights=PLAIN_THREE), off).slopes == [(0.3, 0.3)]
+    assert resolve(fr.Scene(mesh, lights=PLAIN_THREE), off).appearance.slopes == [(0.3, 0.3)]
     light = fr.Light(irradiance=2.0)
     assert light.kind.name == "directional"
     assert replace(light, radius=0.1).kind.name == "disc"

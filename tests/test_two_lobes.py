@@ -63,9 +63,9 @@ def test_lobe_map_scales_the_second_lobe(renderer, head):
 def test_both_slopes_must_be_in_the_domain(renderer, head):
     as_they_are = fr.Shading(lobe="d8", slope_filter=False)
     mesh = head.with_material(m=0.3, second_slope=3.0, lobe_weight=0.5)
-    assert resolve(fr.Scene(mesh, lights=PLAIN_THREE), as_they_are).slopes[0] == pytest.approx(
-        (0.3, 0.9)
-    )
+    assert resolve(fr.Scene(mesh, lights=PLAIN_THREE), as_they_are).appearance.slopes[
+        0
+    ] == pytest.approx((0.3, 0.9))
     with pytest.raises(InputError, match=r"m = 0.9 is outside the domain of lobe d8"):
         renderer.render(fr.Scene(mesh, lights=PLAIN_THREE), as_they_are)
     frame = renderer.render(
@@ -73,10 +73,10 @@ def test_both_slopes_must_be_in_the_domain(renderer, head):
     )
     assert frame.metadata["lobe of each part"].startswith("exact")
     sharp = head.with_material(second_slope=0.3, lobe_weight=0.5)
-    low, high = resolve(fr.Scene(head, lights=PLAIN_THREE), as_they_are).slopes[0]
-    assert resolve(fr.Scene(sharp, lights=PLAIN_THREE), as_they_are).slopes[0] == pytest.approx(
-        (0.3 * low, high)
-    )
+    low, high = resolve(fr.Scene(head, lights=PLAIN_THREE), as_they_are).appearance.slopes[0]
+    assert resolve(fr.Scene(sharp, lights=PLAIN_THREE), as_they_are).appearance.slopes[
+        0
+    ] == pytest.approx((0.3 * low, high))
 
 
 @pytest.mark.parametrize(

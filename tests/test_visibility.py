@@ -18,9 +18,11 @@ from facerender.commands import main
 from facerender.drawing import passes
 from facerender.drawing.program import IN_ROW
 from facerender.images.image import linear_to_srgb
+from facerender.scenes.geometry import Geometry
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Part
+from facerender.scenes.part import Part
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
+from tests.meshes import with_geometry
 from tests.test_alpha import quad
 from tests.verification.lights import PLAIN_THREE
 
@@ -46,7 +48,7 @@ def cube(sides: tuple[tuple[int, ...], ...] = SIDES, smooth: bool = False) -> Pa
 def mesh_of(*parts: Part) -> fr.Mesh:
     bounds = np.array([CORNERS.min(axis=0), CORNERS.max(axis=0)])
     materials = tuple(Material(m=0.3 + 0.1 * i) for i in range(len(parts)))
-    return fr.Mesh("cube", parts, materials, bounds, np.sqrt(3.0), np.array([(0.8, 0.6)]))
+    return fr.Mesh(Geometry("cube", parts, bounds, np.sqrt(3.0), np.array([(0.8, 0.6)])), materials)
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +195,7 @@ def test_bright_backgrounds_agree(both, brightness):
 def test_part_shared_by_two_meshes(both):
     part = cube()
     both(fr.Scene(mesh_of(part)))
-    assert_same(*both(fr.Scene(replace(mesh_of(part), radius=3.0), fr.Camera(20.0))))
+    assert_same(*both(fr.Scene(with_geometry(mesh_of(part), radius=3.0), fr.Camera(20.0))))
 
 
 def tetrahedron() -> Part:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import facerender as fr
-from facerender.drawing.passes import Draw, Pass, triangle_setup_of
-from facerender.drawing.prepare import Lighting, ResolvedScene, part_maps, reduced, simplify
+from facerender.drawing.passes import Draw, Pass
+from facerender.drawing.prepare import reduced, resolve
 from facerender.drawing.program import ENVIRONMENT_MAP, fixed_attributes
 from facerender.drawing.shade import shade_pass, with_shadows
 from facerender.scenes.mips import Kind
@@ -46,11 +46,11 @@ def draw_webgl(
     Returns linear RGB and coverage, (H, W, 4).
     """
     view = view_of(scene, size[0] / size[1])
-    scene = simplify(scene, shading)
-    if not float_albedo:
-        scene = reduced(scene, view, size, 1.0)
     albedo: Kind = "linear-color" if float_albedo else "color"
-    resolved = ResolvedScene(scene, shading, Lighting.of(scene, shading))
+    resolved = resolve(scene, shading, albedo)
+    if not float_albedo:
+        resolved = resolve(reduced(resolved, view, size, 1.0), shading, albedo)
+    scene = resolved.scene
     steps = with_shadows(resolved, view, size, [shade_pass(resolved, view, 1)])
     blob = _Blob()
     passes = [
@@ -59,7 +59,7 @@ def draw_webgl(
             "size": step.target.size or size,
             "number": step.target.values == "number",
             "clear": step.clear,
-            "draws": [_described(blob, draw, step, scene, albedo, size) for draw in step.draws],
+            "draws": [_described(blob, draw, step, scene, size) for draw in step.draws],
         }
         for step in steps
     ]
@@ -97,7 +97,7 @@ def _map(
 
 
 def _described(
-    blob: _Blob, draw: Draw, step: Pass, scene: Scene, albedo: Kind, size: tuple[int, int]
+    blob: _Blob, draw: Draw, step: Pass, scene: Scene, size: tuple[int, int]
 ) -> dict[str, Any]:
     """Return a draw as JSON data for webgl.js."""
     maps: dict[str, Any] = {}
@@ -107,18 +107,17 @@ def _described(
     columns: dict[str, NDArray[Any]] = {}
     faces = np.arange(3, dtype=np.uint32)
     if draw.part is not None:
-        positions, normals = np.hsplit(triangle_setup_of(draw.part, scene.mesh).vertices, 2)
-        columns = {"in_position": positions, "in_normal": normals, **fixed_attributes(draw.part)}
-        faces = draw.part.faces if draw.order is None else draw.part.faces[draw.order]
-    if draw.part is not None and draw.material is not None:
-        filtered = "SLOPE_FILTER" in draw.program.features
+        part = draw.part.part
+        positions, normals = np.hsplit(scene.mesh.setups[draw.part.index].vertices, 2)
+        columns = {"in_position": positions, "in_normal": normals, **fixed_attributes(part)}
+        faces = part.faces if draw.order is None else part.faces[draw.order]
         maps |= {
             name: _map(
                 *(blob, texture.levels(kind).result(), kind),
                 np.float16 if kind == "linear-color" else np.uint8,
                 *(texture.wrap, name == "property_map", not texture.nearest),
             )
-            for name, texture, kind in part_maps(draw.part, draw.material, albedo, filtered)
+            for name, texture, kind in draw.part.maps
         }
     uniforms = {**step.uniforms, **draw.uniforms}
     sources = draw.program.sources("300 es")

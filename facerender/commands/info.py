@@ -18,7 +18,8 @@ from facerender.loading import load_mesh
 from facerender.loading.source import source_of
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, PRESETS, Material
-from facerender.scenes.mesh import Mesh, Part, clips_of
+from facerender.scenes.mesh import Mesh, clips_of
+from facerender.scenes.part import Part
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults

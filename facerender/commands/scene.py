@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from facerender.commands.common import Options, mesh_files, part_materials
-from facerender.drawing.prepare import start_maps
+from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.errors import InputError, clipped, shown, warn
 from facerender.job import Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y, source_of
@@ -322,7 +322,7 @@ def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     scene = job.scene(job.mesh.load("read" if cache and not ahead else cache))
     albedo: Kind = "linear-color" if job.image.float_albedo else "color"
     if ahead:
-        start_maps(scene.mesh, albedo, job.shading.slope_filter)
+        start_maps(resolved_parts(scene.mesh, albedo, job.shading.slope_filter))
     return scene
 
 

@@ -9,24 +9,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import PurePath
 from typing import IO, TYPE_CHECKING, Any, get_args
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import ResolvedScene, part_maps, simplify
+from facerender.drawing.prepare import ResolvedPart, ResolvedScene
 from facerender.errors import InputError, check_switch, check_type, clipped, shown, warn
 from facerender.images.animation import arranged
 from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, png_bytes, save_exr
 from facerender.images.image import encode_srgb8
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.mips import Kind
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Only, Scene, check_only
 from facerender.scenes.texture import Texture
 from facerender.scenes.vectors import unit
 from facerender.scenes.view import View, hidden
-from facerender.shading import Shading
 from facerender.system.files import write_bytes
 from facerender.terms.ranges import EXPOSURES
 
@@ -35,23 +32,24 @@ if TYPE_CHECKING:
 
 
 _LONGEST = 400  # characters of a value: Exif metadata of a JPEG has at most 64 KiB
-_of_meshes: WeakKeyDictionary[Mesh, dict[str, str]] = WeakKeyDictionary()
-_checksums: WeakKeyDictionary[Part, int] = WeakKeyDictionary()
 _ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if they are defaults
 
 
-def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, str]:
-    """Return the parameters of a scene as text, without paths of files.
+def mesh_metadata(mesh: Mesh) -> dict[str, str]:
+    """Return a mesh as text, without paths of files: the keys "mesh", and the factors and maps of
+    materials by the names of :class:`Material`, such as "m", unless all parts have the default."""
+    texts = {"mesh": _mesh(mesh), **_materials(mesh)}
+    return {name: _limited(text) for name, text in texts.items()}
 
-    The keys are "mesh", "camera", "light 0" and so on, "ambient", "background", "environment",
-    "before"; the factors and maps of materials by the names of :class:`Material`, such as "m",
-    unless all parts have the default; and "textures": "float", or "8-bit" if an 8-bit map is used.
 
-    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
+def scene_metadata(scene: Scene, parts: Sequence[ResolvedPart]) -> dict[str, str]:
+    """Return the parameters of a scene, except its mesh, as text, without paths of files.
+
+    The keys are "camera", "light 0" and so on, "ambient", "background", "environment", "before";
+    and "textures": "float", or "8-bit" if an 8-bit map is used.
+
+    parts : parts of the resolved scene
     """
-    if scene.mesh not in _of_meshes:
-        texts = {"mesh": _mesh(scene.mesh), **_materials(scene.mesh)}
-        _of_meshes[scene.mesh] = {name: _limited(text) for name, text in texts.items()}
     texts = {"camera": repr(scene.camera)}
     texts |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
     texts |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
@@ -61,11 +59,9 @@ def scene_metadata(scene: Scene, shading: Shading, albedo: Kind) -> dict[str, st
         texts["environment"] = f"{name}, rotation {rotation}, scale {scale}"
     if scene.before is not None:
         texts["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
-    drawn = simplify(scene, shading).mesh
-    parts = zip(drawn.parts, drawn.materials, strict=True)
-    maps = (map_ for pair in parts for map_ in part_maps(*pair, albedo, slope_filter=True))
-    texts["textures"] = "float" if all(kind == "linear-color" for *_, kind in maps) else "8-bit"
-    return _of_meshes[scene.mesh] | {name: _limited(text) for name, text in texts.items()}
+    maps = (kind for part in parts for *_, kind in part.maps)
+    texts["textures"] = "float" if all(kind == "linear-color" for kind in maps) else "8-bit"
+    return {name: _limited(text) for name, text in texts.items()}
 
 
 def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, str]:
@@ -75,7 +71,7 @@ def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, st
     texts = {key: str(value) for key, value in shading.as_dict().items()}
     for name in ("model", "lobe", "fresnel", "masking"):
         texts[name] = str(getattr(shading.term, name))
-    terms = resolved.terms if only != "diffuse" and resolved.lighting.shining else []
+    terms = resolved.appearance.terms if only != "diffuse" and resolved.lighting.shining else []
     if any(term != shading.term for term in terms):
         texts["lobe of each part"] = ", ".join(str(term.lobe) for term in terms)
     return {name: _limited(text) for name, text in texts.items()}
@@ -91,18 +87,10 @@ def _limited(text: str) -> str:
 def _mesh(mesh: Mesh) -> str:
     vertices = sum(len(part.positions) for part in mesh.parts)
     triangles = sum(len(part.faces) for part in mesh.parts)
-    # float32 hides differences between processors in the last bits of float64.
-    checksum = zlib.crc32(str([*map(_checksum, mesh.parts)]).encode())
+    checksum = zlib.crc32(str([part.checksum for part in mesh.parts]).encode())
     size = f"{vertices} vertices, {triangles} triangles, radius {mesh.radius:.6g}"
     unit = "" if mesh.millimetres is None else f", 1 unit = {mesh.millimetres} mm"
     return f"{mesh.name}, {size}{unit}, CRC-32 {checksum:08x}"
-
-
-def _checksum(part: Part) -> int:
-    if part not in _checksums:
-        with np.errstate(over="ignore"):  # a pose may exceed float32
-            _checksums[part] = zlib.crc32(part.positions.astype(np.float32).tobytes())
-    return _checksums[part]
 
 
 def _materials(mesh: Mesh) -> dict[str, str]:
@@ -467,7 +455,7 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     else:
         l = v = unit(to_eye)
         for light in scene.lights[:1]:
-            l, _ = light.kind.lighting(light, scene.mesh, position)
+            l, _ = light.kind.lighting(light, scene.mesh.space, position)
         normal = gbuffer.normal[covered].astype(np.float64)
         cosines = [(normal * direction).sum(axis=-1) for direction in (l, v, unit(l + v))]
         values = np.stack(cosines, axis=-1)

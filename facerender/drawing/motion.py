@@ -14,8 +14,6 @@ from facerender.drawing.passes import (
     Pass,
     Target,
     mask_features,
-    triangle_setup_of,
-    unblended,
 )
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, surface_features
@@ -29,7 +27,7 @@ Float = NDArray[np.float64]
 # indices above 2^24.
 _INDEX_BASE = 4096
 # Displacements are rounded to 1e-6 pixels, because two poses of one mesh may use renderer's spaces
-# of different radius. Rounding errors of float64 then leave static points at 0.
+# of different centre. Rounding errors of float64 then leave static points at 0.
 _DIGITS = 6
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
@@ -62,19 +60,16 @@ def check_before(scene: Scene) -> Scene:
 def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
     """Return the pass that draws the visible triangle at the centre of each pixel: the index of the
     part plus 1, and two channels with the index of the triangle in drawing order."""
-    scene, shading = resolved.scene, resolved.shading
     draws = []
-    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    for number, (part, material) in enumerate(parts, 1):
-        features = mask_features(surface_features(part, material, shading))
+    for part in resolved.appearance.unblended:
+        features = mask_features(surface_features(part, resolved.shading))
         program = Program("depth.frag", features=(*features, f"TRIANGLE {_INDEX_BASE}"))
-        draw = Draw.of_part(program, part, material, part=number)
-        if material.double_sided is False:
-            order = triangle_setup_of(part, scene.mesh).facing(view.position)
+        draw = Draw.of_part(program, part, part=part.index + 1)
+        if part.material.double_sided is False:
+            order = resolved.scene.mesh.setups[part.index].facing(view.position)
             draw = replace(draw, order=order)
         draws.append(draw)
-    uniforms = {"view_projection": view.matrix}
-    return Pass("triangles", Target(), unblended(scene, draws), uniforms=uniforms)
+    return Pass("triangles", Target(), tuple(draws), uniforms={"view_projection": view.matrix})
 
 
 def motion_vectors(

@@ -7,102 +7,20 @@ other parts; depth peeling draws one transparent layer of a part."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Literal, NamedTuple, TypeVar
-from weakref import WeakKeyDictionary
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.drawing.prepare import ResolvedPart, ResolvedScene
 from facerender.drawing.program import IN_ROW, Program, Uniforms, part_uniforms, table_features
-from facerender.scenes.arrays import face_normals
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part, drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
+from facerender.scenes.setup import Area
 from facerender.scenes.view import View
 
-_EDGE_ON = 0.01  # sine of the angle between view ray and triangle
-
 Floats = NDArray[np.floating[Any]]
-
-
-class Area(NamedTuple):
-    """A rectangle of an image: left column, lowest row, width and height in pixels."""
-
-    left: int = 0
-    low: int = 0
-    width: int = 0
-    height: int = 0
-
-    @property
-    def empty(self) -> bool:
-        return not (self.width and self.height)
-
-
-@dataclass(frozen=True, eq=False)
-class TriangleSetup:
-    """The triangles of a part.
-
-    space : centre and radius of the mesh, which place the vertices in the renderer's space
-    vertices : (N, 6) float32, vertex positions in the renderer's space, and normals
-    faces : (F, 3) uint32, indices of vertices
-    """
-
-    space: tuple[float, ...]
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.uint32]
-
-    @classmethod
-    def of(cls, part: Part, mesh: Mesh) -> TriangleSetup:
-        """Return the triangle setup of a part of a mesh."""
-        vertices = np.empty((len(part.positions), 6), dtype=np.float32)
-        vertices[:, :3], vertices[:, 3:] = mesh.normalised(part.positions), part.normals
-        faces = np.asarray(part.faces, dtype=np.uint32)
-        return cls((*mesh.center.tolist(), mesh.radius), vertices, faces)
-
-    @property
-    def positions(self) -> NDArray[np.float32]:
-        """Vertex positions in the renderer's space, (N, 3)."""
-        return self.vertices[:, :3]
-
-    @cached_property
-    def bounds(self) -> Floats:
-        """Corners of the vertices' bounding box, homogeneous, (8, 4)."""
-        columns = np.ascontiguousarray(self.positions.T)
-        sides = zip(columns.min(axis=1), columns.max(axis=1), strict=True)
-        return np.stack(np.meshgrid(*sides, [1.0]), axis=-1).reshape(-1, 4)
-
-    @cached_property
-    def planes(self) -> NDArray[np.float32]:
-        """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
-        columns, faces = (np.ascontiguousarray(array.T) for array in (self.positions, self.faces))
-        corners, normals = map(np.stack, face_normals([*columns], faces))
-        normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
-        return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
-
-    def facing(self, camera: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the indices of the triangles that can face a camera at the given position (3,).
-
-        Triangles that are seen edge-on are included, because a driver rounds positions to fractions
-        of a pixel before it decides which triangles are back faces.
-        """
-        edge_on = _EDGE_ON * (1.0 + np.linalg.norm(camera))
-        return np.flatnonzero(np.append(camera, 1.0).astype(np.float32) @ self.planes > -edge_on)
-
-    def area(self, view: View, size: tuple[int, int]) -> Area:
-        """Return the bounds of the part in an image; empty if the part is outside the image.
-
-        size : width and height of the image
-        """
-        clip = self.bounds @ view.matrix
-        if clip[:, 3].min() <= 0.0:
-            return Area(0, 0, *size)
-        corners = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
-        start = np.clip(np.floor(corners.min(axis=0)), 0, size).astype(int)
-        end = np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(int)
-        return Area(*start.tolist(), *(end - start).tolist())
 
 
 def around(areas: Sequence[Area]) -> Area:
@@ -111,18 +29,6 @@ def around(areas: Sequence[Area]) -> Area:
     left, low = min(area.left for area in non_empty), min(area.low for area in non_empty)
     right = max(area.left + area.width for area in non_empty)
     return Area(left, low, right - left, max(area.low + area.height for area in non_empty) - low)
-
-
-_made: WeakKeyDictionary[Part, TriangleSetup] = WeakKeyDictionary()
-
-
-def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
-    """Return the triangle setup of a part of a mesh, from a cache. Meshes with the same centre and
-    radius share one setup."""
-    setup = _made.get(part)
-    if setup is None or setup.space != (*mesh.center.tolist(), mesh.radius):
-        _made[part] = setup = TriangleSetup.of(part, mesh)
-    return setup
 
 
 @dataclass(frozen=True)
@@ -169,18 +75,17 @@ class Draw:
 
     program: Program
     uniforms: Uniforms
-    part: Part | None = None
-    material: Material | None = None
+    part: ResolvedPart | None = None
     area: Area | None = None
     depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
     order: NDArray[np.int64] | None = None
     double_sided: bool | None = True
 
     @classmethod
-    def of_part(cls, program: Program, part: Part, material: Material, /, **uniforms: Any) -> Draw:
+    def of_part(cls, program: Program, part: ResolvedPart, /, **uniforms: Any) -> Draw:
         """Return the draw of a part, with the uniforms of the part and further uniforms."""
-        values = {**part_uniforms(part, material), **uniforms}
-        return cls(program, values, part, material, double_sided=material.double_sided)
+        values = {**part_uniforms(part), **uniforms}
+        return cls(program, values, part, double_sided=part.material.double_sided)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,8 +113,6 @@ class Pass:
     area: Area | None = None
 
 
-T = TypeVar("T")
-
 _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features that alpha masks use
 
 
@@ -227,15 +130,13 @@ class BlendedPart:
     layer: int = 0
 
 
-def visible_draws(
-    scene: Scene, draws: Sequence[Draw], blended_part: BlendedPart | None
-) -> tuple[Draw, ...]:
+def visible_draws(draws: Sequence[Draw], blended_part: BlendedPart | None) -> tuple[Draw, ...]:
     """Return the draws of all parts that are not blended. With a blended part, these draws write
     only depth, and the draw of its layer follows.
 
     draws : one draw for each part of the scene
     """
-    opaque = unblended(scene, draws)
+    opaque = unblended(draws)
     if blended_part is None:
         return opaque
     draw, peels = draws[blended_part.part], blended_part.layer > 0
@@ -243,42 +144,30 @@ def visible_draws(
     return *map(depth_only, opaque), replace(draw, program=program, order=blended_part.order)
 
 
-def _blended(scene: Scene) -> list[tuple[int, TriangleSetup]]:
-    """Return the index and the triangle setup of each blended part."""
-    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    return [
-        (index, triangle_setup_of(part, scene.mesh))
-        for index, (part, material) in enumerate(parts)
-        if drawn_alpha(part, material) == "blend"
-    ]
-
-
-def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
+def blended_parts(resolved: ResolvedScene, view: View) -> list[BlendedPart]:
     """Return the blended parts in drawing order. The part whose nearest vertex has the largest
     depth comes first."""
     pairs = []
-    for index, setup in _blended(scene):
+    for part in resolved.appearance.blended:
+        setup = resolved.scene.mesh.setups[part.index]
         depth = setup.positions @ view.forward
         order = np.argsort(-depth[setup.faces].sum(axis=1), kind="stable")
-        pairs.append((float(depth.min()), BlendedPart(index, order)))
+        pairs.append((float(depth.min()), BlendedPart(part.index, order)))
     return [part for _, part in sorted(pairs, key=lambda pair: -pair[0])]
 
 
-def unblended(scene: Scene, values: Sequence[T]) -> tuple[T, ...]:
-    """Return the values, such as draws, of parts that are not blended.
-
-    values : one value for each part of the scene
-    """
-    parts = zip(scene.mesh.parts, scene.mesh.materials, values, strict=True)
-    return tuple(value for part, material, value in parts if drawn_alpha(part, material) != "blend")
-
-
-def blended_area(scene: Scene, view: View, size: tuple[int, int]) -> Area:
+def blended_area(resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Area:
     """Return the bounds of all blended parts in an image; empty if there are none.
 
     size : width and height of the image
     """
-    return around([setup.area(view, size) for _, setup in _blended(scene)])
+    setups = (resolved.scene.mesh.setups[part.index] for part in resolved.appearance.blended)
+    return around([setup.area(view.matrix, size) for setup in setups])
+
+
+def unblended(draws: Iterable[Draw]) -> tuple[Draw, ...]:
+    """Return the draws of parts that are not blended."""
+    return tuple(draw for draw in draws if draw.part and draw.part.alpha != "blend")
 
 
 def with_blended(shaded: Pass, image: Pass, area: Area, visible: Target | None) -> list[Pass]:
@@ -325,7 +214,7 @@ _SELECTED = ("SELECTED", f"TRIANGLES_IN_ROW {IN_ROW}")
 _BRIGHTEST = 1e3  # largest background channel: float32 adds and subtracts 1e3 with an error of 6e-5
 
 
-def can_defer(scene: Scene, rows: int) -> bool:
+def can_defer(resolved: ResolvedScene, rows: int) -> bool:
     """Return whether deferred shading supports a scene.
 
     No part may have an alpha mask, and some part must be opaque. Opaque parts must use one set of
@@ -334,14 +223,14 @@ def can_defer(scene: Scene, rows: int) -> bool:
 
     rows : largest height of a texture, in texels
     """
-    pairs = unblended(scene, [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)])
-    counts = [len(part.faces) for part, _ in pairs]
+    parts = resolved.appearance.unblended
+    counts = [len(part.part.faces) for part in parts]
     return (
         0 < sum(counts) < _MOST_TRIANGLES
         and max(counts) <= rows * IN_ROW
-        and max(scene.background or (0.0,)) <= _BRIGHTEST
-        and not any(drawn_alpha(*pair) == "mask" for pair in pairs)
-        and not any(part.uv2 is not None and material.second_uv for part, material in pairs)
+        and max(resolved.scene.background or (0.0,)) <= _BRIGHTEST
+        and not any(part.alpha == "mask" for part in parts)
+        and not any(part.part.uv2 is not None and part.material.second_uv for part in parts)
     )
 
 
@@ -365,7 +254,7 @@ class Visible:
     front : indices of the triangles that can face the camera; None if back faces are drawn too
     """
 
-    part: Part
+    part: ResolvedPart
     first: int
     area: Area
     front: NDArray[np.int64] | None
@@ -392,7 +281,7 @@ class Visibility:
     @classmethod
     def of(
         cls,
-        scene: Scene,
+        resolved: ResolvedScene,
         view: View,
         size: tuple[int, int],
         samples: int,
@@ -400,15 +289,15 @@ class Visibility:
     ) -> Visibility:
         """Assign an index to each triangle, and compute the bounds of each part in the image."""
         parts, first = [], 1
-        pairs = [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)]
-        for part, material in unblended(scene, pairs):
-            setup = triangle_setup_of(part, scene.mesh)
-            area, front = setup.area(view, size), None
-            if material.double_sided is False:
+        setups = resolved.scene.mesh.setups
+        for part in resolved.appearance.unblended:
+            setup = setups[part.index]
+            area, front = setup.area(view.matrix, size), None
+            if part.material.double_sided is False:
                 front = setup.facing(view.position)
                 area = area if len(front) else Area()
             parts.append(Visible(part, first, area, front))
-            first += len(part.faces)
+            first += len(part.part.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
 
     @property
@@ -464,12 +353,16 @@ class Visibility:
         depth : depth value in [0, 1] that is different for each part
         """
         samples, rate = f"SAMPLES {self.samples}", ("PIXEL_RATE",) * (self.shading_rate == "pixel")
-        uniforms = {"first": part.first, "triangle_count": len(part.part.faces), "depth": depth}
+        uniforms = {
+            "first": part.first,
+            "triangle_count": len(part.part.part.faces),
+            "depth": depth,
+        }
         visible = Program("visible.frag", "screen.vert", (samples,))
         program = replace(draw.program, vertex="screen.vert")
         shaded = replace(
             draw,
-            program=program.having("VISIBLE", *rate, samples, *table_features(part.part)),
+            program=program.having("VISIBLE", *rate, samples, *table_features(part.part.part)),
             uniforms={**draw.uniforms, **uniforms},
             area=part.area,
             depth="marked",

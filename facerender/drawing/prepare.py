@@ -14,25 +14,29 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from facerender.errors import InputError
 from facerender.scenes.light import Light, LightSpace, disc_of, light_space
-from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part, blends_only, coordinates, slope_range
+from facerender.scenes.material import MAPS, PROPERTY_MAPS, Alpha, Material
+from facerender.scenes.mesh import Mesh, blends_only, coordinates, drawn_alpha, slope_range
 from facerender.scenes.mips import Kind
+from facerender.scenes.part import Part, Space
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import LARGE, Texture
+from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View, levels_to_spare
 from facerender.shading import Shading, Term
 from facerender.system.process import MIB, limit
 from facerender.terms.model import slope_filtered, slope_variance_disc, slope_variance_map
+
+if TYPE_CHECKING:
+    from facerender.scenes.environment import Environment
 
 
 @dataclass(frozen=True)
@@ -93,31 +97,69 @@ class Lighting:
         lights = zip(self.order, self.lights, strict=True)
         return tuple(index for index, light in lights if light.shadow)
 
-    def spaces(self, mesh: Mesh) -> list[LightSpace]:
-        """Return the spaces of the lights that cast shadows, in the order of their shadow maps. For
-        errors see :func:`light_space`."""
-        return [light_space(light, mesh) for light in self.lights if light.shadow]
 
-    def uniforms(self, mesh: Mesh) -> dict[str, Any]:
-        """Return the uniforms of all lights: arrays keyed by name."""
-        arrays: dict[str, Any] = {}
-        for kind in dict.fromkeys(light.kind for light in self.lights):
-            arrays |= kind.uniforms([light for light in self.lights if light.kind is kind], mesh)
-        if spaces := self.spaces(mesh):
-            arrays["shadow_view"] = np.array([space.matrix for space in spaces])
-            arrays["shadow_size"] = np.array(
-                [(space.tan_radius, space.top, space.scale) for space in spaces]
-            )
-        return arrays
+@dataclass(frozen=True, eq=False)
+class ResolvedPart:
+    """A part as it is drawn, in any pose and from any camera.
+
+    index : index of the part in the mesh
+    part : the part in the reference pose
+    material : material without the features that the shading leaves out
+    alpha : see :func:`facerender.scenes.mesh.drawn_alpha`
+    maps : see :func:`part_maps`
+    """
+
+    index: int
+    part: Part
+    material: Material
+    alpha: Alpha
+    maps: list[tuple[str, Texture, Kind]]
+
+
+def resolved_parts(
+    mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True
+) -> tuple[ResolvedPart, ...]:
+    """Return the parts of a mesh as they are drawn; for the parameters see :func:`part_maps`."""
+    pairs = enumerate(zip(mesh.geometry.parts, mesh.materials, strict=True))
+    return tuple(
+        ResolvedPart(i, *pair, drawn_alpha(*pair), part_maps(*pair, albedo, slope_filter))
+        for i, pair in pairs
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class ResolvedScene:
-    """A simplified scene with its shading and sorted lights; see :func:`resolve`."""
+class Appearance:
+    """All that an image shows except camera, background and the positions of vertices.
 
-    scene: Scene
+    It belongs to one geometry, and stays the same while the camera and the pose change, so that it
+    owns what the renderer derives from it.
+
+    materials, lights, ambient, environment : as in the simplified scene
+    space : see :class:`facerender.scenes.part.Space`
+    draws : draws of the parts, which the passes add under a key
+    fitting : numbers of samples per pixel that the memory suffices for
+    """
+
+    materials: tuple[Material, ...]
+    lights: tuple[Light, ...]
+    ambient: float | Vector
+    environment: Environment | None
+    space: Space
     shading: Shading
     lighting: Lighting
+    parts: tuple[ResolvedPart, ...]
+    draws: dict[Any, Any] = field(default_factory=dict)
+    fitting: set[int] = field(default_factory=set)
+
+    @classmethod
+    def of(cls, scene: Scene, shading: Shading, albedo: Kind) -> Appearance:
+        """Return the appearance of a simplified scene.
+
+        albedo : kind of mip chain of colour maps: "color" or "linear-color"
+        """
+        mesh, parts = scene.mesh, resolved_parts(scene.mesh, albedo, shading.slope_filter)
+        light = scene.lights, scene.ambient, scene.environment
+        return cls(mesh.materials, *light, mesh.space, shading, Lighting.of(scene, shading), parts)
 
     @cached_property
     def slopes(self) -> list[tuple[float, float]]:
@@ -126,11 +168,12 @@ class ResolvedScene:
         The largest m includes the largest amounts that slope filter and area lights add. Raises
         InputError if a light is too near to the mesh for its radius.
         """
-        scene, shading = self.scene, self.shading
-        discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
+        shading = self.shading
+        discs = [disc for light in self.lights if (disc := disc_of(light, self.space))]
         shared = max((float(slope_variance_disc(*disc, 0.0)) for disc in discs), default=0.0)
         ranges = []
-        for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+        for resolved in self.parts:
+            part, material = resolved.part, resolved.material
             smallest, largest = slope_range(part, material)
             variance = shared
             if part.uv is not None and material.normal_map and shading.normal_map:
@@ -148,29 +191,99 @@ class ResolvedScene:
         shading = self.shading
         return [shading.term.for_slopes(*limits, shading.outside) for limits in self.slopes]
 
+    @cached_property
+    def light_spaces(self) -> list[LightSpace]:
+        """The spaces of the lights that cast shadows, in the order of their shadow maps. Raises the
+        errors of :func:`light_space`."""
+        return [light_space(light, self.space) for light in self.lighting.lights if light.shadow]
 
-def resolve(scene: Scene, shading: Shading) -> ResolvedScene:
+    @cached_property
+    def light_uniforms(self) -> dict[str, Any]:
+        """The uniforms of all lights: arrays keyed by name."""
+        arrays: dict[str, Any] = {}
+        lights = self.lighting.lights
+        for kind in dict.fromkeys(light.kind for light in lights):
+            arrays |= kind.uniforms([light for light in lights if light.kind is kind], self.space)
+        if spaces := self.light_spaces:
+            arrays["shadow_view"] = np.array([space.matrix for space in spaces])
+            arrays["shadow_size"] = np.array([(s.tan_radius, s.top, s.scale) for s in spaces])
+        return arrays
+
+    @cached_property
+    def unblended(self) -> list[ResolvedPart]:
+        """The parts that are not blended."""
+        return [part for part in self.parts if part.alpha != "blend"]
+
+    @cached_property
+    def blended(self) -> list[ResolvedPart]:
+        """The blended parts."""
+        return [part for part in self.parts if part.alpha == "blend"]
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedScene:
+    """A simplified scene with its appearance; see :func:`resolve`."""
+
+    scene: Scene
+    appearance: Appearance
+
+    @property
+    def shading(self) -> Shading:
+        return self.appearance.shading
+
+    @property
+    def lighting(self) -> Lighting:
+        return self.appearance.lighting
+
+
+class Appearances:
+    """The appearances of the last frames of one geometry. Consecutive frames mostly differ in the
+    camera or in the pose, and measurements alternate between few shadings."""
+
+    def __init__(self, albedo: Kind) -> None:
+        self.albedo = albedo
+        self._recent: list[tuple[tuple[Any, ...], Appearance]] = []
+
+    def resolve(self, scene: Scene, shading: Shading) -> ResolvedScene:
+        """Return :func:`resolve` of a scene."""
+        mesh = scene.mesh
+        light = scene.lights, scene.ambient, scene.environment
+        key = mesh.geometry.token, mesh.materials, *light, mesh.space, shading
+        found = next((appearance for other, appearance in self._recent if other == key), None)
+        if found is None:
+            found = resolve(scene, shading, self.albedo).appearance
+            others = [pair for pair in self._recent if pair[0][0] is key[0]]
+            self._recent = [(key, found), *others[: _MOST_RECENT - 1]]
+        changes: dict[str, Any] = {
+            name: value
+            for name in ("lights", "ambient", "environment")
+            if (value := getattr(found, name)) is not getattr(scene, name)
+        }
+        if found.materials is not mesh.materials:
+            changes["mesh"] = replace(mesh, materials=found.materials)
+        return ResolvedScene(replace(scene, **changes) if changes else scene, found)
+
+
+def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
     """Remove the features of a scene that the shading leaves out, and sort its lights. For errors
     see :func:`facerender.drawing.prepare.simplify`."""
     simple = simplify(scene, shading)
-    return ResolvedScene(simple, shading, Lighting.of(simple, shading))
+    return ResolvedScene(simple, Appearance.of(simple, shading, albedo))
 
 
-_MOST_SIMPLIFIED = 64  # largest number of cached variants of one mesh
+_MOST_RECENT = 4
 # Bytes of memory, measured on llvmpipe: package and context, all programs; then per triangle, per
 # pixel and per sample.
 _ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
 _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
-_simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
 
 
 def simplify(scene: Scene, shading: Shading) -> Scene:
     """Return the scene without the maps, shadows, scattering, environment and ambient light that a
     shading leaves out.
 
-    The simplified mesh is cached: the same changes of one mesh return the same object, so that a
-    renderer reuses the uploaded maps. Raises InputError if m or ks is outside its domain, or if the
-    shading names a light that the scene lacks.
+    Raises InputError if m or ks is outside its domain, or if the shading names a light that the
+    scene lacks.
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}
@@ -198,80 +311,62 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
             changes["occlusion_map"] = None
     if not changes:
         return scene
-    return _changed(scene, tuple(changes.items()), lambda mesh: mesh.with_material(**changes))
-
-
-def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh]) -> Scene:
-    """Return a scene with a changed mesh, from a cache keyed by the original mesh and `key`."""
-    variants = _simplified.setdefault(scene.mesh, {})
-    if (mesh := variants.get(key)) is None:
-        if len(variants) >= _MOST_SIMPLIFIED:
-            variants.pop(next(iter(variants)), None)  # another thread may have removed it
-        mesh = variants[key] = change(scene.mesh)
-    return replace(scene, mesh=mesh)
+    return replace(scene, mesh=scene.mesh.with_material(**changes))
 
 
 def cut_out(scene: Scene, threshold: float) -> Scene:
     """Return the scene of data images: blended parts that do not transmit light become parts with
     an alpha mask, which have a surface where their opacity is at least `threshold`. Many exporters
-    mark a whole face as blended. The mesh is cached."""
-    if not any(blends_only(material) for material in scene.mesh.materials):
+    mark a whole face as blended."""
+    old = scene.mesh.materials
+    if not any(map(blends_only, old)):
         return scene
-
-    def masked(mesh: Mesh) -> Mesh:
-        changes: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": threshold}
-        materials = (
-            material.with_values(**changes) if blends_only(material) else material
-            for material in mesh.materials
-        )
-        return replace(mesh, materials=tuple(materials))
-
-    return _changed(scene, ("cut_out", threshold), masked)
+    mask: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": threshold}
+    new = (material.with_values(**mask) if blends_only(material) else material for material in old)
+    return replace(scene, mesh=replace(scene.mesh, materials=tuple(new)))
 
 
-def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
+def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
     """Return a scene whose large maps (more than LARGE texels) begin with the finest mip level that
-    the image reads. The mesh with these maps is cached.
+    the image reads.
 
-    scene : a simplified scene
     view : camera of the image
     size : width and height of the image in pixels
     anisotropy : maximum anisotropy of texture filtering
     """
+    scene = resolved.scene
+    large = [(part, _large(part.part, part.material)) for part in resolved.appearance.parts]
     spared: dict[Texture, int] = {}
-    levels: dict[tuple[Part, int, tuple[int, int]], int] = {}  # maps of one part share coordinates
-    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
-        for name, texture in _large(part, material):
-            uv = coordinates(part, material, name)
+    for part, maps in large:
+        levels: dict[tuple[bool, tuple[int, int]], int] = {}
+        for name, texture in maps.items():
+            uv = coordinates(part.part, part.material, name)
             assert uv is not None
-            key = part, id(uv), texture.size
+            key = uv is part.part.uv, texture.size  # maps of one part share coordinates
             if key not in levels:
                 # The reference pose decides, so that the maps stay while the mesh moves.
-                arguments = scene.mesh, part.root, uv, texture.size
+                arguments = scene.mesh, part.part, uv, texture.size
                 levels[key] = levels_to_spare(*arguments, view, size, anisotropy)
             spared[texture] = min(levels[key], spared.get(texture, levels[key]))
     if not any(spared.values()):
         return scene
-
-    def coarser(mesh: Mesh) -> Mesh:
-        materials = []
-        for part, original in zip(mesh.parts, mesh.materials, strict=True):
-            maps: dict[str, Any]
-            maps = {name: map.coarser(spared[map]) for name, map in _large(part, original)}
-            materials.append(replace(original, **maps))
-        return replace(mesh, materials=tuple(materials))
-
-    return _changed(scene, tuple(spared.items()), coarser)
+    materials = []
+    for part, maps in large:
+        coarser: dict[str, Any] = {name: map.coarser(spared[map]) for name, map in maps.items()}
+        materials.append(replace(part.material, **coarser))
+    return replace(scene, mesh=replace(scene.mesh, materials=tuple(materials)))
 
 
-def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
-    """Yield the :class:`Material` field and the texture of each large map of a part."""
-    for name in MAPS:
-        texture = getattr(material, name)
-        if texture is None or coordinates(part, material, name) is None:
-            continue
-        if math.prod(texture.size) > LARGE:
-            yield name, texture
+def _large(part: Part, material: Material) -> dict[str, Texture]:
+    """Return the large maps of a part by the fields of :class:`Material`."""
+    maps = {name: getattr(material, name) for name in MAPS}
+    return {
+        name: texture
+        for name, texture in maps.items()
+        if texture is not None
+        and math.prod(texture.size) > LARGE
+        and coordinates(part, material, name) is not None
+    }
 
 
 def part_maps(
@@ -303,30 +398,27 @@ def part_maps(
     ]
 
 
-def start_maps(mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True) -> None:
-    """Start to decode the maps of a mesh in threads, before the renderer needs them. Large maps are
+def start_maps(parts: Iterable[ResolvedPart]) -> None:
+    """Start to decode the maps of parts in threads, before the renderer needs them. Large maps are
     skipped, since the renderer may reduce them."""
-    for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        for _, texture, kind in part_maps(part, material, albedo, slope_filter):
+    for part in parts:
+        for _, texture, kind in part.maps:
             if not texture.coarse and math.prod(texture.size) <= LARGE:
                 texture.levels(kind)
 
 
 def check_memory(
-    scene: Scene, size: tuple[int, int], samples: int, albedo: Kind, most: float | None
+    resolved: ResolvedScene, size: tuple[int, int], samples: int, most: float | None
 ) -> None:
     """Raise InputError if the estimated memory for drawing a scene exceeds a limit.
 
-    scene : simplified scene, with reduced maps
+    resolved : scene with reduced maps
     size : width and height of the image in pixels
     samples : samples per pixel that the driver draws at once
-    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
     most : limit of the process's memory in MiB; None for the free memory of the system
     """
-    mesh = scene.mesh
-    maps: set[tuple[Texture, Kind]] = set()
-    for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        maps |= {map_[1:] for map_ in part_maps(part, material, albedo, slope_filter=True)}
+    mesh = resolved.scene.mesh
+    maps = {map_[1:] for part in resolved.appearance.parts for map_ in part.maps}
     resident = _ALWAYS + _OF_TRIANGLE * float(sum(len(part.faces) for part in mesh.parts))
     decoding = 0.0
     for texture, kind in maps:

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import LightGroup, Lighting, ResolvedScene, part_maps
+from facerender.drawing.prepare import LightGroup, Lighting, ResolvedPart, ResolvedScene
 from facerender.glsl.library import call, environment_call, prelude, resolve_includes
-from facerender.scenes.material import PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Part, base_slope, drawn_alpha
-from facerender.scenes.scene import Only, Scene
+from facerender.scenes.material import PROPERTY_MAPS
+from facerender.scenes.mesh import base_slope
+from facerender.scenes.part import Part
+from facerender.scenes.scene import Only
 from facerender.scenes.view import View
 from facerender.shading import Shading, Term
 
@@ -97,17 +98,16 @@ class Program:
         return "\n".join([*kinds, macros])
 
 
-def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
+def surface_features(resolved: ResolvedPart, shading: Shading) -> tuple[str, ...]:
     """Return the feature macros for a part's geometry and material, without macros for lights."""
-    alpha = drawn_alpha(part, material)
-    maps = part_maps(part, material, "color", shading.slope_filter)
-    names = [name for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
+    part, material, alpha = resolved.part, resolved.material, resolved.alpha
+    names = [name for name, _, _ in resolved.maps if name != "opacity_map" or alpha != "opaque"]
     second = [name for name in names if material.by_second(name)]
     packed = [name for name in PROPERTY_MAPS if getattr(material, name) is not None]
     packed = packed if "property_map" in names else []
     occlusion = "occlusion_map" in (*names, *packed)
     features = {
-        "slope_filter": any(kind == "normal" for _, _, kind in maps),
+        "slope_filter": any(kind == "normal" for _, _, kind in resolved.maps),
         "constant_slope": shading.term.m is not None,
         "uv": part.uv is not None,
         **dict.fromkeys(packed, True),
@@ -129,8 +129,7 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
 
 def shade_program(
     resolved: ResolvedScene,
-    part: Part,
-    material: Material,
+    part: ResolvedPart,
     term: Term | None,
     smallest_m: float,
     only: Only | None = None,
@@ -142,8 +141,8 @@ def shade_program(
     only : term to draw, "specular" or "diffuse"; None for the whole image
     """
     scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
-    features = surface_features(part, material, shading)
-    features += shadow_features(lighting)
+    material = part.material
+    features = surface_features(part, shading) + shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (only != "specular" and material.diffuse_weight > 0.0)
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
@@ -175,28 +174,30 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
     return (f"SHADOWS {len(shadowed)}", *discs, *points)
 
 
-def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:
-    """Return the uniforms that all parts of a scene share."""
+def scene_uniforms(resolved: ResolvedScene, view: View, lights: bool = True) -> Uniforms:
+    """Return the uniforms that all parts of a scene share, with those of its lights or without."""
+    scene = resolved.scene
     uniforms: dict[str, Any] = {
         "view_projection": view.matrix,
         "camera_position": view.position,
         "ambient": np.asarray(scene.ambient),
     }
-    if lighting is None:
+    if not lights:
         return uniforms
     if environment := scene.environment:
         uniforms["environment_sh"] = environment.panorama.coefficients
         uniforms["environment_turn"] = environment.turn.T  # OpenGL stores matrices by column
         uniforms["environment_scale"] = environment.scale
         uniforms["environment_size"] = len(environment.panorama.map) - 2
-    return uniforms | lighting.uniforms(scene.mesh)
+    return uniforms | resolved.appearance.light_uniforms
 
 
-def part_uniforms(part: Part, material: Material) -> Uniforms:
+def part_uniforms(resolved: ResolvedPart) -> Uniforms:
     """Return the uniforms of a part."""
+    material = resolved.material
     return {
         "albedo_factor": np.asarray(material.albedo),
-        "slope": base_slope(part, material),
+        "slope": base_slope(resolved.part, material),
         "specular_weight": material.ks,
         "second_slope": material.second_slope,
         "lobe_weight": material.lobe_weight,

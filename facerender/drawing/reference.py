@@ -226,7 +226,7 @@ def layers(
         for light, source in enumerate(scene.lights):
             visible = gbuffer.visibility[covered][:, light, None] if source.shadow else None
             l, spread, specular[light][covered] = _lit(
-                pixels, material, resolved.terms[index], source, scene, visible
+                pixels, material, resolved.appearance.terms[index], source, scene, visible
             )
             factor = coupling(dot(pixels.n, l))
             diffuse[covered] += pixels.albedo * spread * factor
@@ -250,14 +250,14 @@ def _lit(
     visible : (N, 1) visible fraction of the light; None for lights without shadows
     """
     n, v, m = pixels.n, pixels.v, pixels.m
-    l, irradiance = source.kind.lighting(source, scene.mesh, pixels.position)
+    l, irradiance = source.kind.lighting(source, scene.mesh.space, pixels.position)
     if visible is not None:
         irradiance = irradiance * visible
     cosine = dot(n, l)
     received = irradiance * np.maximum(cosine, 0.0)[:, None]
     spread, variance = received, np.zeros(len(m))
     if source.kind.sine is not None:
-        s = source.kind.sine(source, scene.mesh, pixels.position)[..., 0]
+        s = source.kind.sine(source, scene.mesh.space, pixels.position)[..., 0]
         k = half_sum(s)
         spread = irradiance * cosine_disc(cosine, s, k)[:, None]
         variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))

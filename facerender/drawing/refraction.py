@@ -5,18 +5,17 @@ surface that the ray hits. No OpenGL here."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from weakref import WeakKeyDictionary, ref
+from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Area, Draw, Pass, Target, TriangleSetup, triangle_setup_of
+from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, scene_uniforms, shade_program
-from facerender.scenes.mesh import Mesh, drawn_alpha
 from facerender.scenes.repair import joined
-from facerender.scenes.scene import Scene
+from facerender.scenes.setup import Area, TriangleSetup
 from facerender.scenes.view import View
 
 Floats = NDArray[np.float64]
@@ -24,9 +23,9 @@ Numbers = NDArray[np.int64]
 
 _EMPTY = -1e30  # z of texels without a surface
 _MOST = 8  # most maps of a part; with more regions, the part has one map
-_SIDES = (64, 1024)  # smallest and largest side of a map, in texels
 _MARGIN = 1.15  # half the width of a map, in radii of the region
 _DEEP = 2.5  # depth of a map below the region's foremost vertex, in half widths of the map
+_SIDES = (64, 1024)  # smallest and largest side of a map, in texels
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +38,11 @@ class Region:
     matrix : (4, 4) float64, from the renderer's space to map space, for row vectors
     faces : (F,) indices of the part's triangles in the region
     top : largest z of the region's vertices
-    behind : cache of the triangles of other parts within the map, see :meth:`within`
     """
 
     matrix: Floats
     faces: Numbers
     top: float
-    behind: WeakKeyDictionary[TriangleSetup, Numbers] = field(default_factory=WeakKeyDictionary)
 
     @classmethod
     def of(cls, setup: TriangleSetup, faces: Numbers) -> Region:
@@ -78,20 +75,21 @@ class Region:
 
     def within(self, setup: TriangleSetup) -> Numbers:
         """Return the indices of a part's triangles that may be within the map."""
-        if setup not in self.behind:
-            places = setup.positions @ self.matrix[:3, :3] + self.matrix[3, :3]
-            high = places > (1.0, 1.0, self.top)
-            low = places < (-1.0, -1.0, self.bottom)
-            sides = np.packbits(np.hstack([low, high]), axis=1)[:, 0]  # six bits for each vertex
-            a, b, c = (np.take(sides, corner) for corner in setup.faces.T)
-            self.behind[setup] = np.flatnonzero(a & b & c == 0)
-        return self.behind[setup]
+        positions = setup.positions @ self.matrix[:3, :3] + self.matrix[3, :3]
+        high = positions > (1.0, 1.0, self.top)
+        low = positions < (-1.0, -1.0, self.bottom)
+        sides = np.packbits(np.hstack([low, high]), axis=1)[:, 0]  # six bits for each vertex
+        a, b, c = (np.take(sides, corner) for corner in setup.faces.T)
+        return np.flatnonzero(a & b & c == 0)
 
-    def pixels(self, view: View, size: tuple[int, int]) -> float:
-        """Return the width of the map in pixels of an image, where it is widest."""
+    def pixels(self, view: Floats, size: tuple[int, int]) -> float:
+        """Return the width of the map in pixels of an image, where it is widest.
+
+        view, size : see :meth:`TriangleSetup.area`
+        """
         back = np.linalg.inv(self.matrix)
         points = np.array([(0, 0, 0, 1), (1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]) @ back
-        clip = points @ view.matrix
+        clip = points @ view
         if clip[:, 3].min() <= 0.0:  # behind the camera
             return 0.0
         places = clip[:, :2] / clip[:, 3:] * size
@@ -106,21 +104,6 @@ def _axis(normals: Floats) -> Floats:
         axis = normals[normals[:, 2] > 0.0].sum(axis=0)
     length = np.linalg.norm(axis)
     return axis / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
-
-
-_passes: WeakKeyDictionary[Mesh, tuple[tuple[Hashable, ...], list[Pass]]] = WeakKeyDictionary()
-_regions: WeakKeyDictionary[TriangleSetup, tuple[Region, ...]] = WeakKeyDictionary()
-
-
-def regions_of(setup: TriangleSetup) -> tuple[Region, ...]:
-    """Return the regions of a refracting part, from a cache."""
-    if setup not in _regions:
-        labels = _labels(setup)
-        groups = [np.flatnonzero(labels == label) for label in np.unique(labels)[: _MOST + 1]]
-        if len(groups) > _MOST:
-            groups = [np.arange(len(setup.faces))]
-        _regions[setup] = tuple(Region.of(setup, group) for group in groups)
-    return _regions[setup]
 
 
 def _labels(setup: TriangleSetup) -> Numbers:
@@ -140,6 +123,15 @@ def _labels(setup: TriangleSetup) -> Numbers:
     return np.asarray(joined(pairs, len(names))[labels])
 
 
+def regions_of(setup: TriangleSetup) -> tuple[Region, ...]:
+    """Return the regions of a refracting part."""
+    labels = _labels(setup)
+    groups = [np.flatnonzero(labels == label) for label in np.unique(labels)[: _MOST + 1]]
+    if len(groups) > _MOST:
+        groups = [np.arange(len(setup.faces))]
+    return tuple(Region.of(setup, group) for group in groups)
+
+
 @dataclass(frozen=True, eq=False)
 class Refraction:
     """The maps of a scene's refracting parts, for one image.
@@ -154,17 +146,19 @@ class Refraction:
     background: Floats
 
     @classmethod
-    def of(cls, scene: Scene, view: View, size: tuple[int, int]) -> Refraction:
+    def of(cls, resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Refraction:
         """Return the maps for an image of a view. A texel covers at most half a pixel, except in
         images of an eye alone."""
-        mesh = scene.mesh
-        parts = tuple(
-            regions_of(triangle_setup_of(part, mesh)) if material.refracts else ()
-            for part, material in zip(mesh.parts, mesh.materials, strict=True)
-        )
-        pixels = max(region.pixels(view, size) for regions in parts for region in regions)
+        mesh, stored = resolved.scene.mesh, resolved.appearance.draws
+        refracting = [material.refracts for material in mesh.materials]
+        setups = [*compress(mesh.setups, refracting)]
+        if "regions" not in stored or stored["regions"][0] != setups:
+            found = iter([regions_of(setup) for setup in setups])
+            stored["regions"] = setups, tuple(next(found) if r else () for r in refracting)
+        parts = stored["regions"][1]
+        pixels = max(region.pixels(view.matrix, size) for regions in parts for region in regions)
         side = 2 ** int(np.ceil(np.log2(np.clip(2.0 * pixels, *_SIDES))))
-        return cls(parts, side, np.asarray(scene.background or (0.0, 0.0, 0.0)))
+        return cls(parts, side, np.asarray(resolved.scene.background or (0.0, 0.0, 0.0)))
 
     def refracted(self, draws: Sequence[Draw]) -> list[Draw]:
         """Return draws in which refracting parts show what is behind them.
@@ -193,13 +187,14 @@ class Refraction:
         A texel of a map has the radiance of the diffuse term, without subsurface scattering, and
         the emission of the foremost surface behind the refracting part.
         """
-        key, mesh = _key(resolved, self.side), resolved.scene.mesh
-        if mesh in _passes and _passes[mesh][0] == key:
-            return _passes[mesh][1]
+        key, cached = _key(resolved, self.side), resolved.appearance.draws.get("refraction")
+        if cached and cached[0] == key:
+            passes: list[Pass] = cached[1]
+            return passes
         front: list[Draw] = []
         behind: list[Draw] = []
         program, side = Program("refraction_surface.frag"), self.side
-        for part, regions in zip(mesh.parts, self.parts, strict=True):
+        for part, regions in zip(resolved.appearance.parts, self.parts, strict=True):
             for region in regions:
                 area = Area(len(front) * side, 0, side, side)
                 uniforms = {"view_projection": region.clip, "to_map": region.matrix}
@@ -208,13 +203,13 @@ class Refraction:
         size = len(front) * side, side
         surface = Target(size=size, sampled=True, values="number", number=2)
         map_target = Target(size=size, sampled=True, number=2)
-        shared = scene_uniforms(resolved.scene, _NOWHERE, resolved.lighting)
+        shared = scene_uniforms(resolved, _NOWHERE)
         clear = 0.0, 0.0, 0.0, _EMPTY
         passes = [
             Pass("refraction_surface", surface, tuple(front), key=key),
             Pass("refraction_map", map_target, tuple(behind), clear, shared, key=key),
         ]
-        _passes[mesh] = key, passes
+        resolved.appearance.draws["refraction"] = key, passes
         return passes
 
 
@@ -223,32 +218,22 @@ _NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))
 
 def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Draw]:
     """Yield the draws of the surfaces behind a region."""
-    mesh = resolved.scene.mesh
     shading = resolved.shading.replace(diffuse="lambert", environment_samples=0)
-    resolved = replace(resolved, shading=shading)
-    for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        if material.transmission > 0.0 or drawn_alpha(part, material) == "blend":
+    plain = replace(resolved, appearance=replace(resolved.appearance, shading=shading))
+    for part in resolved.appearance.unblended:
+        order = region.within(resolved.scene.mesh.setups[part.index])
+        if part.material.transmission > 0.0 or not len(order):
             continue
-        order = region.within(triangle_setup_of(part, mesh))
-        if not len(order):
-            continue
-        program = shade_program(resolved, part, material, term=None, smallest_m=0.0)
+        program = shade_program(plain, part, term=None, smallest_m=0.0)
         program = program.having("BEHIND_REFRACTION")
         camera = np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(region.matrix)  # far in front
         uniforms = {"view_projection": region.clip, "to_map": region.matrix}
-        draw = Draw.of_part(program, part, material, camera_position=camera[:3], **uniforms)
+        draw = Draw.of_part(program, part, camera_position=camera[:3], **uniforms)
         yield replace(draw, area=area, order=order)
 
 
 def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:
     """Return everything that the maps depend on, for ``Pass.key``."""
-    scene, shading = resolved.scene, resolved.shading
-    around = scene.environment
-    return (
-        *(ref(part) for part in scene.mesh.parts),
-        *(ref(material) for material in scene.mesh.materials),
-        *(scene.mesh.center.tobytes(), scene.mesh.radius, side),
-        *(scene.lights, resolved.lighting.order, np.asarray(scene.ambient).tobytes()),
-        around and (ref(around.panorama), around.rotation, around.scale),
-        shading.slope_filter,
-    )
+    mesh, look = resolved.scene.mesh, resolved.appearance
+    light = look.lights, look.lighting.order, look.ambient, look.environment
+    return (mesh.token, mesh.space, mesh.materials, *light, look.shading.slope_filter, side)

@@ -21,6 +21,7 @@ from facerender.drawing.frame import (
     check_image,
     data_view,
     in_order,
+    mesh_metadata,
     scene_metadata,
     shading_metadata,
 )
@@ -38,12 +39,12 @@ from facerender.drawing.passes import (
     with_blended,
 )
 from facerender.drawing.prepare import (
-    Lighting,
+    Appearances,
     ResolvedScene,
     check_memory,
     cut_out,
     reduced,
-    simplify,
+    resolved_parts,
     start_maps,
 )
 from facerender.drawing.program import ENVIRONMENT_MAP
@@ -149,8 +150,8 @@ class Renderer:
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
         self.alpha_threshold = alpha_threshold
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
-        # Samples that the driver draws at once, for each mesh that the memory suffices for.
-        self._fitting: weakref.WeakKeyDictionary[Mesh, int] = weakref.WeakKeyDictionary()
+        self._appearances = Appearances(self.albedo_kind)
+        self._described: tuple[object, dict[str, str]] = None, {}  # materials, and their metadata
         # A renderer of another size, for undistorted images, and the other sizes with targets.
         self._resized: Renderer | None = None
         self._sizes: set[tuple[int, int]] = set()
@@ -253,15 +254,13 @@ class Renderer:
         if only in DATA:
             return self._data_frame(scene, shading, only)
         _LIMITS["samples"].check("samples", samples)
-        if shading_rate == "pixel" and not self.can_shade_per_pixel(
-            simplify(scene, shading), samples
-        ):
+        if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples, shading):
             shading_rate = "sample"
         linear, resolved = self._radiance(scene, shading, samples, only, shading_rate)
         check_image(linear, scene)
         emit_all(resolved.scene.mesh)
-        metadata = scene_metadata(scene, shading, self.albedo_kind)
-        metadata |= shading_metadata(resolved, only) | self.metadata | {"samples": str(samples)}
+        metadata = self._metadata(scene, shading) | shading_metadata(resolved, only)
+        metadata |= self.metadata | {"samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
         metadata |= {"only": only} if only else {}
         return Frame(linear, only, scene.background is None, metadata)
@@ -302,11 +301,19 @@ class Renderer:
 
     def data_metadata(self, scene: Scene, shading: Shading, only: Only) -> dict[str, str]:
         """Return the metadata of a data image."""
-        metadata = scene_metadata(scene, shading, self.albedo_kind) | self.metadata
+        metadata = self._metadata(scene, shading) | self.metadata
         metadata |= {"samples": "1", "only": only, "alpha_threshold": str(self.alpha_threshold)}
         if only == "parts":
             metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
         return metadata
+
+    def _metadata(self, scene: Scene, shading: Shading) -> dict[str, str]:
+        """Return the scene as text. Most frames have the mesh of the frame before."""
+        key = scene.mesh.token, scene.mesh.materials
+        if self._described[0] != key:
+            self._described = key, mesh_metadata(scene.mesh)
+        parts = self._appearances.resolve(scene, shading).appearance.parts
+        return self._described[1] | scene_metadata(scene, parts)
 
     def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
@@ -346,16 +353,16 @@ class Renderer:
         view = view_of(scene, self.size[0] / self.size[1])
         return located(view, scene.mesh, landmarks.positions(scene.mesh), depth)
 
-    def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
+    def can_shade_per_pixel(self, scene: Scene, samples: int, shading: Shading = Shading()) -> bool:
         """Return whether a frame with `samples` per pixel can have ``shading_rate="pixel"``.
 
         `samples` must be the driver's largest number of samples, and more than 1. The scene may
         have up to 16 million triangles. No part may have an alpha mask. Parts that are not blended
         must use one set of texture coordinates. No channel of the background may exceed 1000.
         """
-        _check_scene(scene)
+        _check_scene(scene, shading)
         _LIMITS["samples"].check("samples", samples)
-        return samples > 1 and self._can_defer(scene, samples)
+        return samples > 1 and self._can_defer(self._appearances.resolve(scene, shading), samples)
 
     def gbuffer(
         self, scene: Scene, shading: Shading = Shading(), blended: bool = True, cut: bool = False
@@ -382,7 +389,7 @@ class Renderer:
         with self._layer_lock:
             layers = [
                 layer
-                for blended_part in (blended_parts(resolved.scene, view) if blended else ())
+                for blended_part in (blended_parts(resolved, view) if blended else ())
                 for layer in self._layers(resolved, view, blended_part)
             ]
         gbuffer, _ = self._gbuffer(resolved, view, casting=original)
@@ -392,7 +399,10 @@ class Renderer:
         """Return the scene of data images; see :func:`facerender.drawing.prepare.cut_out`."""
         mesh = resolved.scene.mesh
         emit(mesh, too_clear, too_clear(mesh, self.alpha_threshold))
-        return replace(resolved, scene=cut_out(resolved.scene, self.alpha_threshold))
+        cut = cut_out(resolved.scene, self.alpha_threshold)
+        if cut is resolved.scene:
+            return resolved
+        return self._appearances.resolve(cut, resolved.shading)
 
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
@@ -423,9 +433,9 @@ class Renderer:
         Without a layer, the second result is empty.
         """
         scene, lighting = resolved.scene, resolved.lighting
-        visibility = None if blended_part else self._visibility(scene, view, 1)
+        visibility = None if blended_part else self._visibility(resolved, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
-        refraction = _refraction(scene, view, self.size)
+        refraction = _refraction(resolved, view, self.size)
         surface = surface_pass(resolved, view, scatters, blended_part, refraction)
         passes = deferred(visibility, surface)
         if refraction:
@@ -470,16 +480,18 @@ class Renderer:
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
-        scene = simplify(scene, shading)
+        resolved = self._appearances.resolve(scene, shading)
         if not (self.full_maps or self.albedo_kind == "linear-color"):
-            scene = reduced(scene, view, self.size, self.anisotropy)
-        at_once = min(samples, self.context.most_samples)
-        if self._fitting.get(scene.mesh) != at_once:
-            check_memory(scene, self.size, at_once, self.albedo_kind, self.memory)
-            self._fitting[scene.mesh] = at_once
-        self._resources.take_coarse(scene.mesh, shading.slope_filter)
-        start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
-        return ResolvedScene(scene, shading, Lighting.of(scene, shading))
+            smaller = reduced(resolved, view, self.size, self.anisotropy)
+            if smaller is not resolved.scene:
+                resolved = self._appearances.resolve(smaller, shading)
+        at_once, parts = min(samples, self.context.most_samples), resolved.appearance.parts
+        if at_once not in resolved.appearance.fitting:
+            check_memory(resolved, self.size, at_once, self.memory)
+            resolved.appearance.fitting.add(at_once)
+            self._resources.take_coarse(parts)
+            start_maps(parts)
+        return resolved
 
     def _shaded(
         self,
@@ -491,9 +503,9 @@ class Renderer:
     ) -> NDArray[np.float32]:
         """Draw an image of a view; `samples` must not exceed the driver's limit."""
         scene = resolved.scene
-        visibility = self._visibility(scene, view, samples, shading_rate)
+        visibility = self._visibility(resolved, view, samples, shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
-        refraction = None if only else _refraction(scene, view, self.size)
+        refraction = None if only else _refraction(resolved, view, self.size)
         # One sample: the shading pass also draws the inputs of scattering. Several samples may show
         # different points: another pass draws the inputs at the pixels' centres.
         inputs = scattering if samples == 1 else None
@@ -512,10 +524,10 @@ class Renderer:
                 target = replace(image.target, sampled=True)
                 passes.append(replace(image, name="image", target=target, draws=draws))
                 light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
-                passes += deferred(self._visibility(scene, view, 1), light)
+                passes += deferred(self._visibility(resolved, view, 1), light)
             count = resolved.shading.scatter_samples
             passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
-        blended = blended_area(scene, view, self.size)
+        blended = blended_area(resolved, view, self.size)
         if (scattering or visibility) and not blended.empty:
             if inputs:
                 forward = shade_pass(resolved, view, samples, only, refraction=refraction)
@@ -526,28 +538,28 @@ class Renderer:
         return self._draw(with_shadows(resolved, view, self.size, passes), scene)[0]
 
     def _visibility(
-        self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
+        self, resolved: ResolvedScene, view: View, samples: int, rate: ShadingRate = "sample"
     ) -> Visibility | None:
         """Return the visible triangles for deferred shading, or None for forward shading.
 
         If deferred shading is supported, it is used for per-pixel shading, or if it is cheaper than
         forward shading.
         """
-        if self._can_defer(scene, samples) and (
-            shading_rate == "pixel"
-            or deferred_is_cheaper(scene, self.size, samples, self.context.renderer)
+        if self._can_defer(resolved, samples) and (
+            rate == "pixel"
+            or deferred_is_cheaper(resolved.scene, self.size, samples, self.context.renderer)
         ):
-            return Visibility.of(scene, view, self.size, samples, shading_rate)
+            return Visibility.of(resolved, view, self.size, samples, rate)
         return None
 
-    def _can_defer(self, scene: Scene, samples: int) -> bool:
+    def _can_defer(self, resolved: ResolvedScene, samples: int) -> bool:
         """Return whether driver and scene support deferred shading.
 
         The number of samples per pixel must be 1 or the driver's maximum. For any other number, a
         driver may use more samples than requested without reporting how many.
         """
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        return samples in (1, self.context.most_samples) and can_defer(scene, rows)
+        return samples in (1, self.context.most_samples) and can_defer(resolved, rows)
 
     def _of_size(self, size: tuple[int, int]) -> Renderer:
         """Return a renderer of another size with the same context, geometry, maps and programs. The
@@ -556,7 +568,7 @@ class Renderer:
         if resized is None or resized.size != size:
             resized = copy(self)
             resized.size, resized._resized = size, None
-            resized._fitting = weakref.WeakKeyDictionary()
+            resized._appearances = Appearances(self.albedo_kind)
             resized._check_size()
             with self._layer_lock, self.context.drawing() as gl:
                 resources = self._resources
@@ -616,13 +628,13 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     return scattering_of(scene, size)
 
 
-def _refraction(scene: Scene, view: View, size: tuple[int, int]) -> Refraction | None:
+def _refraction(resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Refraction | None:
     """Return the refraction of a scene, or None."""
-    if not any(material.refracts for material in scene.mesh.materials):
+    if not any(material.refracts for material in resolved.appearance.materials):
         return None
     from facerender.drawing.refraction import Refraction
 
-    return Refraction.of(scene, view, size)
+    return Refraction.of(resolved, view, size)
 
 
 def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
@@ -685,7 +697,7 @@ def render(
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
         loaded = loaded.with_skin(m=m)
-    start_maps(loaded)
+    start_maps(resolved_parts(loaded))
     scene = Scene(loaded, camera, lights, ambient, background, environment)
     with Renderer(size, samples=samples, backend=backend) as renderer:
         return renderer.render(scene, shading, only)

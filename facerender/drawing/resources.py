@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.passes import Area, Draw, Pass, Target, TriangleSetup, triangle_setup_of
-from facerender.drawing.prepare import part_maps
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.prepare import ResolvedPart
 from facerender.drawing.program import (
     IN_ROW,
     Program,
@@ -28,8 +28,10 @@ from facerender.drawing.program import (
     table_texels,
 )
 from facerender.errors import ContextError, InputError
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
+from facerender.scenes.part import Part
+from facerender.scenes.setup import Area, TriangleSetup
 from facerender.scenes.texture import Texture, Wrap
 from facerender.system.process import give_back, unload
 
@@ -56,8 +58,8 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 
 
 @dataclass(eq=False)
-class Geometry:
-    """The geometry of a part on the GPU. All poses of a part share one geometry.
+class Uploaded:
+    """A part on the GPU, which all its poses share.
 
     setup : vertices of the pose that the GPU holds
     moving : positions and normals, which change with the pose
@@ -67,6 +69,7 @@ class Geometry:
     chosen : vertex indices of the triangles that a draw chooses; None before its first use
     arrays : cache of vertex arrays, keyed by program and whether they read `chosen`
     table : triangle table of the pose; None before its first use
+    selected : texture of the last chosen triangles; None before its first use
     """
 
     setup: TriangleSetup
@@ -77,9 +80,10 @@ class Geometry:
     chosen: moderngl.Buffer | None = None
     arrays: dict[tuple[moderngl.Program, bool], moderngl.VertexArray] = field(default_factory=dict)
     table: TriangleTable | None = None
+    selected: moderngl.Texture | None = None
 
     @classmethod
-    def of(cls, gl: moderngl.Context, part: Part, setup: TriangleSetup) -> Geometry:
+    def of(cls, gl: moderngl.Context, part: Part, setup: TriangleSetup) -> Uploaded:
         """Upload a part."""
         columns = fixed_attributes(part)
         fixed = None
@@ -193,9 +197,8 @@ class Resources:
     ) -> None:
         self.context, self.size = context, size
         self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
-        self.geometries: WeakKeyDictionary[Part, Geometry] = WeakKeyDictionary()
+        self.parts: WeakKeyDictionary[Part, Uploaded] = WeakKeyDictionary()
         self.panoramas: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
-        self.selected: WeakKeyDictionary[Part, moderngl.Texture] = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
@@ -209,8 +212,8 @@ class Resources:
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
-        textures = (self.panoramas, self.selected, self.textures)
-        objects = (self.geometries, self.programs, self.targets, self.scopes, self.screen_arrays)
+        textures = (self.panoramas, self.textures)
+        objects = (self.parts, self.programs, self.targets, self.scopes, self.screen_arrays)
         for cache in (*textures, *objects, self.images_held):
             cache.clear()
         self.context.gl.gc()
@@ -227,9 +230,9 @@ class Resources:
         for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
             program = self.programs.pop(source)
             self.screen_arrays.pop(program, None)
-            for geometry in self.geometries.values():
+            for part in self.parts.values():
                 for chosen in (False, True):
-                    geometry.arrays.pop((program, chosen), None)
+                    part.arrays.pop((program, chosen), None)
         self._frame_programs.clear()
         self.context.gl.gc()
         if not self._settled:
@@ -262,7 +265,7 @@ class Resources:
             gl = self.context.gl
             for draw in step.draws:
                 self._prepare(target, step, draw)
-                masks = any(name.startswith("TO_COVERAGE") for name in draw.program.features)
+                masks = "TO_COVERAGE" in " ".join(draw.program.features)
                 for capability in _TO_COVERAGE * masks:
                     gl.enable_direct(capability)
                 try:
@@ -296,51 +299,47 @@ class Resources:
     ) -> None:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
+        uploaded = draw.part and self.part(draw.part, mesh)
         self.bind(program, draw, textures)
-        gl, part, faces = self.context.gl, draw.part, None
-        if part is None or draw.depth == "marked":
+        if draw.part is None or uploaded is None or draw.depth == "marked":
             self._screen(program).render(vertices=3)
             return
+        faces = None
         if draw.order is not None:
-            faces = np.take(np.asarray(part.faces, dtype=np.uint32), draw.order, axis=0)
-        self.geometry(part, mesh).draw(gl, program, faces)
+            faces = np.take(np.asarray(draw.part.part.faces, np.uint32), draw.order, axis=0)
+        uploaded.draw(self.context.gl, program, faces)
 
     def bind(
         self, program: moderngl.Program, draw: Draw, textures: Mapping[str, moderngl.Texture]
     ) -> None:
         """Bind the material's maps, the triangle table and the scene's textures to the uniforms of
         a program."""
-        textures, part = dict(textures), draw.part
-        if part is not None and draw.material is not None:
-            filtered = "SLOPE_FILTER" in draw.program.features
-            for name, source, kind in part_maps(part, draw.material, self.albedo_kind, filtered):
-                if program.get(name, None):
-                    textures[name] = self.texture(name, source, kind)  # uploads bind unit 0
-        if part is not None and draw.depth == "marked":
-            table = self.geometries[part.root].table
-            assert table is not None
-            textures["triangle_table"] = table.texels
-        if draw.order is not None and program.get("selected_triangles", None):
-            assert part is not None
-            if part.root not in self.selected:
-                self.selected[part.root] = _empty(self.context.gl, len(part.faces), 1, 1)
-            textures["selected_triangles"] = self.selected[part.root]
-            _fill(self.selected[part.root], draw.order.astype(np.float32))
+        textures = dict(textures)
+        if (part := draw.part) is not None:
+            for map_ in part.maps:
+                if program.get(map_[0], None):
+                    textures[map_[0]] = self.texture(*map_)  # uploads bind unit 0
+            uploaded = self.parts.get(part.part)
+            if draw.depth == "marked":
+                assert uploaded is not None
+                assert uploaded.table is not None
+                textures["triangle_table"] = uploaded.table.texels
+            if draw.order is not None and program.get("selected_triangles", None):
+                assert uploaded is not None
+                if uploaded.selected is None:
+                    uploaded.selected = _empty(self.context.gl, len(part.part.faces), 1, 1)
+                textures["selected_triangles"] = uploaded.selected
+                _fill(uploaded.selected, draw.order.astype(np.float32))
         _use(program, textures)
 
-    def take_coarse(self, mesh: Mesh, slope_filter: bool) -> None:
-        """Decode and upload the reduced maps of a mesh (``Texture.coarse``), one after another.
+    def take_coarse(self, parts: Sequence[ResolvedPart]) -> None:
+        """Decode and upload the reduced maps of parts (``Texture.coarse``), one after another.
 
         To limit peak memory, the renderer calls this method before it allocates targets and
         programs, and the maps whose decoding needs most memory come first. Among equal kinds the
         smallest maps come first, because an image is decoded again for each part that uses it.
         """
-        maps = dict.fromkeys(
-            map_
-            for part, material in zip(mesh.parts, mesh.materials, strict=True)
-            for map_ in part_maps(part, material, self.albedo_kind, slope_filter)
-            if map_[1].coarse
-        )
+        maps = dict.fromkeys(map_ for part in parts for map_ in part.maps if map_[1].coarse)
         if not maps:
             return
         costs = ("normal", "color", "data")
@@ -412,36 +411,37 @@ class Resources:
                 ) from None
         return self.programs[source]
 
-    def geometry(self, part: Part, mesh: Mesh) -> Geometry:
-        """Return the geometry of a part, which is uploaded on first use. Positions and normals are
-        uploaded again if the pose, or the mesh's centre or radius, has changed."""
-        setup, root = triangle_setup_of(part, mesh), part.root
-        geometry = self.geometries.get(root)
-        if geometry is None:
-            geometry = self.geometries[root] = Geometry.of(self.context.gl, root, setup)
-        elif geometry.setup is not setup:
-            geometry.moving.write(setup.vertices)
-            geometry.setup = setup
-        return geometry
+    def part(self, part: ResolvedPart, mesh: Mesh) -> Uploaded:
+        """Return a part on the GPU, which is uploaded on first use. Positions and normals are
+        uploaded again if the pose, or the mesh's centre, has changed."""
+        setup = mesh.setups[part.index]
+        uploaded = self.parts.get(part.part)
+        if uploaded is None:
+            uploaded = self.parts[part.part] = Uploaded.of(self.context.gl, part.part, setup)
+        elif uploaded.setup is not setup:
+            uploaded.moving.write(setup.vertices)
+            uploaded.setup = setup
+        return uploaded
 
-    def _draw_table(self, part: Part, mesh: Mesh) -> None:
+    def _draw_table(self, part: ResolvedPart, mesh: Mesh) -> None:
         """Draw the triangle table of a part, unless it is up to date."""
-        gl, geometry = self.context.gl, self.geometry(part, mesh)
-        if geometry.table is None:
+        gl, uploaded = self.context.gl, self.part(part, mesh)
+        if uploaded.table is None:
             self._settled = False
-            geometry.table = TriangleTable.of(gl, part.root)
-        table = geometry.table
-        if table.setup is geometry.setup:
+            uploaded.table = TriangleTable.of(gl, part.part)
+        table = uploaded.table
+        if table.setup is uploaded.setup:
             return
-        _fill(table.inputs["vertices"], geometry.setup.vertices)
+        _fill(table.inputs["vertices"], uploaded.setup.vertices)
         columns = table.inputs["attributes"].width // IN_ROW
-        macros = *table_features(part), f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
+        rows = f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
+        macros = *table_features(part.part), *rows
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
         _use(program, table.inputs)
         table.target.use()
         gl.enable_only(moderngl.NOTHING)
         self._screen(program).render(vertices=3)
-        table.setup = geometry.setup
+        table.setup = uploaded.setup
 
     def _screen(self, program: moderngl.Program) -> moderngl.VertexArray:
         """Return the vertex array of a program that draws one triangle over the target."""
@@ -538,7 +538,7 @@ def _use(program: moderngl.Program, textures: Mapping[str, moderngl.Texture]) ->
     used = [binding for binding in textures.items() if program.get(binding[0], None)]
     for unit, (name, texture) in enumerate(used):
         texture.use(unit)
-        set_uniforms(program, {name: unit})
+        program[name].value = unit  # type: ignore[union-attr]
 
 
 def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:

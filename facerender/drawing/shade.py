@@ -10,12 +10,10 @@ import math
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import TYPE_CHECKING
-from weakref import ref
 
 import numpy as np
 
 from facerender.drawing.passes import (
-    Area,
     BlendedPart,
     Draw,
     Pass,
@@ -25,7 +23,7 @@ from facerender.drawing.passes import (
     unblended,
     visible_draws,
 )
-from facerender.drawing.prepare import ResolvedScene
+from facerender.drawing.prepare import Appearance, ResolvedScene
 from facerender.drawing.program import (
     Program,
     part_uniforms,
@@ -37,9 +35,9 @@ from facerender.drawing.program import (
 from facerender.errors import InputError
 from facerender.scenes.light import LightSpace
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scattering import Scattering
 from facerender.scenes.scene import Only, Scene
+from facerender.scenes.setup import Area
 from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View
 from facerender.shading import Shading
@@ -87,28 +85,27 @@ def surface_pass(
     blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn
     refraction : refraction of the scene; None if no part refracts
     """
-    scene, shading = resolved.scene, resolved.shading
-    images, draws = surface_images(scene, blended_part is not None), []
+    shading = resolved.shading
+    images, draws = surface_images(resolved.scene, blended_part is not None), []
     further = ["SCATTER"] if scatters else []
     further += [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
-    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    for number, (part, material) in enumerate(parts, 1):
+    for part in resolved.appearance.parts:
         features = (
-            *surface_features(part, material, shading),
-            *("EMISSIVE",) * any(material.emissive),
+            *surface_features(part, shading),
+            *("EMISSIVE",) * any(part.material.emissive),
             # Every program must write all images of the pass, also for parts with one lobe.
-            *("TWO_LOBES",) * ("lobes" in images and not material.two_lobes),
+            *("TWO_LOBES",) * ("lobes" in images and not part.material.two_lobes),
             *further,
         )
         program = Program("gbuffer.frag", features=features)
-        draws.append(Draw.of_part(program, part, material, part=number))
+        draws.append(Draw.of_part(program, part, part=part.index + 1))
     if refraction:
         draws = refraction.refracted(draws)
     target = Target(colors=len(images))
     if blended_part is not None:  # two targets alternate, as each layer reads the previous one
         target = replace(target, sampled=True, number=blended_part.layer % 2)
-    visible = visible_draws(scene, draws, blended_part)
-    return Pass("surface", target, visible, uniforms=scene_uniforms(scene, view))
+    visible = visible_draws(draws, blended_part)
+    return Pass("surface", target, visible, uniforms=scene_uniforms(resolved, view, lights=False))
 
 
 def shade_pass(
@@ -129,21 +126,12 @@ def shade_pass(
     apart : whether to draw only the input images of the scatter pass
     refraction : refraction of the scene; None to leave out the light that parts refract
 
-    For errors see ``ResolvedScene.terms`` and ``ResolvedScene.slopes``.
+    For errors see ``Appearance.terms`` and ``Appearance.slopes``.
     """
-    scene, draws = resolved.scene, []
-    specular, count = only != "diffuse", len(scene.mesh.parts)
-    slopes = resolved.slopes if specular else [(0.0, 0.0)] * count
-    terms = resolved.terms if specular and resolved.lighting.shining else [None] * count
-    rows = zip(scene.mesh.parts, scene.mesh.materials, terms, slopes, strict=True)
-    for part, material, term, (smallest_m, _) in rows:
-        program = shade_program(resolved, part, material, term, smallest_m, only)
-        if samples > 1 and "ALPHA_MASK" in program.features:
-            program = program.having(f"TO_COVERAGE {samples}")
-        draws.append(Draw.of_part(program, part, material))
+    scene, draws = resolved.scene, _shade_draws(resolved, samples, only)
     if refraction:
         draws = refraction.refracted(draws)
-    uniforms = scene_uniforms(scene, view, resolved.lighting)
+    uniforms = scene_uniforms(resolved, view)
     if scattering:
         for index, (draw, number) in enumerate(zip(draws, scattering.numbers, strict=True)):
             program = draw.program.having("SCATTER", *("APART",) * apart)
@@ -151,15 +139,31 @@ def shade_pass(
             draws[index] = replace(draw, program=program, uniforms=values)
         target = Target(3 if apart else 4, samples, sampled=True)
         names = ("albedo", "light", "place") if apart else ("image", "light", "place", "albedo")
-        opaque = unblended(scene, draws)
-        return Pass(names[0], target, opaque, uniforms=uniforms, others=names[1:])
+        return Pass(names[0], target, unblended(draws), uniforms=uniforms, others=names[1:])
     background = (only is None and scene.background) or (0.0, 0.0, 0.0)
     blends = (
         replace(draws[blended.part], order=blended.order, depth="blend")
-        for blended in blended_parts(scene, view)
+        for blended in blended_parts(resolved, view)
     )
-    all_draws = (*unblended(scene, draws), *blends)
+    all_draws = (*unblended(draws), *blends)
     return Pass("shade", Target(samples=samples), all_draws, (*background, 0.0), uniforms)
+
+
+def _shade_draws(resolved: ResolvedScene, samples: int, only: Only | None) -> list[Draw]:
+    """Return the draws of all parts, from the cache if a frame with this appearance was drawn."""
+    look, key = resolved.appearance, ("shade", samples, only)
+    if key not in look.draws:
+        specular, count = only != "diffuse", len(look.parts)
+        slopes = look.slopes if specular else [(0.0, 0.0)] * count
+        terms = look.terms if specular and look.lighting.shining else [None] * count
+        draws = []
+        for part, term, (smallest_m, _) in zip(look.parts, terms, slopes, strict=True):
+            program = shade_program(resolved, part, term, smallest_m, only)
+            if samples > 1 and "ALPHA_MASK" in program.features:
+                program = program.having(f"TO_COVERAGE {samples}")
+            draws.append(Draw.of_part(program, part))
+        look.draws[key] = draws
+    return [*look.draws[key]]
 
 
 def scatter_pass(
@@ -217,26 +221,27 @@ def with_shadows(
     size : width and height of the image in pixels
     passes : passes that read the maps
     """
-    scene = resolved.scene
-    spaces = resolved.lighting.spaces(scene.mesh)
-    if not spaces:
+    mesh, look = resolved.scene.mesh, resolved.appearance
+    if not (spaces := look.light_spaces):
         return passes
     if len(spaces) > MOST:
         raise InputError(
             f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
         )
-    texels = _texels(view, size, len(spaces))
-    target, mesh = _target((len(spaces) * texels, texels)), scene.mesh
-    key = (
-        *(ref(part) for part in mesh.parts),
-        *(_cut(material) for material in mesh.materials),
-        *(mesh.center.tobytes(), mesh.radius),
-        *(space.matrix.tobytes() for space in spaces),
-    )
-    draws, clear = _draws(scene, spaces, texels), (_EMPTY, 0.0, 0.0, 0.0)
-    result = [Pass("shadow_map", target, draws, clear, key=key), *_cones(spaces, texels, key)]
+    texels = _texels(view, size, len(spaces), mesh.space.reach)
+    cached, stored = ("shadows", texels), look.draws
+    if cached not in stored or stored[cached][0] is not mesh.token:
+        key = (
+            *(mesh.token, mesh.space, *(_cut(part.material) for part in look.parts)),
+            *(space.matrix.tobytes() for space in spaces),
+        )
+        target, clear = _target((len(spaces) * texels, texels)), (_EMPTY, 0.0, 0.0, 0.0)
+        shadow_map = Pass("shadow_map", target, _draws(look, texels), clear, key=key)
+        stored[cached] = mesh.token, [shadow_map, *_cones(spaces, texels, key)]
+    result = [*stored[cached][1]]
+    maps = {"shadow_tiles": (texels, _BLOCKS), "shadow_reach": mesh.space.reach}
     for step in passes:
-        uniforms = {**step.uniforms, "shadow_tiles": (texels, _BLOCKS)}
+        uniforms = {**step.uniforms, **maps}
         result.append(replace(step, uniforms=uniforms, key=step.key and (step.key, texels)))
     return result
 
@@ -245,14 +250,14 @@ def _target(size: tuple[int, int], number: int = 0) -> Target:
     return Target(size=size, sampled=True, values="number", number=number)
 
 
-def _texels(view: View, size: tuple[int, int], count: int) -> int:
+def _texels(view: View, size: tuple[int, int], count: int, reach: float) -> int:
     """Return the width of each shadow map, a power of two. At the distance of the mesh's centre, a
     texel covers at most one pixel, unless the limits forbid it.
 
-    count : number of shadow maps
+    count, reach : number of shadow maps, and radius of the sphere that each covers
     """
     depth = max(float(view.matrix[3, 3]), 1e-3)
-    across = np.linalg.norm(view.matrix[:3, :2], axis=0) * size / depth  # of the map, in pixels
+    across = np.linalg.norm(view.matrix[:3, :2], axis=0) * size / depth * reach  # in pixels
     limit = min(_MOST_TEXELS, 1 << int(math.log2(_ALL_TEXELS / count) / 2.0))
     texels = min(max(float(across.max()), _FEWEST_TEXELS), limit)
     return 1 << math.ceil(math.log2(texels) - 0.25)
@@ -307,20 +312,18 @@ def _tops(count: int, key: Hashable) -> Pass:
     return Pass("shadow_tops", _target((column, _BLOCKS)), tuple(draws), key=key)
 
 
-def _draws(scene: Scene, spaces: list[LightSpace], texels: int) -> tuple[Draw, ...]:
+def _draws(look: Appearance, texels: int) -> tuple[Draw, ...]:
     draws, shading = [], Shading()
-    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
-        alpha = drawn_alpha(part, material)
-        if alpha == "blend" or material.transmission > 0.0:
+    for part in look.unblended:
+        if part.material.transmission > 0.0:
             continue
-        features = mask_features(surface_features(part, material, shading))
+        features = mask_features(surface_features(part, shading))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
-        mask = material if alpha == "mask" else None
-        mask_uniforms = part_uniforms(part, mask) if mask else {}
-        for number, space in enumerate(spaces):
+        mask_uniforms = part_uniforms(part) if part.alpha == "mask" else {}
+        for number, space in enumerate(look.light_spaces):
             uniforms = {**mask_uniforms, "to_light": space.matrix, "top": space.top}
             area = Area(number * texels, 0, texels, texels)
-            draws.append(Draw(program, uniforms, part, mask, area=area))
+            draws.append(Draw(program, uniforms, part, area=area))
     return tuple(draws)
 
 
@@ -329,9 +332,10 @@ def _cut(material: Material) -> Hashable:
     maps."""
     if material.transmission > 0.0:
         return "no shadow"
-    map_ = material.opacity_map and ref(material.opacity_map)
-    mask_values = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
-    return (material.alpha, map_, *mask_values) if material.alpha != "opaque" else None
+    if material.alpha == "opaque":
+        return None
+    map_ = material.opacity_map, material.by_second("opacity_map")
+    return material.alpha, material.opacity, material.alpha_cutoff, *map_
 
 
 def light_visibility_pass(
@@ -342,11 +346,11 @@ def light_visibility_pass(
 
     blended_part : see :func:`surface_pass`
     """
-    scene, lighting, draws = resolved.scene, resolved.lighting, []
-    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
-        features = surface_features(part, material, resolved.shading) + shadow_features(lighting)
+    lighting, draws = resolved.lighting, []
+    for part in resolved.appearance.parts:
+        features = surface_features(part, resolved.shading) + shadow_features(lighting)
         program = Program("light_visibility.frag", features=features, lights=lighting.groups)
-        draws.append(Draw.of_part(program, part, material))
-    uniforms = scene_uniforms(scene, view, lighting)
-    visible = visible_draws(scene, draws, blended_part)
+        draws.append(Draw.of_part(program, part))
+    uniforms = scene_uniforms(resolved, view)
+    visible = visible_draws(draws, blended_part)
     return Pass("light_visibility", Target(colors=MOST // 4), visible, uniforms=uniforms)

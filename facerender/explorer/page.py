@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.drawing.prepare import part_maps
+from facerender.drawing.prepare import ResolvedPart, resolved_parts
 from facerender.drawing.program import fixed_attributes, part_uniforms, surface_features
 from facerender.errors import InputError, warn
 from facerender.glsl.library import call, shader_dir, shader_source, term_source
@@ -26,14 +26,13 @@ from facerender.job import Job, MeshFile
 from facerender.page import document
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
 from facerender.scenes.file import ImageSettings, Pose, part_text, toml_text
-from facerender.scenes.framing import region_of
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, Part, drawn_alpha, slope_range
+from facerender.scenes.mesh import Mesh, drawn_alpha, slope_range
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
-from facerender.scenes.view import FRAMING_MARGIN, target_of
+from facerender.scenes.view import FRAMING_MARGIN, region_of, target_of
 from facerender.shading import SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
@@ -62,12 +61,13 @@ def drawable(mesh: Mesh) -> Mesh:
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
     materials = [mesh.materials[number] for number in numbers]
-    return replace(
-        mesh,
-        parts=tuple(mesh.parts[number] for number in numbers),
-        materials=tuple(
-            replace(material, **(_by_second(material) | plain)) for material in materials
-        ),
+    stored, regions = mesh.geometry.parts, mesh.regions
+    left = replace(mesh.geometry, parts=tuple(stored[n] for n in numbers), known_regions=regions)
+    posed = tuple(mesh.parts[n] for n in numbers)
+    return Mesh(
+        left,
+        tuple(replace(material, **(_by_second(material) | plain)) for material in materials),
+        mesh.pose and replace(mesh.pose, geometry=left, parts=posed),
     )
 
 
@@ -108,10 +108,10 @@ def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]
     """
     columns: list[NDArray[np.int64]] = []
     textures: list[tuple[Texture, Kind]] = []
-    pairs, skin = zip(mesh.parts, mesh.materials, strict=True), mesh.skin
+    skin = mesh.skin
     parts = [
-        {**_part(mesh, part, material, columns, textures), "skin": number in skin}
-        for number, (part, material) in enumerate(pairs)
+        {**_part(mesh, part, columns, textures), "skin": part.index in skin}
+        for part in resolved_parts(mesh)
     ]
     facts = {
         "parts": parts,
@@ -126,14 +126,14 @@ def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]
 
 def _part(
     mesh: Mesh,
-    part: Part,
-    material: Material,
+    resolved: ResolvedPart,
     columns: list[NDArray[np.int64]],
     textures: list[tuple[Texture, Kind]],
 ) -> dict[str, Any]:
     """Return the facts of a part, and append its arrays and maps to the lists."""
     maps: dict[str, int] = {}
-    for name, texture, kind in part_maps(part, material, "color", slope_filter=True):
+    part, material, reach = mesh.parts[resolved.index], resolved.material, mesh.space.reach
+    for name, texture, kind in resolved.maps:
         if (texture, kind) not in textures:
             textures.append((texture, kind))
         maps[name] = textures.index((texture, kind))
@@ -144,14 +144,14 @@ def _part(
     for name, values in attributes.items():
         low, extent = values.min(axis=0), np.ptp(values, axis=0).clip(1e-9)
         if name == "in_position":  # One grid for all parts: their common borders stay closed.
-            low, extent = np.full(3, -1.0), np.full(3, 2.0)
+            low, extent = np.full(3, -reach), np.full(3, 2.0 * reach)
         scale = (extent / STEPS).tolist()
         arrays[name] = {"column": len(columns), "scale": scale, "offset": low.tolist()}
         columns.append(np.round((values - low) / extent * STEPS).astype(np.int64))
     columns.append(part.faces.astype(np.int64))
-    uniforms: Mapping[str, Any] = part_uniforms(part, material)
+    uniforms: Mapping[str, Any] = part_uniforms(resolved)
     return {
-        "features": surface_features(part, material, Shading()),
+        "features": surface_features(resolved, Shading()),
         "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms.items()},
         "arrays": arrays,
         "faces": len(columns) - 1,
@@ -252,13 +252,12 @@ def explorer_page(
     if omitted := ", ".join(filter(None, [*lost_features(mesh), of_scene])):
         warn(f"the explorer shows {mesh.name} without {omitted}")
         note = f"This page omits {omitted}." + f" Its command omits {of_scene}." * bool(of_scene)
-    full_mesh, mesh = mesh, drawable(mesh)
+    mesh = drawable(mesh)
     lights, ambient = job.lights, job.ambient
     if job.environment is not None and not lights:
         lights, ambient = Scene.lights, Scene.ambient
     mesh_facts, arrays, textures = packed(mesh)
-    scale, offset = full_mesh.radius / mesh.radius, (full_mesh.center - mesh.center) / mesh.radius
-    framed = region_of(full_mesh, job.camera.frame) or full_mesh
+    framed = region_of(mesh, job.camera.frame) or mesh
     factors = {name: job.material.get(name) for name in TERM_FACTORS}
     aim = {name: getattr(job.camera, name) for name in ("frame", "target")}
     facts = {
@@ -267,8 +266,8 @@ def explorer_page(
         "mesh": _words(job),
         "center": mesh.center.tolist(),
         "radius": mesh.radius,
-        "target": (target_of(full_mesh, job.camera) * scale + offset).tolist(),
-        "profile": (framed.profile * scale).round(5).tolist(),
+        "target": target_of(mesh, job.camera).tolist(),
+        "profile": framed.profile.round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
         **mesh_facts,
         "first": {

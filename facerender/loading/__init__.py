@@ -38,8 +38,7 @@ from facerender.loading.source import (
     no_faces,
     source_of,
 )
-from facerender.scenes.framing import find_regions
-from facerender.scenes.hints import remember
+from facerender.scenes.hints import gloss_of
 from facerender.scenes.mesh import Mesh, names_of
 from facerender.scenes.repair import Piece, clean, in_space_order
 from facerender.scenes.sources import MeshSource
@@ -131,7 +130,11 @@ def load_mesh(
         mesh = _loaded(source_of(source, kind), maps, options, cache)
     if double_sided:
         mesh = mesh.with_material(double_sided=True)
-    return remember(mesh if millimetres is None else replace(mesh, millimetres=millimetres))
+    gloss = tuple(map(gloss_of, mesh.materials))
+    geometry = replace(mesh.geometry, gloss=gloss)
+    if millimetres is not None:
+        geometry = replace(geometry, millimetres=millimetres)
+    return replace(mesh, geometry=geometry)
 
 
 def _maps(*sources: Map | None) -> dict[str, Path | Texture]:
@@ -173,7 +176,7 @@ def _loaded(
     with noting() as warnings:
         mesh, references = _read(source, _opened(maps, contents), options)
     if cache != "read":
-        mesh = replace(mesh, regions=find_regions(mesh))
+        mesh = replace(mesh, geometry=replace(mesh.geometry, known_regions=mesh.regions))
         mesh_cache.store(entry, mesh, references.files, "albedo_map" in maps, warnings)
     return mesh
 
@@ -292,4 +295,4 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
         turned: dict[Texture | None, Texture | None] = {None: None}
         turned |= {old: old.turned_green() for m in materials if (old := m.normal_map)}
         materials = [replace(m, normal_map=turned[m.normal_map]) for m in materials]
-    return replace(mesh, parts=tuple(parts), materials=tuple(materials))
+    return Mesh(replace(mesh.geometry, parts=tuple(parts)), tuple(materials))

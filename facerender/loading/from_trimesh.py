@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
 from facerender.scenes.file import Pose
-from facerender.scenes.framing import tracked
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.mesh import Mesh, tracked
 from facerender.scenes.repair import Piece, check_count, placed, with_face_colors
 from facerender.scenes.texture import Texture, profile_of
 from facerender.system.files import suffix_of

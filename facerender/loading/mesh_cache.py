@@ -47,8 +47,8 @@ _CHAINS: dict[str, Kind] = {
 # Keyed by class of a stored value: its module in scenes. Most meshes have no rig: its import takes
 # 5 ms.
 _MODULES = {
-    **dict.fromkeys(("Mesh", "Part", "Region"), "mesh"),
-    "Material": "material",
+    **{"Geometry": "geometry", "Material": "material", "Mesh": "mesh"},
+    **dict.fromkeys(("Part", "Region"), "part"),
     **dict.fromkeys(("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track"), "rig"),
 }
 

@@ -29,7 +29,7 @@ from facerender.comparison.windows import (
     shrunk,
 )
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.prepare import start_maps
+from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
@@ -326,7 +326,7 @@ def measure(
     """
     size, repeats = ((256, 256), 7) if quick else ((512, 512), 21)
     plain = mesh.with_skin(m=m)
-    start_maps(plain)
+    start_maps(resolved_parts(plain))
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
     settings = Settings(mesh.name, m, size, repeats, quick)
     measured: list[MeasuredVariant] = []

@@ -145,7 +145,7 @@ def shadowed(scene: Scene, shading: Shading) -> list[int]:
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
-    ranges = resolve(scene, full).slopes
+    ranges = resolve(scene, full).appearance.slopes
     smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
     family = full.term.entry.family
     for model in [model for model in MODELS.values() if model.family == family]:

@@ -180,7 +180,7 @@ class Plan:
         InputError : an unknown target
         """
         resolved = resolve(self.scene, self.shading)
-        smallest = min(low for low, _ in resolved.slopes)
+        smallest = min(low for low, _ in resolved.appearance.slopes)
         two_lobes = any(material.two_lobes for material in resolved.scene.mesh.materials)
         source = term_source(self.shading.term, smallest, target, two_lobes)
         version, _, body = source.partition("\n") if source.startswith("#") else ("", "", source)

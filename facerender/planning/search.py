@@ -443,7 +443,7 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
     The constants are means over pixels, weighted by the specular radiance of each pixel.
     """
     single = resolve(scene, replace(full, two_lobes=False))
-    bounds = {end for slopes in single.slopes for end in slopes}
+    bounds = {end for slopes in single.appearance.slopes for end in slopes}
     peaks, darkened = np.zeros((2, len(scene.lights)))
     cast = shadowed(scene, full)
     m, ks, light = [], [], []

@@ -22,8 +22,10 @@ from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.renderer import Renderer
 from facerender.glsl.library import defines, lobe_macros, resolve_includes
 from facerender.scenes.camera import Camera
+from facerender.scenes.geometry import Geometry
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Part
 from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Shading
 from facerender.terms import LOBES, MODELS
@@ -466,9 +468,9 @@ def scene() -> Scene:
     wall = Part(corners, np.tile((0.0, 0.0, 1.0), (4, 1)), faces)
     skin = Material(scattering="skin", ks=0.0)
     bounds = np.array([(-80.0, -80.0, -80.0), (80.0, 80.0, 80.0)])
-    mesh = Mesh("wall", (wall,), (skin,), bounds, 139.0, np.array([(0.5, 0.5)]), 1.0)
+    geometry = Geometry("wall", (wall,), bounds, 139.0, np.array([(0.5, 0.5)]), 1.0)
     camera = Camera(position=(0.0, 0.0, 288.7), target=(0.0, 0.0, 0.0), fov=25.0)
-    return Scene(mesh, camera)
+    return Scene(Mesh(geometry, (skin,)), camera)
 
 
 def by_frames(repeats: int = 9) -> dict[str, float]:

@@ -22,7 +22,7 @@ from PIL import Image
 
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.prepare import Lighting, ResolvedScene, resolve
+from facerender.drawing.prepare import Appearance, Lighting, ResolvedPart, ResolvedScene, resolve
 from facerender.drawing.program import (
     ENVIRONMENT_MAP,
     Program,
@@ -37,9 +37,11 @@ from facerender.glsl.library import call, prelude
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock_of, slopes
 from facerender.scenes.environment import Environment, studio
+from facerender.scenes.geometry import Geometry
 from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Part
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import View
@@ -76,7 +78,7 @@ def scene_with(
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
     material = Material((1.0, 1.0, 1.0), 0.4, ks=0.3, kd=0.7, **textures)
     corners = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
-    mesh = Mesh("patch", (_PATCH,), (material,), corners, 1.0, np.ones((1, 2)))
+    mesh = Mesh(Geometry("patch", (_PATCH,), corners, 1.0, np.ones((1, 2))), (material,))
     counts = lights or {"directional": 1}
     examples = [LIGHT_KINDS[kind].example for kind, n in counts.items() for _ in range(n)]
     sources = [replace(light, shadow=shadow) for light in examples]
@@ -100,14 +102,17 @@ def program_of(
     stub : GLSL that replaces the specular terms if ``shading`` is None; "": no specular terms
     """
     chosen = shading or Shading()
-    lighting = Lighting.of(scene, chosen)
-    (part, *_), (material, *_) = scene.mesh.parts, scene.mesh.materials
     if coupled:
         chosen = chosen.replace(diffuse="coupled")
     chosen = chosen.replace(environment_samples=environment_samples)
-    resolved, term = ResolvedScene(scene, chosen, lighting), shading.term if shading else None
-    program = shade_program(resolved, part, material, term, SLOPE)
+    resolved, term = _as_it_is(scene, chosen), shading.term if shading else None
+    program = shade_program(resolved, resolved.appearance.parts[0], term, SLOPE)
     return replace(program, call=stub) if stub else program
+
+
+def _as_it_is(scene: Scene, shading: Shading) -> ResolvedScene:
+    """Return a scene with a shading, without removing the features that the shading leaves out."""
+    return ResolvedScene(scene, Appearance.of(scene, shading, "color"))
 
 
 @cache
@@ -251,21 +256,19 @@ def _timed(
     context: Context, resources: Resources, scene: Scene, source: Program, program: moderngl.Program
 ) -> Timed:
     """Return a function that draws a scene of one mesh part N times and returns the seconds."""
-    (part,), (material,) = scene.mesh.parts, scene.mesh.materials
-    lighting = Lighting.of(scene, Shading())
-    drawn = Pass("", Target(), (), uniforms=scene_uniforms(scene, _VIEW, lighting))
-    *maps, drawn = with_shadows(
-        ResolvedScene(scene, Shading(), lighting), _VIEW, (1024, 1024), [drawn]
-    )
+    resolved = _as_it_is(scene, Shading())
+    (part,) = resolved.appearance.parts
+    drawn = Pass("", Target(), (), uniforms=scene_uniforms(resolved, _VIEW))
+    *maps, drawn = with_shadows(resolved, _VIEW, (1024, 1024), [drawn])
     set_uniforms(program, drawn.uniforms)
-    set_uniforms(program, part_uniforms(part, material))
-    draw = Draw(source, {}, part, material)
+    set_uniforms(program, part_uniforms(part))
+    draw = Draw(source, {}, part)
     textures: Any = {}
     for step in maps:
         textures[step.name] = resources.draw(step, scene.mesh, textures).color_attachments[0]
     if scene.environment is not None:
         textures[ENVIRONMENT_MAP] = resources.panorama(scene.environment.panorama)
-    array = resources.geometry(part, scene.mesh).array(context.gl, program)
+    array = resources.part(part, scene.mesh).array(context.gl, program)
     clock = clock_of(context)
 
     def seconds(count: int) -> float:
@@ -319,16 +322,14 @@ class Prices:
         NoPrice : a term has no price
         """
         resolved = resolve(scene, shading)
-        simple = resolved.scene
         lights = self._lights(resolved.lighting)
         total = specular = faces = 0.0
-        for part, material, (smallest, _) in zip(
-            simple.mesh.parts, simple.mesh.materials, resolved.slopes, strict=True
-        ):
-            cost, shine = self._part(resolved, part, material, lights, smallest)
-            faces += len(part.faces)
-            total += len(part.faces) * cost
-            specular += len(part.faces) * shine
+        look = resolved.appearance
+        for part, (smallest, _) in zip(look.parts, look.slopes, strict=True):
+            cost, shine = self._part(resolved, part, lights, smallest)
+            faces += len(part.part.faces)
+            total += len(part.part.faces) * cost
+            specular += len(part.part.faces) * shine
         return total / faces, specular / faces
 
     def _lights(self, lighting: Lighting) -> float:
@@ -341,16 +342,12 @@ class Prices:
         )
 
     def _part(
-        self,
-        resolved: ResolvedScene,
-        part: Part,
-        material: Material,
-        lights: float,
-        smallest: float,
+        self, resolved: ResolvedScene, part: ResolvedPart, lights: float, smallest: float
     ) -> tuple[float, float]:
         """Return :meth:`cost` for one mesh part; ``lights`` is the cost of all lights without their
         specular terms, ``smallest`` the smallest slope m of the part."""
         scene, shading, count = resolved.scene, resolved.shading, resolved.lighting.shining
+        material = part.material
         shine = 0.0
         if material.ks and count:
             shine = self._specular(term_name(shading.term, smallest), count)
@@ -371,7 +368,7 @@ class Prices:
             reflected = (1 + material.two_lobes) * lobe_cost
             cost, shine = cost + reflected, shine + reflected
         occluded = ambient or (environment and diffuse)
-        cost += self._maps(part, material, occluded, shine > 0.0 or coupled)
+        cost += self._maps(part.part, material, occluded, shine > 0.0 or coupled)
         cost += self.parts["ambient term"] * ambient
         if material.scattering and diffuse:
             cost += self._priced(self.parts, "scattering")

@@ -22,18 +22,14 @@ usual height is used."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary, ref
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import check_type
-from facerender.scenes.camera import Frame
-from facerender.scenes.mesh import Mesh, Part, Region, in_space
-from facerender.scenes.repair import double_areas, used
+from facerender.scenes.part import Part, Region, Space
+from facerender.scenes.repair import double_areas
 
 Float = NDArray[np.float64]
 
@@ -85,9 +81,6 @@ _OTHER_WORDS = {
 _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
 _HAIR_WORDS = {"braid", "braids", "hair", "ponytail"}
 
-# Keyed by the first part, then by all parts, which copies with other materials share.
-_known: WeakKeyDictionary[Part, dict[Any, Mapping[str, Region | None]]] = WeakKeyDictionary()
-
 
 class _Head(NamedTuple):
     """A head in the renderer's space."""
@@ -98,56 +91,34 @@ class _Head(NamedTuple):
     has_nose: bool
 
 
-def find_regions(mesh: Mesh) -> Mapping[str, Region | None]:
-    """Return the regions "head", "face" and "auto" of a mesh in its reference pose; results are
-    cached.
+def regions_of(parts: Sequence[Part], space: Space, profile: Float) -> Mapping[str, Region | None]:
+    """Return the regions "head", "face" and "auto" of a geometry.
 
     "auto" is the head if a head is found and the mesh is clearly larger than the head. Otherwise
     "auto" is None, which means the whole mesh. If the mesh is flat, "head" and "face" are the whole
     mesh.
+
+    parts, space, profile : see :class:`facerender.scenes.geometry.Geometry`
     """
-    if mesh.regions is not None:
-        return mesh.regions
-    if mesh.rest is not None:
-        scale = mesh.rest.radius / mesh.radius
-        return {
-            name: r and Region(r.center * scale, r.radius * scale, r.height * scale)
-            for name, r in find_regions(mesh.rest).items()
-        }
-    regions_by_parts = _known.setdefault(mesh.parts[0], {})
-    key = tuple(map(ref, mesh.parts))
-    if key not in regions_by_parts:
-        regions_by_parts[key] = _found(mesh)
-    return regions_by_parts[key]
-
-
-def tracked(mesh: Mesh) -> Mesh:
-    """Return a posed mesh with a camera framing that follows the head.
-
-    Orbiting cameras move by the median displacement of the head's vertices from the reference pose.
-    If no head is found, all vertices count. A mesh in the reference pose is returned unchanged.
-    """
-    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-    rest_mesh = mesh.rest
-    if rest_mesh is None:
-        return mesh
-    head = find_regions(rest_mesh)["head"]
-    assert head is not None
-    of_head, steps = [], []
-    for part, rest_part in zip(mesh.parts, rest_mesh.parts, strict=True):
-        drawn = used(rest_part.positions, rest_part.faces)
-        away = np.abs(rest_mesh.normalised(rest_part.positions[drawn]) - head.center)
-        across = np.hypot(away[:, 0], away[:, 2])
-        of_head.append((across <= head.radius) & (away[:, 1] <= head.height))
-        steps.append((part.positions - rest_part.positions)[drawn])
-    step, inside = np.concatenate(steps), np.concatenate(of_head)
-    step = np.median(step[inside] if inside.any() else step, axis=0)
-    return in_space(replace(mesh, bounds=rest_mesh.bounds + step))
-
-
-def region_of(mesh: Mesh, frame: Frame) -> Region | None:
-    """Return the region of a mesh that a camera frames; None for the whole mesh."""
-    return None if frame == "all" else find_regions(mesh)[frame]
+    surface = _Surface(parts, space)
+    points = surface.points(surface.all, _SAMPLES)
+    named, clear = surface.named(), False
+    head: _Head | None = None
+    for chosen in (named, surface.all) if named.any() else (surface.all,):
+        chosen_points = points if chosen.all() else surface.points(chosen, _SAMPLES)
+        if (candidate := _head(surface, chosen, chosen_points)) is not None:
+            clear = candidate.has_nose or (chosen is named and _is_clear(parts))
+            head = candidate if clear or head is None else head
+        if clear:
+            break
+    if head is None:
+        region = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
+        return {"auto": None, "head": region, "face": region}
+    region = _region(_with_hair(np.concatenate([points, head.points]), head.points))
+    wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
+    larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height
+    larger = larger and clear and not _has_second(surface, head)
+    return {"auto": region if larger else None, "head": region, "face": head.face}
 
 
 def names_head(name: str) -> bool:
@@ -160,48 +131,26 @@ def _words(name: str) -> set[str]:
     return {word.lower() for word in _NAME_WORDS.findall(name)}
 
 
-def _found(mesh: Mesh) -> dict[str, Region | None]:
-    surface = _Surface(mesh)
-    points = surface.points(surface.all, _SAMPLES)
-    named, clear = surface.named(mesh), False
-    head: _Head | None = None
-    for chosen in (named, surface.all) if named.any() else (surface.all,):
-        chosen_points = points if chosen.all() else surface.points(chosen, _SAMPLES)
-        if (candidate := _head(surface, chosen, chosen_points)) is not None:
-            clear = candidate.has_nose or (chosen is named and _is_clear(mesh))
-            head = candidate if clear or head is None else head
-        if clear:
-            break
-    if head is None:
-        region = Region(np.zeros(3), *map(float, np.abs(mesh.profile).max(axis=0)))
-        return {"auto": None, "head": region, "face": region}
-    region = _region(_with_hair(np.concatenate([points, head.points]), head.points))
-    wide, high = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
-    larger = wide > 2.0 * _LARGER * region.radius or high > 2.0 * _LARGER * region.height
-    larger = larger and clear and not _has_second(surface, head)
-    return {"auto": region if larger else None, "head": region, "face": head.face}
-
-
-def _is_clear(mesh: Mesh) -> bool:
+def _is_clear(parts: Sequence[Part]) -> bool:
     """Return whether a part that is called a head needs no nose: it follows a joint that is also
     called a head, or other parts are called eyes."""
-    words = {word for part in mesh.parts for word in _words(part.name)}
-    return not _EYE_WORDS.isdisjoint(words) or any(part.head is not None for part in mesh.parts)
+    words = {word for part in parts for word in _words(part.name)}
+    return not _EYE_WORDS.isdisjoint(words) or any(part.head is not None for part in parts)
 
 
 class _Surface:
     """The triangles of a mesh: corners (F, 3, 3) in mesh space, bounds low and high (F, 3) in the
     renderer's space, index of the part (F,), and a mask of all triangles (F,)."""
 
-    def __init__(self, mesh: Mesh) -> None:
-        self.mesh = mesh
-        self.corners = np.concatenate([part.positions[part.faces] for part in mesh.parts])
+    def __init__(self, parts: Sequence[Part], space: Space) -> None:
+        self.parts, self.space = parts, space
+        self.corners = np.concatenate([part.positions[part.faces] for part in parts])
         a, b, c = np.moveaxis(self.corners, 1, 0)
         self.areas = double_areas(self.corners)
         self.areas /= self.areas.max() or 1.0  # all are 0 in a mesh without height
-        self.low = mesh.normalised(np.minimum(np.minimum(a, b), c))
-        self.high = mesh.normalised(np.maximum(np.maximum(a, b), c))
-        counts = [len(part.faces) for part in mesh.parts]
+        self.low = space.normalised(np.minimum(np.minimum(a, b), c))
+        self.high = space.normalised(np.maximum(np.maximum(a, b), c))
+        counts = [len(part.faces) for part in parts]
         self.owners = np.repeat(np.arange(len(counts)), counts)
         self.all = np.ones(len(self.corners), dtype=bool)
 
@@ -216,24 +165,24 @@ class _Surface:
         folded = u + v > 1.0
         u[folded], v[folded] = 1.0 - u[folded], 1.0 - v[folded]
         shares = np.stack([1.0 - u - v, u, v], axis=1)
-        return self.mesh.normalised(np.einsum("nk,nki->ni", shares, self.corners[triangle]))
+        return self.space.normalised(np.einsum("nk,nki->ni", shares, self.corners[triangle]))
 
     def within(self, low: Float, high: Float) -> NDArray[np.bool_]:
         """Return a mask of the triangles whose bounds overlap a box."""
         return np.asarray(((self.high >= low) & (self.low <= high)).all(axis=1))
 
-    def named(self, mesh: Mesh) -> NDArray[np.bool_]:
+    def named(self) -> NDArray[np.bool_]:
         """Return a mask of the triangles that belong to a head by the names in the mesh file.
         Joints restrict named parts, because a part may be a whole body."""
-        named = [names_head(part.name) for part in mesh.parts]
+        named = [names_head(part.name) for part in self.parts]
         chosen = np.zeros(len(self.corners), dtype=bool)
-        for number, part in enumerate(mesh.parts):
+        for number, part in enumerate(self.parts):
             hair = not _words(part.name).isdisjoint(_HAIR_WORDS)
             if not named[number] and (any(named) or hair or part.head is None):
                 continue
             mask = self.owners == number
             if part.head is not None:
-                low, high = mesh.normalised(part.head)
+                low, high = self.space.normalised(part.head)
                 mask &= self.within(low, high)
             chosen |= mask
         return chosen

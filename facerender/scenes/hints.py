@@ -6,15 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, note, warn
-from facerender.scenes.framing import find_regions
+from facerender.scenes.geometry import Geometry
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part, blends_only, coordinates, largest_opacity
+from facerender.scenes.mesh import Mesh, blends_only, coordinates, largest_opacity
+from facerender.scenes.part import Part
 from facerender.scenes.repair import double_areas
 from facerender.scenes.texture import Texture
 from facerender.terms.ranges import range_of
@@ -39,20 +39,11 @@ _APART = 0.02  # minimum distance between texture coordinates on the two sides o
 _FAINT = 0.1  # a highlight below this fraction of the highlight of default skin is invisible
 
 _Hint = Callable[..., str | None]
-# Keyed by the first part of a mesh, which copies of the mesh with other materials share.
-_emitted: WeakKeyDictionary[Part, set[_Hint]] = WeakKeyDictionary()
-_of_maps: WeakKeyDictionary[Part, tuple[Any, list[Any]]] = WeakKeyDictionary()
-_loaded: WeakKeyDictionary[Part, tuple[Any, ...]] = WeakKeyDictionary()  # from :func:`_gloss`
 
 
-def remember(mesh: Mesh) -> Mesh:
-    """Return a loaded mesh, and remember the highlights of its materials: highlights that a user
-    sets get no hint."""
-    _loaded.update(zip(mesh.parts, map(_gloss, mesh.materials), strict=True))
-    return mesh
-
-
-def _gloss(material: Material) -> tuple[Any, ...]:
+def gloss_of(material: Material) -> tuple[Any, ...]:
+    """Return the values of a highlight, for :attr:`Geometry.gloss`: highlights that a user sets get
+    no hint."""
     return material.ks, material.f0, material.m, material.roughness_map
 
 
@@ -60,15 +51,14 @@ def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
     maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
-    examined, results = _of_maps.get(mesh.parts[0].root, (None, []))
-    if maps != examined:
-        results = [(hint, hint(mesh)) for hint in (upside_down, green_down)]
-        _of_maps[mesh.parts[0].root] = maps, results
-    for hint, line in results:
+    results = mesh.geometry.hints
+    if results.get("maps") != maps:
+        results |= {"maps": maps, "lines": [(h, h(mesh)) for h in (upside_down, green_down)]}
+    for hint, line in results["lines"]:
         emit(mesh, hint, line)
     emit(mesh, no_ks, no_ks(mesh))
-    pairs = ((mesh.parts[i], mesh.materials[i]) for i in mesh.skin)
-    if all(_gloss(material) == _loaded.get(part.root) for part, material in pairs):
+    gloss = mesh.geometry.gloss
+    if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
         emit(mesh, faint, faint(mesh))
 
 
@@ -76,7 +66,7 @@ def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
     """Emit the result of a hint: as a warning once for each mesh, and for each image that records
     its warnings."""
     if line is not None:
-        emitted = _emitted.setdefault(mesh.parts[0].root, set())
+        emitted = mesh.geometry.emitted
         (note if hint in emitted else warn)(line)
         emitted.add(hint)
 
@@ -359,7 +349,7 @@ def millimetres_of(mesh: Mesh) -> float | None:
     if not height > 0.0:
         return None
     length = HEAD / height
-    if length not in range_of(Mesh, "millimetres"):
+    if length not in range_of(Geometry, "millimetres"):
         return None
     usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
     return usual if 1.0 / _NEAR < length / usual < _NEAR else float(f"{length:.2g}")
@@ -389,7 +379,7 @@ def wrong_unit(mesh: Mesh) -> str | None:
 
 def _head(mesh: Mesh) -> float:
     """Return the height of the head in mesh units."""
-    head = find_regions(mesh)["head"]
+    head = mesh.regions["head"]
     assert head is not None
     return 2.0 * head.height * mesh.radius
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, each_of, short_repr, shown
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Space
 from facerender.scenes.vectors import (
     AZIMUTHS,
     COLORS,
@@ -100,14 +100,14 @@ class LightKind:
     example: Light
     matches: Callable[[Light], bool]
     arrays: tuple[str, ...]
-    elements: Callable[[Light, Mesh], tuple[Float, ...]]
-    lighting: Callable[[Light, Mesh, Float], tuple[Float, Float]]
-    sine: Callable[[Light, Mesh, Float], Float] | None = None
+    elements: Callable[[Light, Space], tuple[Float, ...]]
+    lighting: Callable[[Light, Space, Float], tuple[Float, Float]]
+    sine: Callable[[Light, Space, Float], Float] | None = None
 
-    def uniforms(self, lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
+    def uniforms(self, lights: Sequence[Light], space: Space) -> dict[str, Float]:
         """Return the uniform arrays of N lights of this kind, keyed by the array's name. Each array
         is (N, 1) to (N, 3)."""
-        columns = zip(*(self.elements(light, mesh) for light in lights), strict=True)
+        columns = zip(*(self.elements(light, space) for light in lights), strict=True)
         return {name: np.array(column) for name, column in zip(self.arrays, columns, strict=True)}
 
     @property
@@ -121,22 +121,22 @@ class LightKind:
         return "hard shadow" if self.sine is None else "soft shadow"
 
 
-def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
+def _point(light: Light, space: Space) -> tuple[Float, Float]:
     """Return a point light's position and intensity in the renderer's space, (3,) each.
 
     The intensity is the irradiance at the mesh's centre times the squared distance to that centre.
     Raises InputError if the light is at the mesh's centre, or more than 1e6 mesh radii away.
     """
     assert light.position is not None
-    position = within_reach(f"point light {light.position}", mesh.normalised(light.position))
+    position = within_reach(f"point light {light.position}", space.normalised(light.position))
     distance2 = float(position @ position)
     if distance2 < 1e-12:
         raise InputError(f"point light {light.position} is at the mesh's centre; move it")
     return position, np.asarray(light.irradiance) * distance2
 
 
-def _point_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, Float]:
-    source, intensity = _point(light, mesh)
+def _point_lighting(light: Light, space: Space, position: Float) -> tuple[Float, Float]:
+    source, intensity = _point(light, space)
     to_light = source - position
     distance2 = (to_light**2).sum(axis=-1, keepdims=True)
     return to_light / np.sqrt(distance2), intensity / distance2
@@ -151,13 +151,13 @@ def _sine(light: Light) -> Float:
     return np.array([math.sin(math.radians(light.radius))])
 
 
-def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
+def _sphere(light: Light, space: Space) -> tuple[Float, Float, Float]:
     """Return position, intensity and radius of a sphere light in the renderer's space. Raises
     InputError if the angular radius may exceed MAX_RADIUS somewhere on the mesh."""
-    position, intensity = _point(light, mesh)
+    position, intensity = _point(light, space)
     distance = float(np.linalg.norm(position))
     size = distance * _sine(light)
-    if size > (distance - 1.0) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
+    if size > (distance - space.reach) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
         raise InputError(
             f"point light {light.position} with radius {light.radius:g} is too near: parts of the "
             f"mesh may see a radius above {MAX_RADIUS:g} degrees; reduce it, or move the light away"
@@ -165,8 +165,8 @@ def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
     return position, intensity, size
 
 
-def _sphere_sine(light: Light, mesh: Mesh, position: Float) -> Float:
-    source, _, size = _sphere(light, mesh)
+def _sphere_sine(light: Light, space: Space, position: Float) -> Float:
+    source, _, size = _sphere(light, space)
     return np.asarray(size / np.linalg.norm(source - position, axis=-1, keepdims=True))
 
 
@@ -199,20 +199,20 @@ LIGHT_KINDS: dict[str, LightKind] = {
             example=Light(30.0, 35.0, 2.0, radius=5.0),
             matches=lambda light: light.radius > 0.0,
             arrays=("disc_direction", "disc_irradiance", "disc_size"),
-            elements=lambda light, mesh: (
+            elements=lambda light, space: (
                 *_distant(light),
                 np.append(_sine(light), half_sum(_sine(light))),
             ),
-            lighting=lambda light, mesh, position: _distant(light),
-            sine=lambda light, mesh, position: _sine(light),
+            lighting=lambda light, space, position: _distant(light),
+            sine=lambda light, space, position: _sine(light),
         ),
         LightKind(
             "directional",
             example=Light(30.0, 35.0, 2.0),
             matches=lambda light: True,
             arrays=("light_direction", "light_irradiance"),
-            elements=lambda light, mesh: _distant(light),
-            lighting=lambda light, mesh, position: _distant(light),
+            elements=lambda light, space: _distant(light),
+            lighting=lambda light, space, position: _distant(light),
         ),
     )
 }
@@ -232,30 +232,31 @@ LIGHT_TEXTS = (
 )
 
 
-def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
+def disc_of(light: Light, space: Space) -> tuple[float, float] | None:
     """Return sin R and (1 + cos R)/2, where R is a light's largest angular radius, as seen from
-    any point in the mesh's bounding sphere. The parameters s and k of
+    any point in the sphere around the mesh. The parameters s and k of
     ``fr_slope_variance_disc`` are these values. Return None for a light without area. Raises the
     errors that drawing the light raises."""
     if light.kind.sine is None:
         return None
     nearest = np.zeros(3)
     if light.position is not None:
-        nearest = mesh.normalised(light.position)
-        nearest /= max(float(np.linalg.norm(nearest)), 1e-30)
-    sine = light.kind.sine(light, mesh, nearest)
+        nearest = space.normalised(light.position)
+        nearest /= max(float(np.linalg.norm(nearest)), 1e-30) / space.reach
+    sine = light.kind.sine(light, space, nearest)
     return float(sine[0]), float(half_sum(sine)[0])
 
 
 @dataclass(frozen=True, eq=False)
 class LightSpace:
-    """Projection from the renderer's space, with the mesh in the unit sphere, to a shadow map.
+    """Projection from the renderer's space to a shadow map, which covers the sphere around the mesh
+    (:attr:`Space.reach`).
 
     matrix : (4, 4) float64, for row vectors; the result must be divided by w
     tan_radius : tangent of the light's angular radius, seen from the mesh's centre
-    top : largest projected z of the unit sphere
-    scale : sqrt(1 - 1/d^2) of a point light at distance d, in units of the renderer's space; 0 for
-        a distant light
+    top : largest projected z of the sphere
+    scale : sqrt(1 - 1/d^2) / reach of a point light at a distance of d reaches; 0 for a distant
+        light
     """
 
     matrix: Float
@@ -264,34 +265,34 @@ class LightSpace:
     scale: float = 0.0
 
 
-def light_space(light: Light, mesh: Mesh) -> LightSpace:
-    """Return the shadow projection of a light. Raises InputError if a point light is less than
-    NEAREST or more than 1e6 mesh radii from the centre."""
+def light_space(light: Light, space: Space) -> LightSpace:
+    """Return the shadow projection of a light. Raises InputError if a point light is nearer than
+    NEAREST or farther than 1e6 mesh radii."""
     tan_radius = math.tan(math.radians(light.radius))
+    matrix, reach = np.eye(4), space.reach
     if light.position is None:
-        matrix = np.eye(4)
-        matrix[:3, :3] = light_axes(light, mesh)
+        matrix[:3, :3] = light_axes(light, space) / reach
         return LightSpace(matrix, tan_radius, 1.0)
-    place = within_reach(f"point light {light.position}", mesh.normalised(light.position))
-    distance = float(np.linalg.norm(place))
+    place = within_reach(f"point light {light.position}", space.normalised(light.position))
+    distance = float(np.linalg.norm(place)) / reach
     if distance < NEAREST:
         raise InputError(
-            f"point light {light.position} is too near to cast a shadow: it is {distance:.3g} mesh "
-            f"radii from the mesh's centre; give {NEAREST:g} or more, or shadow=False (,no-shadow)"
+            f"point light {light.position} is too near to cast a shadow: it is "
+            f"{distance * reach:.3g} mesh radii from the mesh's centre; give {NEAREST * reach:.4g} "
+            "or more, or shadow=False (,no-shadow)"
         )
-    axes = light_axes(light, mesh)
+    axes = light_axes(light, space)
     scale = math.sqrt(1.0 - 1.0 / distance**2)
-    matrix = np.zeros((4, 4))
-    matrix[:3, :3] = scale * distance * axes
-    matrix[:3, 3] = -axes[:, 2]
+    matrix[:3, :3] = scale * distance * axes / reach
+    matrix[:3, 3] = -axes[:, 2] / reach
     matrix[3, 3] = distance
-    return LightSpace(matrix, tan_radius, scale * distance / (distance - 1.0), scale)
+    return LightSpace(matrix, tan_radius, scale * distance / (distance - 1.0), scale / reach)
 
 
-def light_axes(light: Light, mesh: Mesh) -> Float:
+def light_axes(light: Light, space: Space) -> Float:
     """Return an orthonormal basis for a light as columns (3, 3). The third column points from the
     mesh's centre to the light."""
-    towards = light.direction if light.position is None else mesh.normalised(light.position)
+    towards = light.direction if light.position is None else space.normalised(light.position)
     return _axes(*towards.tolist())
 
 

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import index
 from typing import Any
-from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, shown, warn
 from facerender.images.files import MAX_SIDE
-from facerender.scenes.framing import find_regions
-from facerender.scenes.mesh import TRIANGLES, Mesh, Part, moved, reference_of
+from facerender.scenes.geometry import Geometry, Level
+from facerender.scenes.mesh import TRIANGLES, Mesh, moved
+from facerender.scenes.part import Part
 from facerender.scenes.repair import VERTEX_ARRAYS, double_areas
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 from facerender.system import meshoptimizer
 from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
-Level = tuple[Mesh, list[NDArray[np.int64]]]
 
 # Weights of attribute errors. Position errors, in extents of the mesh, have weight 1.
 # _PLACE weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights
@@ -32,11 +30,6 @@ _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 
 _SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, because sizes are rounded
-
-_simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
-# Keyed by the first part, all parts and the triangle limit: the simplified parts, and for each part
-# the indices of the remaining vertices. Poses and copies with other materials share these levels.
-_levels: WeakKeyDictionary[Part, dict[tuple[Any, ...], Level]] = WeakKeyDictionary()
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
@@ -49,8 +42,6 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     profile, head and face do not change, so that cameras frame the simplified mesh like the
     original. Triangles are ordered for the GPU's vertex cache. In all poses of a mesh, the
     reference pose determines which triangles remain.
-
-    Repeated calls with equal arguments return one object.
 
     Reference: Kapoulkine (2016-2026), meshoptimizer: meshopt_simplifyWithAttributes.
 
@@ -71,30 +62,26 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
-    levels = _simplified.setdefault(mesh, {})
+    levels = mesh.geometry.levels
     if triangles not in levels:
-        rest_mesh = reference_of(mesh)
-        shared = _levels.setdefault(rest_mesh.parts[0], {})
-        key = triangles, *map(ref, rest_mesh.parts)
-        if key not in shared:
-            shared[key] = _simplify(rest_mesh, triangles)
-        levels[triangles] = _posed(mesh, *shared[key])
-    if (remaining := sum(len(part.faces) for part in levels[triangles].parts)) > triangles:
-        warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {remaining} remain")
-    return levels[triangles]
+        levels[triangles] = _simplify(mesh.geometry, triangles)
+    geometry, remaining = levels[triangles]
+    if (count := sum(len(part.faces) for part in geometry.parts)) > triangles:
+        warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {count} remain")
+    level = Mesh(geometry, mesh.materials)
+    if mesh.pose is None:
+        return level
+    if triangles not in mesh.pose.levels:
+        level = replace(level, pose=replace(mesh.pose, geometry=geometry, parts=geometry.parts))
+        pairs = [*zip(mesh.parts, remaining, strict=True)]
+        columns = ([getattr(p, n)[rows] for p, rows in pairs] for n in ("positions", "normals"))
+        posed_level = moved(level, *columns).pose
+        assert posed_level is not None
+        mesh.pose.levels[triangles] = posed_level
+    return replace(level, pose=mesh.pose.levels[triangles])
 
 
-def _posed(mesh: Mesh, level: Mesh, remaining: Sequence[NDArray[np.int64]]) -> Mesh:
-    """Return a simplified mesh with the pose and the materials of a mesh."""
-    fields = {name: getattr(mesh, name) for name in ("materials", "bounds", "radius", "profile")}
-    if mesh.rest is None:
-        return replace(level, **fields)
-    pairs = [*zip(mesh.parts, remaining, strict=True)]
-    places, normals = ([getattr(p, n)[rows] for p, rows in pairs] for n in ("positions", "normals"))
-    return replace(moved(level, places, normals), **fields)
-
-
-def _simplify(mesh: Mesh, triangles: int) -> Level:
+def _simplify(mesh: Geometry, triangles: int) -> Level:
     """Simplify all parts together, so that borders between parts stay closed and the errors of
     different parts are comparable. Also return the indices of each part's remaining vertices."""
     try:
@@ -127,10 +114,10 @@ def _simplify(mesh: Mesh, triangles: int) -> Level:
         ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
         remaining.append(kept)
-    return replace(mesh, parts=tuple(parts), regions=find_regions(mesh)), remaining
+    return replace(mesh, parts=tuple(parts), known_regions=mesh.regions), remaining
 
 
-def _vertices(mesh: Mesh, index: int) -> Float:
+def _vertices(mesh: Geometry, index: int) -> Float:
     """Return the attributes of a part's vertices, one row per vertex.
 
     The first 12 columns are part index, position, normal, scaled texture coordinates and colour.
@@ -141,7 +128,7 @@ def _vertices(mesh: Mesh, index: int) -> Float:
     count = len(part.positions)
     columns = [
         np.full((count, 1), index),
-        mesh.normalised(part.positions),
+        mesh.space.normalised(part.positions),
         part.normals,
         _on_surface(mesh, part, part.uv),
         np.ones((count, 3)) if part.colors is None else part.colors,
@@ -154,7 +141,7 @@ def _vertices(mesh: Mesh, index: int) -> Float:
     return np.concatenate(columns, axis=1)
 
 
-def _on_surface(mesh: Mesh, part: Part, uv: Float | None) -> Float:
+def _on_surface(mesh: Geometry, part: Part, uv: Float | None) -> Float:
     """Return texture coordinates (N, 2), scaled to lengths on the surface in mesh radii."""
     if uv is None:
         return np.zeros((len(part.positions), 2))

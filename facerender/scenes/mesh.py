@@ -1,10 +1,9 @@
-"""Meshes: triangles with their materials. The package ``loading`` reads mesh files."""
+"""Meshes: a geometry, its materials, and a pose. The package ``loading`` reads mesh files."""
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -13,167 +12,50 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, each_of, parameters, shown, warn
-from facerender.scenes.arrays import Corners, piece_of, unit_or
+from facerender.errors import InputError, check_type, each_of, parameters, shown, warn
+from facerender.scenes.arrays import piece_of, unit_or
+from facerender.scenes.geometry import Geometry, MeshPose
 from facerender.scenes.material import Alpha, Material, changed, check_maps, without_effect
-from facerender.scenes.repair import Piece, are_closed, clean, unique, used
-from facerender.scenes.vectors import MOST_RADII, check_array, rows_of, unit
-from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
+from facerender.scenes.part import Part, Region, Space
+from facerender.scenes.repair import Piece, clean, unique, used
+from facerender.scenes.setup import TriangleSetup
+from facerender.scenes.vectors import rows_of
+from facerender.terms.ranges import IntegerRange
 
 if TYPE_CHECKING:
-    from facerender.scenes.rig import Clip, Rig
+    from facerender.scenes.rig import Clip
 
 Floats = NDArray[np.float64]
 
-# The radius of the renderer's space grows by this factor if vertices leave it. With a small factor,
-# the space would change in many frames, and all parts would be uploaded again.
-_GROWTH = 2.0**0.25
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
-_OF_ROOT = ("faces", "uv", "colors", "occlusion", "uv2")  # arrays that all poses of a part share
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Triangles of one material, in mesh space.
-
-    positions : (N, 3) float64
-    normals : (N, 3) float64, unit vectors
-    faces : (F, 3) uint32, counter-clockwise seen from outside
-    uv : (N, 2) float64 with v upwards, or None
-    colors : (N, 3) linear RGB, or None
-    occlusion : (N,) in [0, 1], fraction of uniform ambient light that reaches a vertex, or None;
-        see :func:`facerender.with_occlusion`
-    uv2 : (N, 2) float64, second texture coordinates for the maps that
-        :attr:`Material.second_uv` names, or None
-    head : (2, 3) float64, bounds of the vertices that follow a head joint of the file's skin, or
-        None; camera framing uses them
-    name : name from the file, or ""; see docs/formats.md
-    skin : False for eyes, lashes, teeth and hair, by the names of the part and its material
-    sources : (N,) index of each vertex in the vertices of the mesh's file or arrays, which texture
-        seams do not split; None if each vertex of the part has its own
-    source_count : number of these vertices of the file or arrays
-    rest : the part in the reference pose, if this part is in another pose, else None
-    rig : data of the poses of a glTF file; None for a part that cannot be posed
-    preset : name of the preset that the part got by its name when it was loaded, or ""
-    ks_ignored : whether the part's MTL file has Ks 0, which was loaded as ks 1
-    """
-
-    positions: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    faces: NDArray[np.uint32]
-    uv: NDArray[np.float64] | None = None
-    colors: NDArray[np.float64] | None = None
-    occlusion: NDArray[np.float64] | None = None
-    uv2: NDArray[np.float64] | None = None
-    head: NDArray[np.float64] | None = None
-    name: str = ""
-    skin: bool = True
-    sources: NDArray[np.integer] | None = None
-    source_count: int = 0
-    rest: Part | None = None
-    rig: Rig | None = None
-    preset: str = ""
-    ks_ignored: bool = False
-
-    def __repr__(self) -> str:
-        names = ("uv", "uv2", "colors", "occlusion")
-        has = [name for name in names if getattr(self, name) is not None]
-        counts = f"{len(self.positions)} vertices, {len(self.faces)} triangles"
-        return f"<Part {', '.join([repr(self.name), counts, *has])}>"
-
-    @property
-    def root(self) -> Part:
-        """The part in the reference pose. All poses of a part have one root, under which caches
-        store what does not depend on the pose."""
-        if self.rest is None or any(
-            getattr(self, name) is not getattr(self.rest, name) for name in _OF_ROOT
-        ):
-            return self
-        return self.rest
-
-    @cached_property
-    def drawn(self) -> NDArray[np.bool_] | None:
-        """Mask (N, 1) of the vertices that faces use; None if faces use all vertices."""
-        mask = used(self.positions, self.faces)[:, None]
-        return None if mask.all() else mask
-
-
-@dataclass(frozen=True, eq=False)
-class Region:
-    """An upright cylinder around the head or face of a mesh, in the renderer's space.
-
-    center : (3,) float64
-    radius, height : half the width and half the height of the cylinder
-    """
-
-    center: NDArray[np.float64]
-    radius: float
-    height: float
-
-    @property
-    def profile(self) -> NDArray[np.float64]:
-        """Outline of the cylinder: distance from its axis, and height, like ``Mesh.profile``."""
-        return np.array([(self.radius, self.height), (self.radius, -self.height)])
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Parts with their materials, as read from a mesh file.
+    """A geometry with materials, in a pose. Meshes that :meth:`with_material`, :meth:`with_pose`
+    and :meth:`with_positions` return share the geometry, and a renderer uploads it once.
 
     Attributes
     ----------
-    name : file name, for messages
-    parts : at least one part
+    geometry : the parts in the reference pose; name, radius, profile, millimetres and regions of
+        the mesh are those of the geometry
     materials : one material for each part
-    bounds : (2, 3) float64, lowest and highest coordinates of the vertices that faces use
-    radius : largest distance of a face's vertex from the centre of the bounds
-    profile : (K, 2) float64, outline of the solid that the mesh sweeps when it rotates about the
-        vertical axis through the centre of the bounds: distance from the axis and height, in the
-        renderer's space
-    millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
-    regions : regions that a camera may frame, if they are known, as of a simplified mesh or a mesh
-        from the cache; None to find them, see :func:`facerender.scenes.framing.find_regions`
-    rest : the mesh in the reference pose, if this mesh is in another pose, else None. Bounds,
-        profile and regions describe the reference pose, so that cameras stay; the radius may be
-        larger. See :meth:`with_positions` and :func:`facerender.tracked`
+    pose : moved vertices, or None for the reference pose. Cameras frame the reference pose; see
+        :func:`facerender.tracked`
     """
 
-    name: str
-    parts: tuple[Part, ...]
+    geometry: Geometry
     materials: tuple[Material, ...]
-    bounds: NDArray[np.float64]
-    radius: float
-    profile: NDArray[np.float64]
-    millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
-    regions: Mapping[str, Region | None] | None = None
-    rest: Mesh | None = None
+    pose: MeshPose | None = None
 
     def __post_init__(self) -> None:
-        check_type("name of a mesh", self.name, str, "text")
-        check_type("rest of a mesh", self.rest, Mesh | None, "a Mesh or None")
-        parts = each_of("parts", self.parts, Part, "several facerender.scenes.mesh.Part")
         materials = each_of("materials", self.materials, Material, "several facerender.Material")
-        if not 0 < len(parts) == len(materials):
+        if not 0 < len(self.geometry.parts) == len(materials):
             raise InputError(
-                f"{self.name} has {len(parts)} parts and {len(materials)} materials: give at least "
-                "one part, and one material for each"
+                f"{self.name} has {len(self.geometry.parts)} parts and {len(materials)} materials: "
+                "give at least one part, and one material for each"
             )
-        object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "materials", materials)
-        check_array("bounds", self.bounds, 3)
-        check_array("profile", self.profile, 2)
-        check_range("radius", self.radius, 0.0, sys.float_info.max)
-        check_fields(self)
-        regions = self.regions
-        if regions is not None and not (
-            isinstance(regions, Mapping)
-            and set(regions) == {"auto", "head", "face"}
-            and all(
-                isinstance(region, Region) or (name == "auto" and region is None)
-                for name, region in regions.items()
-            )
-        ):
-            raise InputError(f"regions = {shown(regions)}: give auto, head and face, or None")
         check_maps(self.name, self.materials)
 
     __getstate__ = parameters
@@ -192,16 +74,18 @@ class Mesh:
         materials: Sequence[Material],
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of the given parts; compute its bounds, radius and profile, and set
-        ``double_sided`` of the materials. The face indices must be valid."""
-        drawn = np.concatenate([part.positions[used(part.positions, part.faces)] for part in parts])
-        bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
-        offsets = drawn - bounds.mean(axis=0)
-        radius = float(np.linalg.norm(offsets, axis=1).max())
-        within = tuple(_within(part, bounds) for part in parts)
-        profile = _profile(offsets / radius)
-        sided = tuple(_sided(parts, materials))
-        return cls(name, within, sided, bounds, radius, profile, millimetres)
+        """Return a mesh in the reference pose, in which ``double_sided`` of the materials is set.
+        Parts that share a material share the result, unless only one of them is closed."""
+        geometry = Geometry.of(name, parts, millimetres)
+        variants: dict[tuple[Material, bool], Material] = {}
+        sided = list(materials)
+        for i, material in enumerate(materials):
+            if material.double_sided is None:
+                key = material, geometry.closed[i]
+                if key not in variants:
+                    variants[key] = replace(material, double_sided=not geometry.closed[i])
+                sided[i] = variants[key]
+        return cls(geometry, tuple(sided))
 
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
@@ -282,9 +166,13 @@ class Mesh:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(remaining) == len(self.parts):
             return self
-        parts_left = [replace(self.parts[i]) for i in remaining]  # copies: caches are per mesh
+        stored = [self.geometry.parts[i] for i in remaining]
         materials = [self.materials[i] for i in remaining]
-        return Mesh.of(self.name, parts_left, materials, self.millimetres)
+        mesh = Mesh.of(self.name, stored, materials, self.millimetres)
+        if self.pose is None:
+            return mesh
+        posed = tuple(self.parts[i] for i in remaining)
+        return replace(mesh, pose=MeshPose(mesh.geometry, posed, mesh.bounds))
 
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
@@ -299,16 +187,55 @@ class Mesh:
             return f"its {len(self.parts)} parts have no names"
         return f"its parts are {', '.join(part.name for part in self.parts)}"
 
-    @cached_property
-    def corners(self) -> Corners:
-        """Corners of the faces, from which a pose computes its normals."""
-        arrays = ((part.positions, part.normals, part.faces) for part in self.parts)
-        return Corners.of(*zip(*arrays, strict=True))
+    @property
+    def name(self) -> str:
+        """File name, for messages."""
+        return self.geometry.name
 
-    @cached_property
-    def mean_normals(self) -> list[Floats]:
-        """Mean face normals around each vertex as unit vectors, (N, 3) for each part."""
-        return [*map(unit, self.corners.normal_sums([part.positions for part in self.parts]))]
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts in the pose of the mesh."""
+        return (self.pose or self.geometry).parts
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest coordinates in the reference pose, (2, 3) float64."""
+        return (self.pose or self.geometry).bounds
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a vertex from the centre of the bounds in the reference pose."""
+        return self.geometry.radius
+
+    @property
+    def profile(self) -> Floats:
+        """Outline of the mesh; see :class:`Geometry`."""
+        return self.geometry.profile
+
+    @property
+    def millimetres(self) -> float | None:
+        """Millimetres per unit of mesh space; None if unknown."""
+        return self.geometry.millimetres
+
+    @property
+    def regions(self) -> Mapping[str, Region | None]:
+        """Regions that a camera may frame; see :attr:`Geometry.regions`."""
+        return self.geometry.regions
+
+    @property
+    def space(self) -> Space:
+        """The renderer's space."""
+        return (self.pose or self.geometry).space
+
+    @property
+    def token(self) -> object:
+        """A value that no mesh with other vertices has; see :attr:`Geometry.token`."""
+        return (self.pose or self.geometry).token
+
+    @property
+    def setups(self) -> list[TriangleSetup]:
+        """The triangles of each part as the GPU gets them."""
+        return (self.pose or self.geometry).setups
 
     @cached_property
     def single_sided(self) -> Mesh:
@@ -324,14 +251,13 @@ class Mesh:
         return tuple(indices or range(len(self.parts)))
 
     @property
-    def center(self) -> NDArray[np.float64]:
+    def center(self) -> Floats:
         """Centre of the bounds, (3,) float64."""
-        return np.asarray(0.5 * (self.bounds[0] + self.bounds[1]))
+        return np.array(self.space.center)
 
-    def normalised(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Map points (..., 3) from mesh space to the renderer's space: centre at 0, radius 1.
-        Computes in float64: in float32, large offsets and small units would lose precision."""
-        return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
+    def normalised(self, points: ArrayLike) -> Floats:
+        """Map points (..., 3) from mesh space to the renderer's space: centre at 0, radius 1."""
+        return self.space.normalised(points)
 
     def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map points (..., 3), such as ``View.position``, from the renderer's space to mesh space.
@@ -397,7 +323,7 @@ class Mesh:
         """
         places = _rows_of_parts(self, "positions", positions)
         part_normals = _rows_of_parts(self, "normals", normals)
-        with np.errstate(all="ignore"):  # in_space() refuses positions that cause overflow
+        with np.errstate(all="ignore"):  # MeshPose refuses positions that cause overflow
             return moved(self, places, part_normals)
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
@@ -455,12 +381,8 @@ class Mesh:
         """
         from facerender.scenes.rig import posed  # only for poses, as above
 
-        rest_mesh = reference_of(self)
-        positions, normals = posed(rest_mesh, weights, clip, time)
-        stored = self
-        if rest_mesh is not self:
-            stored = replace(self, parts=rest_mesh.parts, bounds=rest_mesh.bounds)
-        return moved(stored, positions, normals)
+        stored = replace(self, pose=None)
+        return moved(stored, *posed(stored, weights, clip, time))
 
 
 def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
@@ -527,41 +449,6 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
     return tuple(name for text in texts if (name := text.strip()))
 
 
-def _sided(parts: Sequence[Part], materials: Sequence[Material]) -> Iterator[Material]:
-    """Yield the materials with ``double_sided`` true or false. Parts that share a material share
-    the result, unless only one of them is closed."""
-    if all(material.double_sided is not None for material in materials):
-        yield from materials
-        return
-    closed = are_closed([part.positions for part in parts], [part.faces for part in parts])
-    variants: dict[tuple[int, bool], Material] = {}
-    for material, is_closed in zip(materials, closed, strict=True):
-        if material.double_sided is None:
-            key = id(material), is_closed
-            material = variants.setdefault(key, replace(material, double_sided=not is_closed))
-        yield material
-
-
-def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
-    """Return a part whose vertices outside the bounds are moved to the bounds' centre. No face uses
-    these vertices, but they could overflow in float32."""
-    inside = ((part.positions >= bounds[0]) & (part.positions <= bounds[1])).all(axis=1)
-    if inside.all():
-        return part
-    positions = np.where(inside[:, None], part.positions, bounds.mean(axis=0))
-    return replace(part, positions=positions)
-
-
-def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a mesh's profile: distance from the axis and height of the outermost vertex in
-    each of at most 511 horizontal slices."""
-    widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
-    slices = np.round(heights * 255.0).astype(np.int64)
-    order = np.lexsort((widths, slices))
-    widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
-    return np.stack([widths[widest], heights[widest]], axis=1)
-
-
 def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
     """Return the rows (N, 3) of each part; None for a part without rows. For the accepted values
     and the errors see :meth:`Mesh.with_positions`."""
@@ -614,51 +501,52 @@ def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floa
     normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
         replaced by the normal of the reference pose
     """
-    rest_mesh = reference_of(mesh)
-    if any(part.occlusion is not None for part in rest_mesh.parts):
+    geometry = mesh.geometry
+    if any(part.occlusion is not None for part in geometry.parts):
         warn(
-            f"the baked occlusion of {rest_mesh.name} remains that of the reference pose: bake it "
+            f"the baked occlusion of {mesh.name} remains that of the reference pose: bake it "
             "for each pose with facerender.with_occlusion, or leave it out"
         )
     pairs = zip(mesh.parts, positions, strict=True)
     filled = [part.positions if rows is None else rows for part, rows in pairs]
     if any(rows is not None and n is None for rows, n in zip(positions, normals, strict=True)):
-        sums = rest_mesh.corners.normal_sums(filled)
-    parts = []
-    for i, part in enumerate(mesh.parts):
+        sums = geometry.corners.normal_sums(filled)
+    parts = [*mesh.parts]
+    for i, stored in enumerate(geometry.parts):
         normal = normals[i]
         if positions[i] is not None or normal is not None:
-            root = part.root
-            rows = filled[i] if root.drawn is None else np.where(root.drawn, filled[i], mesh.center)
-            turned = unit_or(sums[i] if normal is None else normal, root.normals)
-            part = replace(root, positions=rows, normals=turned, rest=root)
-        parts.append(part)
-    return in_space(replace(mesh, parts=tuple(parts), regions=None, rest=rest_mesh))
+            mask = stored.drawn
+            rows = filled[i] if mask is None else np.where(mask, filled[i], mesh.center)
+            unit_normals = unit_or(sums[i] if normal is None else normal, stored.normals)
+            parts[i] = replace(stored, positions=rows, normals=unit_normals)
+    return _in_pose(mesh, tuple(parts), mesh.bounds)
 
 
-def reference_of(mesh: Mesh) -> Mesh:
-    """Return the mesh in the reference pose: the mesh itself unless it is a pose of another mesh
-    with the same arrays."""
-    rest_mesh = mesh.rest
-    if rest_mesh is None or any(
-        a.root is not b for a, b in zip(mesh.parts, rest_mesh.parts, strict=True)
-    ):
+def _in_pose(mesh: Mesh, parts: tuple[Part, ...], bounds: Floats) -> Mesh:
+    pose = MeshPose(mesh.geometry, parts, bounds)
+    _ = pose.space  # refuses vertices that are too far away
+    return replace(mesh, pose=pose)
+
+
+def tracked(mesh: Mesh) -> Mesh:
+    """Return a posed mesh with a camera framing that follows the head.
+
+    Orbiting cameras move by the median displacement of the head's vertices from the reference pose.
+    If no head is found, all vertices count. A mesh in the reference pose is returned unchanged.
+    """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+    geometry = mesh.geometry
+    if mesh.pose is None:
         return mesh
-    return rest_mesh
-
-
-def in_space(mesh: Mesh) -> Mesh:
-    """Return a posed mesh whose radius is at least the distance of all vertices from its centre.
-    The profile, which is relative to the radius, shrinks accordingly."""
-    rest_mesh = mesh.rest
-    assert rest_mesh is not None
-    offsets = (part.positions - mesh.center for part in mesh.parts)
-    squares = max(np.einsum("ij,ij->i", vectors, vectors).max() for vectors in offsets)
-    reach = math.sqrt(squares) / rest_mesh.radius
-    if reach > MOST_RADII:
-        raise InputError(
-            f"a vertex of {mesh.name} is {reach:.3g} mesh radii from the mesh's centre: give "
-            f"positions within {MOST_RADII:g}"
-        )
-    growth = _GROWTH ** math.ceil(math.log(max(reach, 1.0) * (1.0 - 1e-9), _GROWTH))
-    return replace(mesh, radius=rest_mesh.radius * growth, profile=rest_mesh.profile / growth)
+    head = geometry.regions["head"]
+    assert head is not None
+    of_head, steps = [], []
+    for part, stored in zip(mesh.parts, geometry.parts, strict=True):
+        mask = used(stored.positions, stored.faces)
+        offsets = np.abs(geometry.space.normalised(stored.positions[mask]) - head.center)
+        across = np.hypot(offsets[:, 0], offsets[:, 2])
+        of_head.append((across <= head.radius) & (offsets[:, 1] <= head.height))
+        steps.append((part.positions - stored.positions)[mask])
+    step, inside = np.concatenate(steps), np.concatenate(of_head)
+    step = np.median(step[inside] if inside.any() else step, axis=0)
+    return _in_pose(mesh, mesh.parts, geometry.bounds + step)

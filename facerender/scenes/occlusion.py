@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.errors import InputError, check_switch, check_type, warn
 from facerender.scenes.mesh import Mesh, coordinates, drawn_alpha
+from facerender.scenes.part import Part
 from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
 
@@ -67,11 +68,15 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     all_faces = zip(mesh.parts, starts[:-1], solid, strict=True)
     faces = [part.faces + start for part, start, is_solid in all_faces if is_solid]
     occlusions = np.split(_values(np.concatenate(rows), np.concatenate(faces), cache), starts[1:-1])
-    parts = [
-        replace(part, occlusion=occlusion if lacks else None)
-        for part, occlusion, lacks in zip(mesh.parts, occlusions, bare, strict=True)
-    ]
-    return replace(mesh, parts=tuple(parts))
+    baked = [values if lacks else None for values, lacks in zip(occlusions, bare, strict=True)]
+
+    def with_baked(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+        pairs = zip(parts, baked, strict=True)
+        return tuple(replace(part, occlusion=values) for part, values in pairs)
+
+    geometry = replace(mesh.geometry, parts=with_baked(mesh.geometry.parts))
+    pose = mesh.pose and replace(mesh.pose, geometry=geometry, parts=with_baked(mesh.parts))
+    return Mesh(geometry, mesh.materials, pose)
 
 
 def _values(

@@ -20,7 +20,8 @@ from facerender.scenes.repair import transformed
 from facerender.scenes.vectors import MOST_RADII, SHAPE_WEIGHTS, unit
 
 if TYPE_CHECKING:
-    from facerender.scenes.mesh import Mesh, Part
+    from facerender.scenes.mesh import Mesh
+    from facerender.scenes.part import Part
 
 
 Float = NDArray[np.float64]
@@ -568,5 +569,5 @@ def _mean_normals(rest_mesh: Mesh, positions: Sequence[Float]) -> list[Float]:
     """Return the mean face normals around each vertex as unit vectors."""
     pairs = zip(positions, rest_mesh.parts, strict=True)
     if all(rows is part.positions for rows, part in pairs):
-        return rest_mesh.mean_normals
-    return [*map(unit, rest_mesh.corners.normal_sums(positions))]
+        return rest_mesh.geometry.mean_normals
+    return [*map(unit, rest_mesh.geometry.corners.normal_sums(positions))]

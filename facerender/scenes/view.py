@@ -11,9 +11,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
-from facerender.scenes.camera import Camera, distort
-from facerender.scenes.framing import region_of
-from facerender.scenes.mesh import Mesh, Part, largest_opacity
+from facerender.scenes.camera import Camera, Frame, distort
+from facerender.scenes.mesh import Mesh, largest_opacity
+from facerender.scenes.part import Part, Region
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import check_array, direction_to, within_reach
 from facerender.terms.ranges import range_of
@@ -180,7 +180,7 @@ def view_of(scene: Scene, aspect: float) -> View:
             f"camera azimuth = {camera.azimuth:g} and position exclude each other, unless the "
             "camera looks straight up or down: leave one out"
         )
-    lens = _projection(camera.fov, aspect, eye, forward)
+    lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
     return View(eye, forward, _look(eye, target, up) @ lens)
 
 
@@ -200,6 +200,11 @@ def shifted(scene: Scene, x: float, y: float, size: int | tuple[int, int]) -> Sc
     return replace(scene, camera=camera)
 
 
+def region_of(mesh: Mesh, frame: Frame) -> Region | None:
+    """Return the region of a mesh that a camera frames; None for the whole mesh."""
+    return None if frame == "all" else mesh.regions[frame]
+
+
 def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
     """Return the target (3,) of a camera without extrinsics, in the renderer's space."""
     if camera.target is not None:
@@ -215,7 +220,7 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
     turn = left @ right  # the nearest rotation, because R may be rounded
     eye = within_reach("position in camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
     forward = turn[2]
-    lens = _projection(camera.fov, aspect, eye, forward)
+    lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
     if camera.intrinsics is not None and camera.size is not None:
         width, height = camera.size
         if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
@@ -243,14 +248,15 @@ def _look(
     return look
 
 
-def _projection(
-    fov: float, aspect: float, position: NDArray[np.float64], forward: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the matrix from camera space to clip space, with y down, for row vectors. The unit
-    sphere lies between the near plane and the far plane. Source: OpenGL 2.1, gluPerspective."""
-    depth = float(position @ -forward)  # depth of the mesh's centre
-    far = max(depth + 1.0, 0.02)
-    near = max(depth - 1.0, far * 1e-3)
+def _projection(fov: float, aspect: float, depth: float, reach: float) -> NDArray[np.float64]:
+    """Return the matrix from camera space to clip space, with y down, for row vectors. The sphere
+    around all vertices lies between the near plane and the far plane. Source: OpenGL 2.1,
+    gluPerspective.
+
+    depth, reach : depth of the mesh's centre, and radius of the sphere; see :class:`Space`
+    """
+    far = max(depth + reach, 0.02)
+    near = max(depth - reach, far * 1e-3)
     tangent = math.tan(math.radians(fov) / 2.0)
     lens = np.zeros((4, 4))
     lens[0, 0], lens[1, 1] = 1.0 / (tangent * aspect), -1.0 / tangent

@@ -6,10 +6,10 @@
 uniform sampler2D shadow_map;    // One square tile per light, side by side.
 uniform sampler2D shadow_cones;  // Output of shadow_cones.frag, in the same order.
 uniform sampler2D shadow_tops;   // Output of shadow_tops.frag: four levels per light.
+uniform float shadow_reach;  // Radius of the sphere around the mesh, which the maps cover.
 uniform ivec2 shadow_tiles;  // Width of a light's tile in shadow_map and in shadow_cones.
 uniform mat4 shadow_view[SHADOWS];  // Matrix from the renderer's space to light space.
-// Tangent of the light's angular radius; largest z; sqrt(1 - 1/d^2) of a point light at distance d,
-// else 0.
+// Tangent of the light's angular radius; largest z; LightSpace.scale.
 uniform vec3 shadow_size[SHADOWS];
 
 // Noise: Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
@@ -30,7 +30,7 @@ vec3 mesh_normal(Surface s, Point p) {
 // as Hanika's mean of the tangent planes. Concave triangles keep their plane.
 vec3 in_light_space(mat4 view, vec3 n, Point p) {
     float curve = 0.5 * (p.tangent_plane - dot(p.position, p.normal));
-    float above = max(dot(n, p.normal) < 0.0 ? -curve : curve, 0.0) + 0.8 / float(shadow_tiles.x);
+    float above = max(dot(n, p.normal) < 0.0 ? -curve : curve, 0.0) + 0.8 * shadow_reach / float(shadow_tiles.x);
     vec4 place = view * vec4(p.position + above * n, 1.0);
 #ifdef SHADOW_POINTS
     place.xyz /= place.w;
@@ -95,7 +95,7 @@ float visibility(int i, mat4 view, vec3 size, Surface s, Point p) {
     ivec3 tile = ivec3(i, 0, 1) * shadow_tiles.x;
     // The change of z on the tangent plane is unbounded where the surface is edge-on to the light.
     mat3 to_light = mat3(view);
-    vec3 plane = to_light * n;
+    vec3 plane = shadow_reach * (to_light * n);
     vec2 x = (to_light * p.position_x).xy, y = (to_light * p.position_y).xy;
 #ifdef SHADOW_POINTS
     plane.z -= size.z * dot(n, p.position);

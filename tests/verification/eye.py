@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Part
 from facerender.scenes.vectors import unit
 
 CORNEA, SCLERA = 7.8, 12.0  # radii of the spheres

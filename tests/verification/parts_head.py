@@ -12,8 +12,10 @@ from PIL import Image
 
 import facerender as fr
 from facerender.scenes.material import Alpha, Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Part
 from facerender.scenes.texture import Texture
+from tests.meshes import with_geometry
 
 Floats = NDArray[np.float64]
 
@@ -156,11 +158,5 @@ def parts_head(hair: Alpha = "mask", scattering: str | None = None) -> Mesh:
     points = np.concatenate([part.positions for part in parts])
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     radius = float(np.linalg.norm(points - bounds.mean(axis=0), axis=1).max())
-    return replace(
-        plain,
-        name="parts",
-        parts=tuple(parts),
-        materials=tuple(materials),
-        bounds=bounds,
-        radius=radius,
-    )
+    values = {"name": "parts", "parts": tuple(parts), "bounds": bounds, "radius": radius}
+    return with_geometry(plain, materials, **values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from facerender.scenes.scattering import scattering_of
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.terms.transport import Gaussians, rest, scatter, scatter_area
+from tests.meshes import with_geometry
 from tests.verification.shadows import tracer_of
 
 Float = NDArray[np.float64]
@@ -32,7 +33,7 @@ _LIT = 1.1  # radiance of a white diffuse surface that faces the light
 
 
 def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]:
-    skin = replace(mesh, millimetres=millimetres).with_material(scattering="skin")
+    skin = with_geometry(mesh, millimetres=millimetres).with_material(scattering="skin")
     camera = Camera(-20.0, zoom=zoom, frame="all")
     return Scene(skin, camera), Light(-50.0, 42.0, shadow=False)
 

@@ -53,7 +53,7 @@ def shadow_error(renderer: Renderer, scene: Scene, light: Light, stride: int = 1
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
     position = gbuffer.normalised_position.astype(np.float64)
-    towards, _ = light.kind.lighting(light, scene.mesh, position)
+    towards, _ = light.kind.lighting(light, scene.mesh.space, position)
     cosine = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards)
     facing = (gbuffer.part >= 0) & (cosine > 0.0)
     facing &= np.arange(facing.size).reshape(facing.shape) % stride == 0
@@ -95,7 +95,7 @@ def by_rays(
     NaN for pixels where a ray misses the mesh
     """
     tracer, view, rays = tracer_of(mesh), gbuffer.view, side**2
-    back, axes = np.linalg.inv(view.matrix), light_axes(light, mesh)
+    back, axes = np.linalg.inv(view.matrix), light_axes(light, mesh.space)
     rows, columns = np.nonzero(pixels)
     turn = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(rows))
     seen = np.zeros(len(rows))
@@ -182,7 +182,7 @@ def edge_error(
     gbuffer = renderer.gbuffer(lit, _PLAIN)
     y = gbuffer.normalised_position[..., 1]
     towards, _ = light.kind.lighting(
-        light, scene.mesh, gbuffer.normalised_position.astype(np.float64)
+        light, scene.mesh.space, gbuffer.normalised_position.astype(np.float64)
     )
     facing = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards) > 0.15
     part = (gbuffer.part >= 0) & (y > lowest) & (y < highest) & facing
@@ -223,7 +223,7 @@ def light_in_cavities(
     sums = np.zeros(3)
     for index, light in enumerate(scene.lights):
         position = gbuffer.normalised_position[inside].astype(np.float64)
-        towards, irradiance = light.kind.lighting(light, scene.mesh, position)
+        towards, irradiance = light.kind.lighting(light, scene.mesh.space, position)
         cosine = np.einsum("...i,...i", gbuffer.normal[inside].astype(np.float64), towards)
         arriving = np.clip(cosine, 0.0, 1.0) * np.mean(irradiance)
         traced = by_rays(scene.mesh, gbuffer, light, inside, _SMALL_OFFSET)

@@ -17,7 +17,8 @@ from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 import facerender as fr
 from facerender.images.files import png_bytes
-from facerender.scenes.mesh import Part
+from facerender.scenes.part import Part
+from tests.meshes import with_geometry
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
 
 Format = Literal["exr", "png", "jpeg"]
@@ -281,7 +282,7 @@ def missing_faces(room: Room, count: int = 20) -> Linear:
 def _with_part(room: Room, number: int, part: Part) -> fr.Mesh:
     parts = list(room.scene.mesh.parts)
     parts[number] = part
-    return replace(room.scene.mesh, parts=tuple(parts))
+    return with_geometry(room.scene.mesh, parts=tuple(parts))
 
 
 # --- pixels and precision ------------------------------------------------------------------------
@@ -429,7 +430,7 @@ def snapped(room: Room) -> Linear:
         clip[:, :2] = np.round(256.0 * pixels) / 256.0 / halves * clip[:, 3:]
         back = np.linalg.solve(matrix.T, clip.T).T[:, :3]
         parts.append(replace(part, positions=np.ascontiguousarray(mesh.to_mesh_space(back))))
-    return room.draw(mesh=replace(mesh, parts=tuple(parts)), view=room.view)
+    return room.draw(mesh=with_geometry(mesh, parts=tuple(parts)), view=room.view)
 
 
 def reversed_triangles(room: Room) -> Linear:
@@ -437,7 +438,7 @@ def reversed_triangles(room: Room) -> Linear:
     parts = tuple(
         replace(part, faces=np.ascontiguousarray(part.faces[::-1])) for part in mesh.parts
     )
-    return room.draw(mesh=replace(mesh, parts=parts))
+    return room.draw(mesh=with_geometry(mesh, parts=parts))
 
 
 def dithered(image: Bytes) -> bytes:

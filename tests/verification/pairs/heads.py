@@ -13,7 +13,8 @@ import numpy as np
 
 import facerender as fr
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.part import Part
 from facerender.scenes.texture import Texture
 from tests.verification.parts_head import Floats, ball, hairs, joined, surface, texture
 
@@ -209,7 +210,7 @@ def relative() -> Mesh:
     weights = {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.5, "browInnerUp": 0.6, "jawOpen": 0.12}
     smiling = plain.with_pose(weights)
     moved = smiling.with_positions([_warped(part.positions) for part in smiling.parts])
-    parts = [replace(part, rest=None, rig=None, sources=None) for part in moved.parts]
+    parts = [replace(part, rig=None, sources=None) for part in moved.parts]
     face = replace(
         plain.materials[0],
         scattering="skin",
