@@ -366,7 +366,7 @@ def test_edge_of_light_agrees_with_the_profile(egl):
     )
     skin = fr.Material((1.0, 1.0, 1.0), scattering="skin", ks=0.0)
     light = fr.Light(-90.0, 0.0, np.pi / 0.6)
-    mesh = replace(wall((0.0, 0.0, 0.0, skin)), parts=(both,))
+    mesh = with_geometry(wall((0.0, 0.0, 0.0, skin)), parts=(both,))
     scene = of_wall(mesh, lights=(light,), ambient=0.0)
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
         found = scattering_of(scene, renderer.size)

@@ -79,6 +79,18 @@ def test_packing_the_same_again_gives_the_same_texture():
     assert pack(None, red, None) is not first
 
 
+def test_packed_texture_lives_as_long_as_its_first_map():
+    red = texture(np.full((4, 4, 3), 10, np.uint8))
+    packed = weakref.ref(pack(red, None, None))
+    gc.disable()  # a reference cycle would need the garbage collector
+    try:
+        assert pack(red, None, None) is packed() is not None
+        del red
+        assert packed() is None
+    finally:
+        gc.enable()
+
+
 def test_channel_keeps_its_rows():
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0, :, 1] = 200

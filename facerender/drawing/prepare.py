@@ -322,7 +322,7 @@ def cut_out(scene: Scene, threshold: float) -> Scene:
     if not any(map(blends_only, old)):
         return scene
     mask: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": threshold}
-    new = (material.with_values(**mask) if blends_only(material) else material for material in old)
+    new = (replace(material, **mask) if blends_only(material) else material for material in old)
     return replace(scene, mesh=replace(scene.mesh, materials=tuple(new)))
 
 

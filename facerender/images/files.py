@@ -48,7 +48,7 @@ class TooLarge(InputError):
 
 
 @contextmanager
-def _converted(problem: str, remedy: str = "; save it again") -> Iterator[None]:
+def converted(problem: str, remedy: str = "; save it again") -> Iterator[None]:
     """Raise InputError for every other exception: Pillow, LittleCMS, OpenEXR, NumPy, zipfile and
     zlib raise many types."""
     try:
@@ -197,7 +197,7 @@ def exr_bytes(
 def _read_exr(path: Path, start: bytes, size: int) -> ImageData:
     """Read an EXR file of ``size`` bytes; ``start`` contains its header."""
     OpenEXR = openexr(path)
-    with _converted(f"{path} cannot be read as OpenEXR"):
+    with converted(f"{path} cannot be read as OpenEXR"):
         attributes = _exr_attributes(path, start)
         types = _exr_types(attributes[b"channels"])
         left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"])
@@ -323,7 +323,7 @@ def _read_numpy(path: Path, content: bytes) -> ImageData:
     from zipfile import ZipFile
 
     file: IO[bytes] = BytesIO(content)
-    with _converted(f"{path} is not a NumPy file"):
+    with converted(f"{path} is not a NumPy file"):
         if not content.startswith(b"\x93NUMPY"):
             archive = ZipFile(file)
             names = archive.namelist()
@@ -376,7 +376,7 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
         elif image.mode[0] in "FI":
             remedy = "give numpy.asarray(image) / WHITE, where WHITE is the value of white"
         raise InputError(f"{name} {problem}: {remedy}")
-    with _converted(f"{name} is damaged"):
+    with converted(f"{name} is damaged"):
         frames = getattr(image, "n_frames", 1)
         turned = image.getexif().get(ExifTags.Base.Orientation) in range(2, 9)
         pixels = texels(ImageOps.exif_transpose(image) if turned else image, mode)
@@ -390,7 +390,7 @@ def image_from_pillow(image: Image, name: str, in_file: bool = False) -> ImageDa
     }
     result = replace(image_from_array(pixels, name), metadata=texts, jpeg=image.format == "JPEG")
     if "icc_profile" in image.info:
-        with _converted(f"{name} has an ICC profile that cannot be used", ": save it as sRGB"):
+        with converted(f"{name} has an ICC profile that cannot be used", ": save it as sRGB"):
             pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
         noise = 0.5 if profile else 0.0  # of a conversion from 8 bits to 8 bits, in 8-bit levels
         return replace(result, pixels=pixels, profile=profile, noise=noise)
@@ -487,6 +487,6 @@ def lossy_bytes(
     height, width = pixels.shape[:2]
     problem, remedy = f"cannot store {width} x {height} pixels", ": give a smaller size, or .png"
     file = BytesIO()
-    with _converted(f"{kind} {problem}", remedy):
+    with converted(f"{kind} {problem}", remedy):
         Image.fromarray(pixels).save(file, kind, quality=QUALITY, subsampling=0, exif=exif)
     return file.getvalue()

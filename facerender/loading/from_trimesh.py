@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
 from facerender.scenes.file import Pose
-from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
+from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, tracked
 from facerender.scenes.repair import Piece, check_count, placed, with_face_colors
 from facerender.scenes.texture import Texture, profile_of
@@ -150,11 +150,8 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
 
 
 def _piece(geometry: trimesh.Trimesh, name: str, textures: dict[int, Texture]) -> Piece:
-    """Return a trimesh geometry as a piece.
-
-    textures : textures of earlier pieces, keyed by the ``id`` of the image. Pieces share a texture
-        because Pillow decodes an image in one thread only
-    """
+    """Return a trimesh geometry as a piece. Pieces share textures, keyed by the ``id`` of the
+    image, because Pillow decodes an image in one thread only."""
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if vertices.shape[1:] != (3,):
         raise ValueError("its vertices do not have three coordinates")
@@ -174,16 +171,9 @@ def _piece(geometry: trimesh.Trimesh, name: str, textures: dict[int, Texture]) -
     material = _material(source, visual.kind in ("vertex", "face"), name, textures)
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
-    piece = Piece(
-        positions=vertices,
-        faces=faces[valid],
-        normals=np.asarray(geometry.vertex_normals, np.float64) if has_normals else None,
-        uv=uv,
-        colors=None,
-        material=material,
-        out_of_range=int((~valid).sum()),
-        material_name=str(getattr(source, "name", None) or ""),
-    )
+    normals = np.asarray(geometry.vertex_normals, np.float64) if has_normals else None
+    piece = Piece(vertices, faces[valid], normals, uv, None, material, int((~valid).sum()))
+    piece.material_name = str(getattr(source, "name", None) or "")
     # Colours before the conversion by trimesh, which needs SciPy and blurs face colours.
     if visual.kind == "vertex":
         piece.colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
@@ -208,7 +198,7 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
     if has_colors:
         return Material(albedo=(1.0, 1.0, 1.0))
     if source is None or stub:
-        return Material(albedo=SKIN_ALBEDO)
+        return Material()
     return Material(albedo=tuple(srgb_to_linear(np.asarray(source.diffuse)[:3] / 255.0)))
 
 

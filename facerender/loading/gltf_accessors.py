@@ -13,14 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped
-from facerender.loading.gltf_document import (
-    COMPONENTS,
-    TYPES,
-    Doc,
-    check_conversion,
-    checked,
-    counts_of,
-)
+from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc, check_conversion, checked
 from facerender.loading.source import References, inline
 from facerender.scenes.repair import unique
 from facerender.scenes.rig import Clip, Interpolation, Path, Shape, Track
@@ -239,7 +232,6 @@ class RigReader:
 
     def __init__(self, buffers: Buffers) -> None:
         self.buffers, self.document = buffers, buffers.document
-        self.counts = counts_of(self.document)
         size = sum(buffer["byteLength"] for buffer in self.document["buffers"])
         self.left = min(_TIMES * size + _FEW, _MAX_WORDS)  # number of values that may still be read
         self.values: dict[tuple[int, bool], Any] = {}  # see _read()
@@ -273,7 +265,7 @@ class RigReader:
 
     def _clip(self, index: int, animation: Any, name: str) -> Clip:
         try:
-            animation = checked(animation, "animation", f"animations[{index}]", self.counts)
+            animation = checked(animation, "animation", f"animations[{index}]", self.document)
             tracks: dict[tuple[int, str], Track] = {}
             ignored = ""
             for i, channel in enumerate(animation["channels"]):

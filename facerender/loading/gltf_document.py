@@ -206,37 +206,34 @@ def document_of(text: bytes, name: str) -> Doc:
         raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
     if document.get("meshes", []) == []:
         raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
-    counts = counts_of(document)
-    for key in properties.keys() & counts.keys():
-        if counts[key] > _MOST_ENTRIES:
+    for key in properties:
+        if (count := _count(document, key)) > _MOST_ENTRIES:
             raise InputError(
-                f"{name} has {counts[key]} {key}, but the limit is {_MOST_ENTRIES}: simplify it"
+                f"{name} has {count} {key}, but the limit is {_MOST_ENTRIES}: simplify it"
             )
     try:
-        valid = checked(document, "document", "", counts)
+        valid = checked(document, "document", "", document)
     except ValueError as error:
         raise damaged(name, str(error)) from None
     return {**{key: [] for key, shape in properties.items() if shape[0] == "["}, **valid}
 
 
-def counts_of(document: Doc) -> dict[str, int]:
-    return {key: len(entries) for key, entries in document.items() if isinstance(entries, list)}
+def _count(document: Doc, key: str) -> int:
+    return len(entries) if isinstance(entries := document.get(key), list) else 0
 
 
 def damaged(name: str, what: str) -> InputError:
     return InputError(f"{name} is damaged ({what}); export it again")
 
 
-def checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
-    """Convert a value to the type ``shape``, see _SCHEMA; raise ValueError if this fails.
-
-    counts : lengths of the document's lists
-    """
+def checked(value: Any, shape: str, where: str, document: Doc) -> Any:
+    """Convert a value of a document to the type ``shape``, see _SCHEMA; raise ValueError if this
+    fails."""
     if shape in _OBJECTS or shape[0] == "{":
         _expect(isinstance(value, dict), value, where, "an object")
         if shape[0] == "{":
             return {
-                key: checked(entry, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
+                key: checked(entry, shape[1:-1], f"{where}[{reprlib.repr(key)}]", document)
                 for key, entry in value.items()
             }
         result = {}
@@ -244,7 +241,7 @@ def checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
             name = key.rstrip("!")
             path = f"{where}.{name}" if where else name
             if name in value:
-                result[name] = checked(value[name], inner, path, counts)
+                result[name] = checked(value[name], inner, path, document)
             elif key != name:
                 raise ValueError(f"{path} is missing")
         return result
@@ -252,9 +249,9 @@ def checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
         length, inner = ("", shape[1:-1]) if shape[0] == "[" else shape.split(" ", 1)
         good = isinstance(value, list) and length in ("", str(len(value)))
         _expect(good, value, where, f"{length} numbers" if length else "a list")
-        return [checked(entry, inner, f"{where}[{i}]", counts) for i, entry in enumerate(value)]
+        return [checked(entry, inner, f"{where}[{i}]", document) for i, entry in enumerate(value)]
     if shape[0] == "#":
-        count = counts.get(shape[1:], 0)
+        count = _count(document, shape[1:])
         good = _is_size(value) and value < count
         _expect(good, value, where, f"an index into the {count} {shape[1:]}")
         return int(value)

@@ -9,12 +9,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from facerender.errors import clipped, warn
+from facerender.errors import InputError, clipped, warn
 from facerender.loading.gltf_accessors import Buffers
 from facerender.loading.gltf_document import EXTENSIONS, Doc
-from facerender.loading.source import image_of, inline, missing_image, unreadable
+from facerender.loading.source import inline, missing_image, opened_image
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
-from facerender.scenes.texture import Texture, Wrap, profile_of
+from facerender.scenes.texture import Texture, Wrap
 from facerender.scenes.vectors import MOST_RADIANCE
 from facerender.terms.ranges import range_of
 
@@ -46,9 +46,8 @@ class Materials:
     def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
         self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
         self.albedo_given = albedo_given
-        # Keyed by the image's index: content, texture, texture of alpha; None: missing, unreadable
-        self.images: dict[int | None, tuple[bytes, Texture, Texture | None] | None] = {}
-        self.sampled: dict[tuple[Any, ...], Texture] = {}  # keyed by image, channel and sampling
+        # Keyed by the image's index: texture, texture of alpha; None: missing, unreadable
+        self.images: dict[int | None, tuple[Texture, Texture | None] | None] = {}
         self.looks: dict[int, Look] = {}
         self.warn = cache(warn)
 
@@ -124,12 +123,11 @@ class Materials:
     def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
         """Warn of the material's unsupported extensions that have an effect."""
         for key, extension in extensions.items():
-            if key not in EXTENSIONS or EXTENSIONS[key].fate != "warned":
-                continue
+            known = EXTENSIONS.get(key)
             always = key in ("KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit")
-            if always or any(map(np.any, extension.values())):  # a factor of 0 disables the others
-                how = EXTENSIONS[key].how
-                self.warn(f"{self.name} has {key}, which is not supported: {how}")
+            effect = always or any(map(np.any, extension.values()))  # a factor of 0 has no effect
+            if known and known.fate == "warned" and effect:
+                self.warn(f"{self.name} has {key}, which is not supported: {known.how}")
 
     def _factor(self, name: str, value: float, high: float = 1.0) -> float:
         if not 0.0 <= value <= high:
@@ -159,8 +157,7 @@ class Materials:
         tint = specular.get("specularColorFactor", (1.0, 1.0, 1.0))
         if "specularColorTexture" in specular or max(tint) - min(tint) > 0.01 * max(tint):
             self.warn(f"{self.name} has a specular colour (KHR_materials_specular): drawn grey")
-        grey = self._factor("specularColor", sum(tint) / 3.0, MOST_RADIANCE)
-        return min(f0 * grey, 0.999)
+        return min(f0 * self._factor("specularColor", sum(tint) / 3.0, MOST_RADIANCE), 0.999)
 
     def _transmission(self, extensions: Doc, metallic: Doc) -> dict[str, Any]:
         """Return transmission, refraction and m. A surface without thickness does not refract."""
@@ -185,14 +182,13 @@ class Materials:
             return
         source = None if use is None else self._source(self.document["textures"][use["index"]])
         if (record := self.images.get(source)) is not None:
-            content, texture, _ = record
+            texture, _ = record
             if math.prod(texture.size) > _MOST_TESTED:
                 self.warn(f"{self.name} has a metallic map: ignored, drawn as a dielectric")
                 return
             try:
-                blue = image_of(content).convert("RGB").getchannel("B")
-                factor *= float(np.asarray(blue).max()) / 255.0
-            except Exception:  # drawing the map reports the error
+                factor *= float(texture.channel(2, texture.name).texels().max()) / 255.0
+            except InputError:  # drawing the map reports the error
                 return
         if factor > _METAL:
             self.warn(f"{self.name} has metallic materials: drawn as dielectrics, like skin")
@@ -224,19 +220,15 @@ class Materials:
         sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
         u, v = (_WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
         nearest = sampler.get("magFilter") == _NEAREST
-        key = source, channel, u, v, nearest
-        if key not in self.sampled:
-            _, colors, alpha = record
-            if (image_texture := alpha if channel == "alpha" else colors) is None:
-                return None
-            if isinstance(channel, int):
-                image_texture = image_texture.channel(channel, image_texture.name)
-            self.sampled[key] = image_texture.sampled((u, v), nearest)
-        return self.sampled[key]
+        colors, alpha = record
+        image_texture = alpha if channel == "alpha" else colors
+        if isinstance(channel, int):
+            image_texture = colors.channel(channel, colors.name)
+        return image_texture and image_texture.sampled((u, v), nearest)
 
     def _image(
         self, index: int, map_name: str, replaced: bool
-    ) -> tuple[bytes, Texture, Texture | None] | None:
+    ) -> tuple[Texture, Texture | None] | None:
         """Return an entry of ``images``. An unreadable image raises InputError, or causes a warning
         if the caller replaces the albedo map; ``replaced``: without a warning."""
         entry = self.document["images"][index]
@@ -254,13 +246,7 @@ class Materials:
             if not replaced:
                 missing_image(self.buffers.referred, entry["uri"])
             return None
-        try:
-            image = image_of(content)
-        except ValueError as error:
-            if not replaced:
-                unreadable(label, map_name, error, fatal=not self.albedo_given)
+        if opened_image(content, label, map_name, not self.albedo_given, replaced) is None:
             return None
-        texture = Texture(lambda: image_of(content), name, image.size, profile_of(image))
-        if not image.has_transparency_data:
-            return content, texture, None
-        return content, texture, Texture.alpha_of(content, f"the opacity map of {self.name}")
+        alpha = Texture.alpha_of(content, f"the opacity map of {self.name}")
+        return Texture.of(content, name), alpha

@@ -107,7 +107,6 @@ def store(
 
     Parameters
     ----------
-    name : result of :func:`entry_name`
     files : contents of the files to which the mesh file refers, keyed by their names in it; None
         for a missing file
     has_albedo : whether the caller replaced the albedo map
@@ -161,11 +160,8 @@ def _encoded(
     files: Mapping[str, str | None],
     warnings: Sequence[str],
 ) -> list[bytes | memoryview]:
-    """Return the pieces of a cache entry: length of the description, description, arrays.
-
-    Parts share materials and most arrays and values of their rigs: the description has each of
-    these once, with a number, and afterwards the number.
-    """
+    """Return the pieces of a cache entry: length of the description, description, arrays. It
+    describes values that several parts share once, with a number, and afterwards as the number."""
     arrays: list[NDArray[Any]] = []
     # Keyed by id: the number, and the value, which must live as long as its id is a key.
     known: dict[int, tuple[int, Any]] = {}
@@ -183,9 +179,8 @@ def _encoded(
             fields_ = {"dtype": value.dtype.str, "shape": value.shape}
         elif isinstance(value, Texture):
             levels = {kind: chain.result() for kind, chain in chains[value].items()}
-            texels = None if levels else value.texels()
             fields_ = {"name": value.name, "wrap": value.wrap, "nearest": value.nearest}
-            fields_ |= {"levels": levels, "texels": texels}
+            fields_ |= {"levels": levels, "texels": None if levels else value.texels()}
         else:
             fields_ = {field.name: getattr(value, field.name) for field in fields(value)}
             if isinstance(value, Material):
@@ -217,13 +212,11 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
         value: Any
         attributes = {key: _as_tuple(value) for key, value in table["fields"].items()}
         if name == "ndarray":
-            shape = attributes["shape"]
             start += -start % _ALIGNMENT
-            value = np.ndarray(shape, attributes["dtype"], content, start)
+            value = np.ndarray(attributes["shape"], attributes["dtype"], content, start)
             start += value.nbytes
         elif name == "Texture":
-            chains = {kind: [*chain] for kind, chain in attributes["levels"].items()}
-            texels = attributes["texels"]
+            chains, texels = attributes["levels"], attributes["texels"]
             base = next(iter(chains.values()))[0][..., :3] if texels is None else texels
             texture = Texture.known(base, attributes["name"], chains)
             value = texture.sampled(attributes["wrap"], attributes["nearest"])
@@ -231,10 +224,9 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
             packed = attributes.pop("property_map", None)
             module = import_module(f"facerender.scenes.{_MODULES[name]}")
             value = getattr(module, name)(**attributes)
-            if packed is not None:
-                # Sets the cached property before Mesh reads it, which would pack the maps again.
+            if packed is not None:  # the material finds it instead of packing the maps again
                 red, green, blue = value.properties
-                vars(value)["property_map"] = pack(red, green, blue, packed)
+                pack(red, green, blue, packed)
         values[table["as"]] = value
         return value
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason, warn
+from facerender.errors import clipped, warn
 from facerender.images.image import srgb_to_linear
 from facerender.loading.conventions import preset_for
-from facerender.loading.source import References, image_of, text_of, unreadable
+from facerender.loading.source import References, text_of
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.texture import Texture
 from facerender.scenes.vectors import MOST_RADIANCE, Vector
@@ -32,20 +32,9 @@ DEPTH = 0.005
 _STRIP = 256  # rows of a bump map converted at a time
 
 
-def _bump(image: Image, name: str) -> Texture:
-    """Return the normal map of a bump map. Decoding tests the colours of the image: a grey image
-    contains heights; a bluish image of vectors of length 1 already contains normals."""
-
-    def decode() -> Image:
-        try:
-            return image if _is_normal_map(image) else _normals(image)
-        except Exception as error:  # Pillow's decoders raise many exceptions
-            raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
-
-    return Texture(decode, name, image.size)
-
-
 def _is_normal_map(image: Image) -> bool:
+    """Return whether a bump map is bluish, with vectors of length 1: it contains normals already,
+    instead of heights."""
     if image.mode not in ("RGB", "RGBA", "P"):
         return False
     levels = np.asarray(image.convert("RGB").resize((64, 64)), dtype=np.float64)
@@ -115,11 +104,6 @@ class MapStatement:
     clamp: bool = False
     strength: float = 1.0
     channel: str = ""
-
-    def applied(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return transformed texture coordinates (N, 2)."""
-        identity = (self.scale, self.offset) == ((1.0, 1.0), (0.0, 0.0))
-        return uv if identity else uv * self.scale + self.offset
 
 
 class Library:
@@ -256,10 +240,7 @@ class Library:
 
     def _highlight(self, name: str, statements: Mapping[str, str]) -> dict[str, Any]:
         """Return the fields ks and m. m is Pr^2 or, without Pr, sqrt(2 / (Ns + 2)) with the
-        Blinn-Phong exponent Ns.
-
-        References: Walter et al. (2007), Microfacet models for refraction, section 5.2.
-        """
+        Blinn-Phong exponent Ns: Walter et al. (2007), Microfacet models for refraction, 5.2."""
         fields: dict[str, Any] = {}
         ks, ns, pr = (self._numbers(statements, key) for key in ("ks", "ns", "pr"))
         if self.ignores_ks(name):
@@ -340,21 +321,16 @@ class Library:
         if key in self.textures:
             return self.textures[key]
         self.textures[key] = None
+        map_name, silent = field.removesuffix("_map"), field == "albedo_map"
+        content = self.referred.image(use.name, map_name, not self.albedo_given, silent)
+        if content is None:
+            return None
         name = clipped(use.name, 80)
-        try:
-            content = self.referred.read(use.name, "an image file")
-        except FileNotFoundError:
-            return None
-        try:
-            image = image_of(content)
-        except InputError as error:
-            if field != "albedo_map" or not self.albedo_given:
-                subject, map_name = f"{name} (named by {self.name})", field.removesuffix("_map")
-                unreadable(subject, map_name, error, fatal=not self.albedo_given)
-            return None
         uses_alpha = field == "opacity_map" and use.channel in ("", "m")
         if field == "normal_map" and use.channel != "normal":
-            texture = _bump(image, name)
+            texture = Texture.of(content, name).changed(
+                lambda image: image if _is_normal_map(image) else _normals(image)
+            )
         elif uses_alpha and (alpha := Texture.alpha_of(content, name)) is not None:
             texture = alpha
         else:

@@ -33,10 +33,6 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
     """Return a piece for each combination of object, group and material that has faces. Its
     vertices are the different corners of its faces, in the order of the vertices of the file.
 
-    Parameters
-    ----------
-    data : content of the file
-    references : reader of the MTL files and maps
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
 
     Raises
@@ -73,7 +69,7 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
             lacking += int((of_uv < 0).sum())
             part_uv = np.where((of_uv < 0)[:, None], 0.0, uv[of_uv])
             library.warn_of_tiles(material_name, part_uv[triangles])
-            part_uv = first_map.applied(part_uv)
+            part_uv = part_uv * first_map.scale + first_map.offset
         elif any(getattr(material, key) for key in MAPS):
             warn(f"{name} has no texture coordinates: its texture is ignored")
         part_colors = None
@@ -110,13 +106,7 @@ def _normalized(data: bytes, name: str) -> str:
 
 
 class _Lines:
-    """The lines of an OBJ file.
-
-    Attributes
-    ----------
-    characters : (N,), the bytes of the file; a newline ends the last line
-    starts, ends : (L,), indices of the first byte and of the newline of each line
-    """
+    """The bytes (N,) of an OBJ file, and the first byte and the newline (L,) of each line."""
 
     def __init__(self, text: str) -> None:
         self.characters = np.frombuffer(text.encode() + b"\n", dtype=np.uint8)
@@ -212,10 +202,8 @@ def _owners(lines: _Lines) -> tuple[list[str], list[_Keys], list[int]]:
 def _parts(
     owners: Sequence[_Keys], spans: NDArray[np.int64], name: str
 ) -> tuple[list[_Keys], NDArray[np.int64]]:
-    """Return the names of the parts in file order, and the part of each face.
-
-    spans : for each face, the index of its names in ``owners``
-    """
+    """Return the names of the parts in file order, and the part of each face, from the index in
+    ``owners`` of each face's names."""
     used, inverse = np.unique(spans, return_inverse=True)
     keys = [owners[i] for i in used]
     parts = [*dict.fromkeys(keys)]

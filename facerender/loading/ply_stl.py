@@ -16,16 +16,8 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
 from facerender.loading.obj import triangles_of, vertices_of
-from facerender.loading.source import (
-    TEXTURE_FILE,
-    References,
-    color_bytes,
-    image_of,
-    no_faces,
-    text_of,
-    unreadable,
-)
-from facerender.scenes.material import SKIN_ALBEDO, Material
+from facerender.loading.source import TEXTURE_FILE, References, color_bytes, no_faces, text_of
+from facerender.scenes.material import Material
 from facerender.scenes.repair import Piece, check_count, subset, with_face_colors, with_faces
 from facerender.scenes.texture import Texture
 
@@ -77,15 +69,8 @@ def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Pi
     valid = ((vertices >= 0) & (vertices < len(positions)))[corners].all(axis=1)
     corners = corners[valid]
     owners = np.searchsorted(starts, corners[:, 0], side="right") - 1
-    piece = Piece(
-        positions=positions,
-        faces=vertices[corners],
-        normals=normals,
-        uv=uv,
-        colors=None,
-        material=Material(albedo=SKIN_ALBEDO),
-        out_of_range=int((sizes < 3).sum() + (~valid).sum()),
-    )
+    dropped = int((sizes < 3).sum() + (~valid).sum())
+    piece = Piece(positions, vertices[corners], normals, uv, out_of_range=dropped)
     if "texcoord" in face:
         uv = _flat(face["texcoord"]).astype(np.float64).reshape(-1, 2)
         _, first, numbers = np.unique(uv, axis=0, return_index=True, return_inverse=True)
@@ -114,17 +99,15 @@ def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Pi
         else:
             warn(f"{name} has {len(part.faces)} faces whose texnumber {number} names no texture")
         pieces.append(part)
-    pieces[0].out_of_range = piece.out_of_range
+    pieces[0].out_of_range = dropped
     return pieces
 
 
 def _colored(
     piece: Piece, vertex: _Columns, face: _Columns, owners: NDArray[np.int64], name: str
 ) -> Piece:
-    """Return a piece with the colours of the vertices or, without these, of the faces.
-
-    owners : (F,), for each triangle of the piece, the index of its polygon in the file
-    """
+    """Return a piece with the colours of the vertices or, without these, of the faces, with the
+    index of the polygon in the file (F,) of each triangle."""
     of_vertices, of_faces = (_stacked(columns, _COLORS) for columns in (vertex, face))
     if of_vertices is not None and of_faces is not None:
         warn(f"{name} has colours of vertices and of faces: the vertex colours are drawn")
@@ -216,18 +199,8 @@ def _stacked(columns: _Columns, alternatives: Sequence[tuple[str, ...]]) -> NDAr
 
 
 def _texture_of(name: str, references: References, fatal: bool) -> Material | None:
-    """Return a material with a texture of a PLY file, or None if the texture is missing.
-
-    fatal : whether a texture that is not an image raises InputError instead of a warning
-    """
-    try:
-        content = references.read(name, "an image file")
-    except FileNotFoundError:
-        return None
-    try:
-        image_of(content)
-    except ValueError as error:
-        unreadable(f"{clipped(name, 80)} (named by {references.name})", "albedo", error, fatal)
+    """Return a material with a texture of a PLY file, or None; see :meth:`References.image`."""
+    if (content := references.image(name, "albedo", fatal)) is None:
         return None
     return Material(albedo=(1.0, 1.0, 1.0), albedo_map=Texture.of(content, clipped(name, 80)))
 
@@ -267,14 +240,4 @@ def read_stl(data: bytes, references: References, albedo_given: bool) -> list[Pi
     except Exception as error:  # trimesh raises many exceptions for damaged files
         raise ValueError(reason(error)) from None
     solids = content.get("geometry", {"": content}).values()
-    return [
-        Piece(
-            positions=solid["vertices"].astype(np.float64),
-            faces=solid["faces"],
-            normals=None,
-            uv=None,
-            colors=None,
-            material=Material(albedo=SKIN_ALBEDO),
-        )
-        for solid in solids
-    ]
+    return [Piece(solid["vertices"].astype(np.float64), solid["faces"]) for solid in solids]

@@ -10,7 +10,7 @@ import re
 import struct
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -22,14 +22,7 @@ from facerender.errors import InputError, check_path, clipped, reason, shown, wa
 from facerender.images.files import TooLarge, open_image
 from facerender.loading.gltf_document import chunks
 from facerender.scenes.texture import DECODERS
-from facerender.system.files import (
-    MOST,
-    check_downloaded,
-    check_suffix,
-    data_dir,
-    read_file,
-    suffix_of,
-)
+from facerender.system.files import MOST, check_downloaded, data_dir, read_file, suffix_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -115,7 +108,7 @@ def source_of(source: Any, kind: str | None = None) -> Source:
     content = bytes(source)
     if suffix is None and (suffix := _suffix_of(content, path)) is None:
         if from_path:
-            check_suffix(path, (*FORMATS,), "mesh")
+            suffix_of(path, (*FORMATS,), "mesh", "a mesh file")
         raise InputError(f"{path.name}: unknown mesh format; specify it, such as kind='obj'")
     return Source(path, suffix, content, folder)
 
@@ -138,11 +131,7 @@ def _content(file: Any, name: str) -> bytes:
 def _suffix_of(data: bytes, path: Path) -> str | None:
     """Return the suffix of the format of a mesh file's bytes, or None if the format is unknown. The
     first bytes identify glTF and PLY. For other formats the name decides, or else the content.
-
-    Raises
-    ------
-    InputError : the content has a format that is not supported
-    """
+    Raises InputError if the content has a format that is not supported."""
     start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
     for beginning, suffix in _MESHES:
         if start.startswith(beginning):
@@ -193,6 +182,7 @@ TEXTURE_FILE = re.compile(r"^[ \t]*comment[ \t]+texturefile[ \t]+(.*\S)", re.M |
 _WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte in range(256)}
 
 
+@dataclass
 class References:
     """The files that a mesh file refers to. Each referenced file is read once.
 
@@ -207,11 +197,10 @@ class References:
         that was not read
     """
 
-    def __init__(self, name: str, folder: Path | None, allow_outside: bool) -> None:
-        self.name = name
-        self.folder = folder
-        self.allow_outside = allow_outside
-        self.files: dict[str, bytes | None] = {}
+    name: str
+    folder: Path | None
+    allow_outside: bool
+    files: dict[str, bytes | None] = field(default_factory=dict, init=False)
 
     def read(self, name: str, what: str) -> bytes:
         """Return the content of a file.
@@ -238,6 +227,16 @@ class References:
         remaining = MOST - sum(map(len, filter(None, self.files.values())))
         content = self.files[name] = read_file(path, what, remaining)
         return content
+
+    def image(self, name: str, kind: str, fatal: bool, silent: bool = False) -> bytes | None:
+        """Return the content of an image file. Return None if the file is missing or, with a report
+        by :func:`opened_image`, cannot be read."""
+        try:
+            content = self.read(name, "an image file")
+        except FileNotFoundError:
+            return None
+        subject = f"{clipped(name, 80)} (named by {self.name})"
+        return content if opened_image(content, subject, kind, fatal, silent) else None
 
     def missing(self) -> list[str]:
         return [name for name, content in self.files.items() if content is None]
@@ -313,8 +312,7 @@ def _spellings(name: str) -> tuple[str, ...]:
 
 def _is_inside(folder: Path, name: str) -> bool:
     """Return whether a path lies below a folder, without resolving symbolic links."""
-    base = os.path.join(os.path.abspath(folder), "")
-    return os.path.abspath(folder / name).startswith(base)
+    return os.path.abspath(folder / name).startswith(os.path.join(os.path.abspath(folder), ""))
 
 
 def named_files(source: Source) -> list[Path]:
@@ -367,25 +365,21 @@ def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(finite * (255.0 / white), 0.0, 255.0).round(), dtype=np.uint8)
 
 
-def image_of(content: bytes) -> Image:
-    """Open an image; its texels are decoded later.
-
-    Raises
-    ------
-    InputError : the format is not supported, the image is damaged, or it is too large (TooLarge);
-        the message starts with "it"
-    """
-    return open_image(content, "it", DECODERS, "PNG, JPEG, TIFF or WebP")
-
-
-def unreadable(shown: str, kind: str, error: Exception, fatal: bool) -> None:
-    """Report an error of :func:`image_of`: raise InputError if ``fatal``, else warn."""
-    message, advice = f"{shown} is not an image that can be read", "replace it"
-    if isinstance(error, TooLarge):
-        message, _, advice = f"{shown} {str(error).removeprefix('it ')}".partition("; ")
+def opened_image(
+    content: bytes, subject: str, kind: str, fatal: bool, silent: bool = False
+) -> Image | None:
+    """Open an image; its texels are decoded later. If it cannot be read or is too large, raise
+    InputError if ``fatal``, else return None, and warn unless ``silent``."""
+    try:
+        return open_image(content, subject, DECODERS, "PNG, JPEG, TIFF or WebP")
+    except TooLarge as error:
+        message, _, advice = str(error).rpartition("; ")
+    except InputError:
+        message, advice = f"{subject} is not an image that can be read", "replace it"
     if not fatal:
-        warn(f"{message}: ignored")
-        return
+        if not silent:
+            warn(f"{message}: ignored")
+        return None
     option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
     remedy = f", or pass {option[kind]} FILE" if kind in option else ""
     raise InputError(f"{message}; {advice}{remedy}")

@@ -34,8 +34,7 @@ def distort(points: Float, coefficients: Coefficients) -> Float:
     with np.errstate(all="ignore"):
         distorted, slopes = _distorted(points, coefficients)
         square = np.einsum("ni,ni->n", points, points)
-        folded = ~((_determinant(slopes) > 0.0) & (square < fold(coefficients) ** 2))
-    distorted[folded] = np.nan
+    distorted[~((_determinant(slopes) > 0.0) & (square < fold(coefficients) ** 2))] = np.nan
     return distorted
 
 

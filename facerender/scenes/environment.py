@@ -102,8 +102,7 @@ class Panorama:
         radiance = _means(self.radiance, edges, target_edges).swapaxes(0, 1)
         columns = np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1)
         radiance = _means(radiance, *columns).swapaxes(0, 1)
-        solid_angle = np.diff(target_edges)[:, None] * (np.pi / rows)
-        return radiance, _directions(rows), solid_angle
+        return radiance, _directions(rows), np.diff(target_edges)[:, None] * (np.pi / rows)
 
     def _octahedron(self) -> tuple[Float, Float]:
         """Return the first mip level (SIDE, SIDE, 3) of the map, and each texel's solid angle."""

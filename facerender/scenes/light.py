@@ -308,12 +308,8 @@ def _axes(x: float, y: float, z: float) -> Float:
 
 
 def lights_of(lights: Any) -> tuple[Light, ...]:
-    """Return lights, each given as a :class:`Light` or as a text that :func:`parse_light` parses.
-
-    lights : several lights, or one
-
-    Raises InputError for any other value.
-    """
+    """Return several lights or one, each given as a :class:`Light` or as a text that
+    :func:`parse_light` parses. Raises InputError for any other value."""
     several = [lights] if isinstance(lights, str | Light) else lights
     if isinstance(several, Iterable):
         several = [parse_light(light) if isinstance(light, str) else light for light in several]

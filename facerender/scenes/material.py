@@ -128,8 +128,7 @@ class Material:
             from facerender.terms.transport import profile_of
 
             none = isinstance(self.scattering, str) and self.scattering == "none"
-            profile = None if none else profile_of(self.scattering)
-            object.__setattr__(self, "scattering", profile)
+            object.__setattr__(self, "scattering", None if none else profile_of(self.scattering))
 
     @property
     def two_lobes(self) -> bool:
@@ -159,27 +158,9 @@ class Material:
     def property_map(self) -> Texture | None:
         """Occlusion, roughness and specular map packed in one texture, to save texture fetches.
         None without any of these maps, or if they differ in wrap mode, filtering or coordinates.
-
-        Copies with the same maps share this texture, also if an earlier copy is no longer in use.
+        Materials with the same maps share this texture.
         """
-        if not self.packs:
-            return None
-        packed = pack(*self.properties)
-        self._packed[1].add(packed)
-        return packed
-
-    @cached_property
-    def _packed(self) -> tuple[frozenset[Texture | None], set[Texture]]:
-        """Maps of a material, and the textures in which its copies pack them. Copies that have none
-        but these maps share this property, so the textures exist as long as one of the copies."""
-        return frozenset({*self.properties, None}), set()
-
-    def with_values(self, **values: Any) -> Material:
-        """Return a copy with other values of fields."""
-        copy = replace(self, **values)
-        if copy.packs and self._packed[0].issuperset(copy.properties):
-            vars(copy)["_packed"] = self._packed  # sets the cached property
-        return copy
+        return pack(*self.properties) if self.packs else None
 
     @property
     def properties(self) -> tuple[Texture | None, Texture | None, Texture | None]:
@@ -193,10 +174,7 @@ class Material:
         return len({(name in self.second_uv, m.sampling) for name, m in pairs if m}) == 1
 
     def by_second(self, name: str) -> bool:
-        """Return whether a map uses the second texture coordinates.
-
-        name : one of MAPS, or "property_map"
-        """
+        """Return whether a map of MAPS, or "property_map", uses the second texture coordinates."""
         names = PROPERTY_MAPS if name == "property_map" else (name,)
         return any(n in self.second_uv and getattr(self, n) is not None for n in names)
 
@@ -289,10 +267,7 @@ _NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
     "normal_strength": ("a normal map", lambda material: material.normal_map is not None),
     "occlusion_strength": ("an occlusion map", lambda material: material.occlusion_map is not None),
     "alpha_cutoff": ("alpha mask", lambda material: material.alpha == "mask"),
-    "opacity": (
-        "alpha blend or mask",
-        lambda material: material.alpha != "opaque" or material.transmission > 0.0,
-    ),
+    "opacity": ("alpha blend or mask", lambda m: m.alpha != "opaque" or m.transmission > 0.0),
     "refraction": ("transmission", lambda material: material.transmission > 0.0),
 }
 
@@ -331,7 +306,7 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
         values = preset_fields | values
     if "m" in values:
         values = {"roughness_map": None, **values}
-    return material.with_values(**values)
+    return replace(material, **values)
 
 
 def without_effect(

@@ -33,7 +33,7 @@ def mip_chain(kind: Kind, strips: Iterable[NDArray[np.uint8]], height: int, drop
     decode, halve, encode = _METHODS[kind]
     low = 0
     for texels in strips:
-        means = decode(in_three(texels))
+        means = decode(as_rgb(texels))
         for _ in range(drop):
             means = halve(means)
         # The full normal map keeps its bytes: encode() would change the length of the vectors.
@@ -66,8 +66,7 @@ def data_chain(finest: NDArray[np.uint8]) -> Levels:
 
 def reduced_data(strips: Iterable[NDArray[np.uint8]], drop: int) -> NDArray[np.uint8]:
     """Return the finest level of kind "data", (H, W, 3), or (H, W) for grey strips. Pillow may
-    round a value to another 8-bit level than the level ``drop`` of :func:`data_chain`. See
-    :func:`mip_chain` for the parameters."""
+    round a value to another 8-bit level than the level ``drop`` of :func:`data_chain`."""
     return np.concatenate([_halved(strip, drop) for strip in strips])
 
 
@@ -81,7 +80,7 @@ def _halved(texels: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
     return np.asarray(image)
 
 
-def in_three(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def as_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return texels (H, W, 3) of grey texels (H, W), and other texels as they are."""
     return np.repeat(texels[..., None], 3, axis=2) if texels.ndim == 2 else texels
 
@@ -89,7 +88,7 @@ def in_three(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _with_alpha(texels: NDArray[np.uint8], alpha: int) -> NDArray[np.uint8]:
     """Return a copy (H, W, 4) of texels with a constant alpha."""
     copy = np.empty((*texels.shape[:2], 4), dtype=np.uint8)
-    copy[..., :3], copy[..., 3] = in_three(texels), alpha
+    copy[..., :3], copy[..., 3] = as_rgb(texels), alpha
     return copy
 
 

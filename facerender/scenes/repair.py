@@ -41,10 +41,10 @@ class Piece:
 
     positions: NDArray[np.float64]
     faces: NDArray[np.int64]
-    normals: NDArray[np.float64] | None
-    uv: NDArray[np.float64] | None
-    colors: NDArray[np.float64] | None
-    material: Material
+    normals: NDArray[np.float64] | None = None
+    uv: NDArray[np.float64] | None = None
+    colors: NDArray[np.float64] | None = None
+    material: Material = Material()
     out_of_range: int = 0
     name: str = ""
     uv2: NDArray[np.float64] | None = None
@@ -161,8 +161,7 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     _drop_bad_uv(pieces, name)
     _complete_normals(pieces, name)
 
-    corners = np.concatenate([_corners(piece) for piece in pieces])
-    if _outwardness(corners) < -0.5:
+    if _outwardness(np.concatenate([_corners(piece) for piece in pieces])) < -0.5:
         warn(f"the faces of {name} are inside out: turned")
         for piece in pieces:
             piece.faces = piece.faces[:, ::-1]
@@ -200,10 +199,7 @@ def are_closed(
     These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
     surface may have several parts.
 
-    Parameters
-    ----------
-    positions : (N, 3) for each part
-    faces : (F, 3) for each part
+    positions, faces : (N, 3) and (F, 3) for each part
     """
     everywhere, joint, welded, _ = stacked(positions, faces)
     owners = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
@@ -354,11 +350,8 @@ def _wind_by_normals(piece: Piece) -> None:
 
 def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     """Compute smooth normals. Vertices at one position share a normal, also across seams and
-    materials.
-
-    Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
-    the result does not depend on the triangulation of flat polygons.
-    """
+    materials. Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998),
+    so that the result does not depend on the triangulation of flat polygons."""
     positions, faces, welded, starts = stacked(
         [piece.positions for piece in pieces], [piece.faces for piece in pieces]
     )

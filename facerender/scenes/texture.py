@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, get_args
@@ -18,28 +20,10 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import (
-    InputError,
-    check_known,
-    check_path,
-    check_switch,
-    check_type,
-    clipped,
-    reason,
-    shown,
-    warn,
-)
-from facerender.images.files import check_pixels, in_srgb, open_image, png_bytes
+from facerender.errors import InputError, check_path, check_switch, check_type, clipped, shown, warn
+from facerender.images.files import check_pixels, converted, in_srgb, open_image, png_bytes
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.mips import (
-    STRIP,
-    Kind,
-    Levels,
-    data_chain,
-    in_three,
-    mip_chain,
-    reduced_data,
-)
+from facerender.scenes.mips import STRIP, Kind, Levels, as_rgb, data_chain, mip_chain, reduced_data
 from facerender.system.files import open_file
 from facerender.system.process import give_back
 
@@ -52,6 +36,7 @@ Decode = Callable[[], "Image | NDArray[np.uint8]"]
 DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
+_MOST_PACKED = 2  # packed textures that a map keeps; materials keep their packed textures, too
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
 
@@ -68,7 +53,8 @@ class _Image:
         self.decode, self.name, self.size = decode, name, size
         self.lock = threading.Lock()
         self.texels: NDArray[np.uint8] | None = None
-        self.shared: WeakValueDictionary[Any, Any] = WeakValueDictionary()  # chains and textures
+        # Chains, textures, and textures packed of channels of this image
+        self.shared: WeakValueDictionary[Any, Any] = WeakValueDictionary()
 
     def decoded(self) -> Image | NDArray[np.uint8]:
         """Return the texels if they are cached, and otherwise the result of ``decode``."""
@@ -93,9 +79,10 @@ class _Image:
 
         def decode() -> Image:
             image = self.decode()
-            if isinstance(image, np.ndarray):
-                return change(_image_of(image[::-1]))
-            return change(_loaded(image, self.name))
+            with _damaged(self.name):
+                if isinstance(image, np.ndarray):
+                    return change(_image_of(image[::-1]))
+                return change(_loaded(image, self.name))
 
         return _Image(decode, self.name, self.size)
 
@@ -136,6 +123,7 @@ class Texture:
         check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
         self.name, self.profile = name, profile
         self._image = _Image(decode, name, size)
+        self._packed: deque[Texture] = deque(maxlen=_MOST_PACKED)
         self._chains: _Chains = self._image.shared.setdefault((None, 0), _Chains())
 
     def __getstate__(self) -> tuple[Any, ...]:
@@ -200,9 +188,7 @@ class Texture:
         Raises the errors of :meth:`of`."""
         if not _opened(content, name).has_transparency_data:
             return None
-        texture = cls.of(content, name)
-        alpha = texture._image.changed(lambda image: image.convert("RGBA").getchannel("A"))
-        return texture._with(_image=alpha, profile=None)
+        return cls.of(content, name).changed(lambda image: image.convert("RGBA").getchannel("A"))
 
     @classmethod
     def from_array(cls, texels: ArrayLike, name: str = "an array") -> Texture:
@@ -236,11 +222,7 @@ class Texture:
         from PIL import Image as images
 
         check_type("image", image, images.Image, "a Pillow image")
-        check_pixels(name, *image.size, 4, math.inf)
-        try:
-            copy = image.copy()
-        except Exception as error:  # Pillow's decoders raise many types
-            raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
+        copy = _loaded(image, name).copy()
         return cls(lambda: copy, name, copy.size, profile_of(copy))
 
     def __repr__(self) -> str:
@@ -249,10 +231,7 @@ class Texture:
 
     @classmethod
     def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
-        """Return a texture with precomputed mip chains.
-
-        texels : (H, W) or (H, W, 3), row 0 at the bottom
-        """
+        """Return a texture of texels (H, W) or (H, W, 3), row 0 at the bottom, with mip chains."""
         texture = cls(lambda: texels, name, texels.shape[1::-1])
         for kind, chain in levels.items():
             texture._chains[kind] = Future()
@@ -268,13 +247,11 @@ class Texture:
         ------
         InputError : unknown wrap mode
         """
-        modes = get_args(Wrap)
-        if not (isinstance(wrap, tuple | list) and len(wrap) == 2):
+        modes, is_pair = get_args(Wrap), isinstance(wrap, tuple | list) and len(wrap) == 2
+        if not is_pair or any(mode not in modes for mode in wrap):
             raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(modes)}, for u and v")
-        for mode in wrap:
-            check_known("wrap", mode, modes)
         check_switch("nearest", nearest)
-        return self._with(wrap=(wrap[0], wrap[1]), nearest=nearest)
+        return self._variant(wrap=(wrap[0], wrap[1]), nearest=nearest)
 
     @property
     def sampling(self) -> tuple[tuple[Wrap, Wrap], bool]:
@@ -309,7 +286,7 @@ class Texture:
 
     def rgb(self) -> Image:
         """Return the image in mode RGB; see :meth:`texels`."""
-        return _image_of(np.ascontiguousarray(in_three(self.texels())))
+        return _image_of(np.ascontiguousarray(as_rgb(self.texels())))
 
     def _strips(self) -> Iterator[NDArray[np.uint8]]:
         """Yield strips of the full image of a coarse texture. The image is not cached."""
@@ -320,7 +297,7 @@ class Texture:
 
     def _repr_png_(self) -> bytes:
         """Return the image as PNG of at most 512 pixels a side, which notebooks display."""
-        image = _image_of(in_three(self.texels())[::-1])
+        image = _image_of(as_rgb(self.texels())[::-1])
         image.thumbnail((512, 512))
         return png_bytes(np.asarray(image), {})
 
@@ -329,26 +306,25 @@ class Texture:
     def channel(self, index: int, name: str) -> Texture:
         """Return one channel of this texture as a grey texture with the same sampling."""
         channel = index if self._channel is None else self._channel
-        return self._with(name=name, profile=None, _channel=channel)
+        return self._variant(name=name, profile=None, _channel=channel)
 
     def coarser(self, levels: int) -> Texture:
-        """Return a texture of the same image without the finest mip levels.
-
-        levels : number of levels to omit
-
-        To save memory, the image is not cached, and large images are decoded one at a time.
-        """
+        """Return a texture of the same image without a number of the finest mip levels. To save
+        memory, the image is not cached, and large images are decoded one at a time."""
         if not levels:
             return self
         return self._variant(coarse=True, _omitted=self._omitted + levels)
 
+    def changed(self, change: Callable[[Image], Image]) -> Texture:
+        """Return a texture with the result of a function of the image in its mode, row 0 on top."""
+        return self._with(_image=self._image.changed(change), profile=None)
+
     def turned_green(self) -> Texture:
         """Return this normal map, whose green points down, converted to green pointing up."""
-        return self._with(_image=self._image.changed(with_green_turned))
+        return self.changed(with_green_turned)
 
     def in_srgb(self) -> Texture:
-        """Return this texture converted from its ICC profile to sRGB, or itself without a profile.
-        Data maps do not use it: their values are no colours."""
+        """Return this texture in sRGB, converted from its ICC profile if it has one."""
         if (profile := self.profile) is None:
             return self
         if not profile:
@@ -378,7 +354,7 @@ class Texture:
     def _chain(self, kind: Kind) -> Levels:
         try:
             if kind == "data":
-                levels = data_chain(in_three(self.texels()))
+                levels = data_chain(as_rgb(self.texels()))
             else:
                 strips = self._strips() if self.coarse else _strips(self.texels(), self.name)
                 levels = mip_chain(kind, strips, self.size[1], self._omitted)
@@ -405,8 +381,8 @@ class Texture:
         if self._chains.ends is None:
             finest = self.levels("data").result()[0]
             rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
-            limits = np.stack([rows.min(axis=0), rows.max(axis=0)]).reshape(2, *finest.shape[1:])
-            self._chains.ends = np.stack([limits[0].min(axis=0), limits[1].max(axis=0)])
+            low, high = (limit.reshape(-1, 3) for limit in (rows.min(axis=0), rows.max(axis=0)))
+            self._chains.ends = np.stack([low.min(axis=0), high.max(axis=0)])
         return self._chains.ends
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
@@ -431,10 +407,7 @@ class Texture:
         if not decode:
             return None
         spare = max(math.ceil(math.log2(max(self.size) / side)), 0)
-        return in_three(self.coarser(spare).texels())
-
-
-_packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
+        return as_rgb(self.coarser(spare).texels())
 
 
 def pack(
@@ -445,31 +418,37 @@ def pack(
 
     Missing textures become white. The textures must have equal sampling, see
     :attr:`Material.property_map`; the result also has this sampling. Repeated calls with equal
-    arguments return the same texture as long as it is in use, so that materials which differ only
-    in factors share the texture.
+    arguments return the same texture as long as it is in use, and the last ones also as long as
+    their first texture is in use: materials that differ in factors share the texture.
 
     known : packed texture from the cache, which is returned instead of a new texture
     """
-    if (cached := _packed.get((red, green, blue))) is not None:
+    present = [texture for texture in (red, green, blue) if texture]
+    first = present[0]
+    # Without the lists of packed textures, which would be reference cycles.
+    maps = [t and t._with(_packed=deque(), _channel=t._channel or 0) for t in (red, green, blue)]
+    key = first.sampling, *(t and (t.name, t._image, t._channel, t._omitted) for t in maps)
+    cached: Texture | None = first._image.shared.get(key)
+    if cached is not None:
         return cached
 
     def decode() -> NDArray[np.uint8]:
         # The maps are decoded before memory for the result is allocated.
-        bands = [None if t is None else t.channel(0, names).texels() for t in (red, green, blue)]
+        bands = [None if t is None else t.texels() for t in maps]
         merged = np.full((*size[::-1], 3), 255, dtype=np.uint8)
         for index, band in enumerate(bands):
             if band is not None:
                 merged[..., index] = _image_of(np.ascontiguousarray(band)).resize(size)
         return merged
 
-    present = [texture for texture in (red, green, blue) if texture]
     names = " + ".join(dict.fromkeys(texture.name for texture in present))
     widths, heights = zip(*(texture.size for texture in present), strict=True)
     size = max(widths), max(heights)
     packed = known or Texture(decode, names, size)
-    packed.wrap, packed.nearest = present[0].sampling
+    packed.wrap, packed.nearest = first.sampling
     packed.coarse = any(texture.coarse for texture in present)
-    _packed[red, green, blue] = packed
+    first._packed.append(packed)
+    first._image.shared[key] = packed
     return packed
 
 
@@ -485,10 +464,8 @@ def _opened(content: bytes | BinaryIO, name: str) -> Image:
 
 def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
     """Return a copy of texels as uint8, (H, W), (H, W, 3) or (H, W, 4)."""
-    try:
+    with converted(f"{name} cannot be used", ": give (H, W, 3)"):
         array = np.asarray(texels)
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(f"{name} cannot be used ({reason(error)}): give (H, W, 3)") from None
     if array.shape[2:] == (1,):
         array = array[..., 0]
     if array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
@@ -519,12 +496,14 @@ def with_green_turned(image: Image) -> Image:
     return image.convert("RGB").point([*identity, *reversed(identity), *identity])
 
 
+def _damaged(name: str) -> AbstractContextManager[None]:
+    return converted(f"{name} is damaged", "; replace the file")
+
+
 def _loaded(image: Image, name: str) -> Image:
     check_pixels(name, *image.size, 4, math.inf)
-    try:
+    with _damaged(name):
         image.load()
-    except Exception as error:  # Pillow's decoders raise many types
-        raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
     return image
 
 
@@ -550,15 +529,16 @@ def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
     from PIL import Image as images
 
     bands = {b"GRAY": "L", b"CMYK": "CMYK"}.get(profile[16:20], "RGB")
-    colors = image.convert(bands)
     steps = np.indices((18,) * len(bands), dtype=np.uint8) * np.uint8(15)  # from 0 to 255
     samples = np.moveaxis(steps, 0, -1).reshape(18, -1, len(bands))
     grid = images.fromarray(samples[..., 0] if bands == "L" else samples, bands)
     try:
-        changes = np.asarray(in_srgb(grid, profile)[0], np.int16) - np.asarray(grid.convert("RGB"))
-        return image if np.abs(changes).max() <= 1 else in_srgb(colors, profile)[0]
-    except Exception as error:  # LittleCMS raises several types
-        warn(f"{name} has an ICC profile that cannot be used ({reason(error)}): ignored")
+        with converted(f"{name} has an ICC profile that cannot be used", ": ignored"):
+            converted_grid = np.asarray(in_srgb(grid, profile)[0], np.int16)
+            equal = np.abs(converted_grid - np.asarray(grid.convert("RGB"))).max() <= 1
+            return image if equal else in_srgb(image.convert(bands), profile)[0]
+    except InputError as error:
+        warn(str(error))
         return image
 
 
@@ -579,13 +559,11 @@ def _strips(
 
 
 def _rows(image: Image, low: int, high: int, name: str) -> NDArray[np.uint8]:
-    try:
+    with _damaged(name):
         strip = image.crop((0, image.height - high, image.width, image.height - low))
         if strip.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
             strip = _image_of((np.clip(np.asarray(strip), 0, 65535) // 257).astype(np.uint8))
         return np.asarray(strip if strip.mode == "RGB" else strip.convert("RGB"))[::-1]
-    except Exception as error:
-        raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
 
 
 @lru_cache(maxsize=1)
