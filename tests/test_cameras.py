@@ -7,8 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from pyrr import Matrix33, Matrix44, Quaternion, Vector3
 
 import facerender as fr
+from facerender.scenes.vectors import rotation_of
 from facerender.scenes.view import view_of
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 from tests.meshes import with_geometry
@@ -54,6 +56,19 @@ def mini():
     return fr.load_mesh(MINI_HEAD)
 
 
+def test_rotations_about_fixed_axes():
+    """Rotations about x, then y, then z; multiples of 90 degrees are exact."""
+    x, y, z = np.eye(3)
+    assert (rotation_of((90.0, 0.0, 0.0)) @ y).tolist() == [0.0, 0.0, 1.0]
+    assert (rotation_of((0.0, -270.0, 0.0)) @ z).tolist() == [1.0, 0.0, 0.0]
+    assert (rotation_of((0.0, 0.0, 3690.0)) @ x).tolist() == [0.0, 1.0, 0.0]
+    apart = [rotation_of(angles) for angles in np.diag([10.0, 20.0, 30.0])]
+    np.testing.assert_allclose(
+        rotation_of((10.0, 20.0, 30.0)), apart[2] @ apart[1] @ apart[0], rtol=0, atol=1e-15
+    )
+    assert np.isclose(apart[0][2, 1], 0.17364817766693033)  # sin 10
+
+
 @pytest.mark.parametrize(("azimuth", "tilt"), [(0.0, 0.0), (35.0, -20.0), (160.0, 90.0)])
 def test_matrices_project_points_to_their_pixels(mini, azimuth, tilt):
     """In K, fx differs from fy, and the principal point is off the centre."""
@@ -74,6 +89,94 @@ def test_intrinsics_scale_with_the_image_size(mini):
     np.testing.assert_allclose(twice[:2], 2.0 * np.array(K)[:2], atol=1e-9)
     with pytest.raises(fr.InputError, match="are for images of 120 x 90 pixels: give a size with"):
         view_of(fr.Scene(mini, camera), 1.0)
+
+
+# --- constructors of other conventions -----------------------------------------------------------
+
+
+def test_conventions_agree(mini):
+    """Matrices, vectors and quaternions of pyrr, in row and column form, state one camera."""
+    eye, up = mini.center + np.array([1.5, 0.7, 4.0]) * mini.radius, (0.3, 1.0, 0.1)
+    view = Matrix44.look_at(eye, mini.center, up)
+    lens = Matrix44.perspective_projection(30.0, SIZE[0] / SIZE[1], 0.1, 100.0)
+    to_world, rows = view.inverse, {"projection": lens, "size": SIZE}
+    columns = {"projection": np.array(lens).T.tolist(), "size": SIZE}
+    pose = np.array(view).T[:3] * [[1.0], [-1.0], [-1.0]]
+    focal = SIZE[1] / 2.0 / math.tan(math.radians(15.0))
+    k = [[focal, 0.0, SIZE[0] / 2.0], [0.0, focal, SIZE[1] / 2.0], [0.0, 0.0, 1.0]]
+    rotation = Quaternion.from_matrix(Matrix33(pose[:, :3]))
+    cameras = [
+        fr.Camera.from_opencv(k, pose[:, :3], pose[:, 3:], SIZE),
+        fr.Camera.from_opencv(Matrix33(k), rotation, Vector3(pose[:, 3]), SIZE),
+        fr.Camera.from_view_matrix(view, **rows),
+        fr.Camera.from_view_matrix(np.array(view).T, **columns),
+        fr.Camera.from_view_matrix(view, **rows, row_vectors=True),
+        fr.Camera.from_camera_to_world(to_world, **rows),
+        fr.Camera.from_camera_to_world(np.array(to_world).T.tolist(), **columns, row_vectors=False),
+        fr.Camera.from_camera_to_world(view.quaternion, Vector3(eye), **rows),
+        fr.Camera.from_view_matrix(view, fov=30.0),
+        fr.Camera.from_view_matrix(view.astype(np.float32), fov=30.0),
+    ]
+    length = np.linalg.norm(pose[:, 3])
+    for camera, precision in zip(cameras, (*[1e-14] * 9, 1e-6), strict=True):
+        np.testing.assert_allclose(camera.extrinsics, pose, rtol=0, atol=precision * length)
+        if camera.intrinsics is not None:
+            np.testing.assert_allclose(camera.intrinsics, k, rtol=1e-13)
+    np.testing.assert_allclose(view_of(fr.Scene(mini, cameras[0]), 4 / 3).position, (1.5, 0.7, 4.0))
+    with fr.Renderer(SIZE, samples=1) as renderer:
+        first, *images = [renderer.render(fr.Scene(mini, camera)).linear for camera in cameras]
+    assert (first[..., 3] > 0).mean() > 0.1
+    for image in images:
+        assert (np.abs(image - first).max(axis=-1) > 1e-3).mean() < 1e-3  # rounding may move edges
+
+
+def test_a_projection_beside_the_axis(mini):
+    """Clip coordinates of OpenGL are those of the G-buffer's points, also with an oblique axis."""
+    eye = mini.center + np.array([0.5, 0.2, 3.0]) * mini.radius
+    view = Matrix44.look_at(eye, mini.center, (0.0, 1.0, 0.0))
+    lens = Matrix44.perspective_projection_bounds(-0.03, 0.05, -0.035, 0.02, 0.1, 10.0)
+    buffer = seen(mini, fr.Camera.from_view_matrix(view, lens, SIZE))
+    rows, columns = np.nonzero(buffer.part >= 0)
+    points = np.column_stack([buffer.position[rows, columns], np.ones(len(rows))])
+    clip = points @ np.array(view) @ np.array(lens)
+    found = (1.0 + clip[:, :2] / clip[:, 3:] * (1.0, -1.0)) * np.divide(SIZE, 2.0)
+    assert len(found) > 500
+    np.testing.assert_allclose(found, np.column_stack([columns, rows]) + 0.5, atol=2e-3)
+
+
+def test_matrices_of_unknown_convention_are_refused():
+    rotation, half = np.eye(4), np.diag([-1.0, 1.0, -1.0, 1.0])
+    rotation[:3, :3] = rotation_of((0.0, 30.0, 0.0))
+    make, inverse = fr.Camera.from_view_matrix, fr.Camera.from_camera_to_world
+    with pytest.raises(fr.InputError, match="matrix = .*: give row_vectors=True or False"):
+        make(rotation)
+    assert make(rotation, row_vectors=True) == make(rotation.T, row_vectors=False)
+    assert make(rotation, row_vectors=True) != make(rotation, row_vectors=False)
+    assert make(half).extrinsics == ((-1, 0, 0, 0), (0, -1, 0, 0), (0, 0, 1, 0))  # symmetric
+    rotation[:3, 3] = 1.0
+    orthographic = Matrix44.orthogonal_projection(-1.0, 1.0, -1.0, 1.0, 0.1, 10.0)
+    perspective = Matrix44.perspective_projection(30.0, 1.0, 0.1, 10.0)
+    for message, call in {
+        "a last row .or last column. .0.0, 0.0, 0.0, 1.0.": lambda: make(rotation * 2.0),
+        "camera matrix = .*: give a last row": lambda: make(rotation, row_vectors=True),
+        "row_vectors = 1: give true or false": lambda: make(rotation, row_vectors=1),
+        "camera matrix = .*: give 4 rows of 4 numbers": lambda: make(rotation[:3]),
+        "projection = .*: give a last row": lambda: make(rotation, orthographic, SIZE),
+        "camera size = None: give width and height": lambda: make(rotation, perspective),
+        "camera fov = 30.0 and intrinsics": lambda: make(rotation, perspective, SIZE, fov=30.0),
+        "camera projection = .*: give it without": lambda: make(
+            rotation, np.array(perspective).T + np.eye(4, k=3), SIZE
+        ),
+        "give .R|t. with a rotation R": lambda: make(rotation @ np.diag([2.0, 2.0, 2.0, 1.0])),
+        "camera matrix = .*: give a quaternion of length 1": lambda: inverse([0, 0, 0, 2], [0] * 3),
+        "camera matrix = .*: give 4 numbers": lambda: inverse(rotation, [0, 0, 0]),
+        "camera R = .*: give 3 rows of 3 numbers or 4 numbers": lambda: fr.Camera.from_opencv(
+            K, [1, 2], [0, 0, 1], SIZE
+        ),
+        "camera position = .*: give 3 numbers": lambda: inverse([0, 0, 0, 1], [0, 0]),
+    }.items():
+        with pytest.raises(fr.InputError, match=message):
+            call()
 
 
 GOOD = {"extrinsics": np.eye(3, 4), "intrinsics": K, "size": SIZE}

@@ -108,7 +108,7 @@ def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
         "assert not {'numpy', 'argparse', 'moderngl', 'trimesh', 'scipy', 'PIL'} & {*sys.modules}\n"
         "from facerender.commands import main\n"
         "main(sys.argv[1:])\n"
-        "late = {'tqdm', 'trimesh'}\n"
+        "late = {'tqdm', 'trimesh', 'pyrr'}\n"
         "assert not late & {*sys.modules}\n"
     )
     words = ["render", *SIZE, "--no-cache", "--only", "mask", "--m", "0.3"]

@@ -53,6 +53,7 @@ METHODS = [
     *("Renderer.can_shade_per_pixel", "Frame.srgb8", "Frame.save", "Mesh.from_arrays"),
     *("Mesh.select", "Mesh.with_positions", "Texture.open", "Texture.from_array"),
     *("Texture.from_image", "View.intrinsics", "View.extrinsics"),
+    *("Camera.from_opencv", "Camera.from_view_matrix", "Camera.from_camera_to_world"),
 ]
 GIVEN = ("renderer", "backend", "size", "samples", "mesh", "source")  # replace expensive defaults
 RESULTS = ("GBuffer", "Plan", "View")  # created only by functions

@@ -16,7 +16,7 @@ from facerender.system import cache
 
 # Python packages, keyed by the extra that needs them; "" is facerender without extras.
 PACKAGES = {
-    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "tqdm"),
+    "": ("moderngl", "glcontext", "numpy", "trimesh", "pyrr", "Pillow", "tqdm"),
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),

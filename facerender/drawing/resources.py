@@ -299,7 +299,7 @@ class Resources:
     ) -> None:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
-        uploaded = draw.part and self.part(draw.part, mesh)
+        uploaded = self.part(draw.part, mesh) if draw.part else None
         self.bind(program, draw, textures)
         if draw.part is None or uploaded is None or draw.depth == "marked":
             self._screen(program).render(vertices=3)

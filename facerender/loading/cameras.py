@@ -12,13 +12,12 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason, shown
 from facerender.loading.gltf import scene_nodes
 from facerender.loading.gltf_document import chunks, document_of
 from facerender.loading.source import GLTF
-from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named
+from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named, world_to_camera
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file, suffix_of
@@ -96,19 +95,12 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
                 f"camera {shown(label)} of {name} is orthographic: give a perspective one"
             )
         with np.errstate(all="ignore"):
-            pose = _world_to_camera(world / [*np.linalg.norm(world[:3, :3], axis=0), 1.0])
+            pose = world_to_camera(world / [*np.linalg.norm(world[:3, :3], axis=0), 1.0])
         fov = math.degrees(camera["perspective"]["yfov"])
         cameras.append(Camera(fov=fov, extrinsics=pose, name=label))
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
     return named(cameras, "camera")
-
-
-def _world_to_camera(to_world: NDArray[np.float64]) -> Any:
-    """Return OpenCV's [R|t] of a camera whose axes are OpenGL's: x right, y up, z backwards."""
-    axes, position = to_world[:3, :3], to_world[:3, 3]
-    turn = (axes * (1.0, -1.0, -1.0)).T
-    return np.column_stack([turn, -turn @ position]).tolist()
 
 
 def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
@@ -136,7 +128,7 @@ def _of_frame(shared: dict[str, Any], frame: Any, size: tuple[int, int] | None) 
     if is_fisheye or model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
         raise InputError(f"camera_model = {shown(model)}, or k4: give OPENCV, without fisheye")
     try:
-        pose = _world_to_camera(np.array(table["transform_matrix"], dtype=np.float64))
+        pose = world_to_camera(np.array(table["transform_matrix"], dtype=np.float64))
         width, height = float(table["w"]), float(table["h"])
         focal = table.get("fl_x") or width / 2.0 / math.tan(float(table["camera_angle_x"]) / 2.0)
         focal_y = focal

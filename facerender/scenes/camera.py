@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_type, short_repr, shown
+from facerender.errors import InputError, check_switch, check_type, short_repr, shown
 from facerender.scenes.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector
 from facerender.terms.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
 
@@ -124,6 +124,7 @@ def _determinant(slopes: Float) -> Float:
 Frame = Literal["auto", "all", "head", "face"]
 Pose = tuple[float, float, float, float]
 Matrix = NDArray[np.float64]
+Size = int | tuple[int, int]
 
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
@@ -140,6 +141,9 @@ _NOT_ROTATED = 1e-3  # largest accepted element of |R R^T - I|; not 0, because u
 # position uses its azimuth only if it looks straight up or down; view_of() checks that.
 _PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
 _ORBITING = ("elevation", "zoom")
+_SIZES = SizeRange(1, 1 << 30, "pixels")
+# Last rows of matrices for column vectors, and last columns of matrices for row vectors.
+_AFFINE, _PERSPECTIVE = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -182,7 +186,7 @@ class Camera:
     frame: Frame = "auto"
     extrinsics: tuple[Pose, Pose, Pose] | None = None
     intrinsics: tuple[Vector, Vector, Vector] | None = None
-    size: tuple[int, int] | None = ranged(SizeRange(1, 1 << 30, "pixels"), None)
+    size: tuple[int, int] | None = ranged(_SIZES, None)
     distortion: tuple[float, ...] | None = None
     # Not part of the view: equal views have equal metadata.
     name: str = field(default="", repr=False, compare=False)
@@ -207,6 +211,65 @@ class Camera:
             name: str = ...,
         ) -> None: ...
 
+    @classmethod
+    def from_opencv(
+        cls, K: ArrayLike, R: ArrayLike, t: ArrayLike, size: Size, **fields: Any
+    ) -> Camera:
+        """Return a camera of OpenCV's K and [R|t]; see ``intrinsics`` and ``extrinsics``.
+
+        R : (3, 3), or a quaternion x, y, z, w. Transpose R and K for row vectors
+        t : (3,) or (3, 1)
+        fields : ``distortion`` and ``name``
+        """
+        k, shift = _numbers("camera K", K, (3, 3)), _numbers("camera t", t, (3,), (3, 1))
+        pose = np.column_stack([_rotation("camera R", R, (3, 3), (4,)), shift])
+        return cls(extrinsics=pose, intrinsics=k, size=size, **fields)
+
+    @classmethod
+    def from_view_matrix(
+        cls,
+        matrix: ArrayLike,
+        projection: ArrayLike | None = None,
+        size: Size | None = None,
+        row_vectors: bool | None = None,
+        **fields: Any,
+    ) -> Camera:
+        """Return a camera of OpenGL's matrices, such as pyrr's, for row or column vectors.
+
+        matrix : (4, 4), from mesh space to camera space: x to the right, y up, z backwards
+        projection : (4, 4), perspective, for images of ``size``. Its near and far are not used
+        row_vectors : whether the matrices are for row vectors. None: they are if the last column is
+            0, 0, 0, 1 (of the projection 0, 0, -1, 0), and are not if the last row is. If both are,
+            because there is no translation, an asymmetric matrix needs True or False
+        fields : ``fov``, ``distortion`` and ``name``
+        """
+        pose = _for_columns("camera matrix", matrix, _AFFINE, row_vectors)
+        lens = _lens(projection, size, row_vectors)
+        return cls(extrinsics=pose[:3] * [[1.0], [-1.0], [-1.0]], **lens, **fields)
+
+    @classmethod
+    def from_camera_to_world(
+        cls,
+        matrix: ArrayLike,
+        position: ArrayLike | None = None,
+        projection: ArrayLike | None = None,
+        size: Size | None = None,
+        row_vectors: bool | None = None,
+        **fields: Any,
+    ) -> Camera:
+        """Return a camera of the inverse of a view matrix, as in glTF, Blender and NeRF.
+
+        matrix : (4, 4); or, with the camera's position (3,), a quaternion x, y, z, w. For the other
+            parameters see :meth:`from_view_matrix`
+        """
+        if position is None:
+            pose = _for_columns("camera matrix", matrix, _AFFINE, row_vectors)
+        else:
+            place = _numbers("camera position", position, (3,))
+            pose = np.column_stack([_rotation("camera matrix", matrix, (4,)), place])
+        lens = _lens(projection, size, row_vectors)
+        return cls(extrinsics=world_to_camera(pose), **lens, **fields)
+
     def __post_init__(self) -> None:
         azimuth: Any = self.azimuth
         if isinstance(azimuth, str):
@@ -223,7 +286,8 @@ class Camera:
             raise InputError(f"camera frame = {shown(self.frame)}: give {', '.join(FRAMES)}")
         for name, columns in (("extrinsics", 4), ("intrinsics", 3)):
             if (matrix := getattr(self, name)) is not None:
-                object.__setattr__(self, name, _matrix(f"camera {name}", matrix, columns))
+                rows = _numbers(f"camera {name}", matrix, (3, columns)).tolist()
+                object.__setattr__(self, name, tuple(map(tuple, rows)))
         if self.extrinsics is not None:
             self._check_extrinsics()
         elif self.position is not None:
@@ -307,6 +371,64 @@ class Camera:
             )
 
 
+def world_to_camera(to_world: Float) -> Any:
+    """Return OpenCV's [R|t] of a camera whose axes are OpenGL's: x right, y up, z backwards."""
+    axes, position = to_world[:3, :3], to_world[:3, 3]
+    turn = (axes * (1.0, -1.0, -1.0)).T
+    return np.column_stack([turn, -turn @ position]).tolist()
+
+
+def _lens(projection: Any, size: Any, row_vectors: bool | None) -> dict[str, Any]:
+    """Return intrinsics and size of OpenGL's perspective projection."""
+    if projection is None:
+        return {"size": size}
+    matrix = _for_columns("camera projection", projection, _PERSPECTIVE, row_vectors)
+    if matrix[:2, 3].any():
+        raise InputError(f"camera projection = {shown(projection)}: give it without translation")
+    half = np.divide(_SIZES.check("camera size", size), 2.0)
+    k = np.eye(3)
+    k[:2, :2] = half[:, None] * matrix[:2, :2]
+    k[:2, 2] = half * (1.0 + matrix[:2, 2] * (-1.0, 1.0))
+    return {"intrinsics": k, "size": size}
+
+
+def _for_columns(name: str, value: Any, last: Pose, row_vectors: bool | None) -> Float:
+    """Return a matrix (4, 4) for column vectors, whose last row is ``last``."""
+    if row_vectors is not None:
+        check_switch("row_vectors", row_vectors)
+    matrix = _numbers(name, value, (4, 4))
+    several = [matrix, matrix.T] if row_vectors is None else [matrix.T if row_vectors else matrix]
+    fits = [columns for columns in several if np.allclose(columns[3], last)]
+    if not fits or not np.array_equal(fits[0], fits[-1]):
+        remedy = "row_vectors=True or False" if fits else f"a last row (or last column) {last}"
+        raise InputError(f"{name} = {shown(value)}: give {remedy}")
+    return fits[0]
+
+
+def _rotation(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:
+    """Return a matrix (3, 3), or the one for column vectors of a quaternion x, y, z, w."""
+    if (rotation := _numbers(name, value, *shapes)).ndim == 2:
+        return rotation
+    if abs(np.linalg.norm(rotation) - 1.0) > _NOT_ROTATED:
+        raise InputError(f"{name} = {shown(value)}: give a quaternion of length 1")
+    from pyrr import matrix33  # 16 ms, and most cameras have no quaternion
+
+    return np.asarray(matrix33.create_from_quaternion(rotation, dtype=np.float64))
+
+
+def _numbers(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:
+    """Return an array of one of the shapes as float64."""
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError, RuntimeError):  # rows of different lengths, a tensor on a GPU
+        array = np.empty(0)
+    numeric = array.shape in shapes and array.dtype.kind in "fiu"
+    if not (numeric and (np.abs(array) <= POSITIONS.high).all()):
+        expected = " or ".join(f"{' rows of '.join(map(str, shape))} numbers" for shape in shapes)
+        raise InputError(f"{name} = {shown(value)}: give {expected}")
+    return array.astype(np.float64)
+
+
 def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
     """Return cameras keyed by unique names; a missing or repeated name is replaced."""
     keyed: dict[str, Camera] = {}
@@ -316,20 +438,6 @@ def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
             key += f"_{number:03d}"
         keyed[key] = camera
     return keyed
-
-
-def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:
-    """Check that a value is a matrix of 3 rows; return the matrix as tuples."""
-    rows = value.tolist() if isinstance(value, np.ndarray) else value
-    good = isinstance(rows, tuple | list) and len(rows) == 3
-    if not good or not all(
-        isinstance(row, tuple | list)
-        and len(row) == columns
-        and all(number in POSITIONS for number in row)
-        for row in rows
-    ):
-        raise InputError(f"{name} = {shown(value)}: give 3 rows of {columns} numbers")
-    return tuple(tuple(float(number) for number in row) for row in rows)
 
 
 def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:
