@@ -359,4 +359,4 @@ class Job:
 
 
 def _plain(instance: Any) -> dict[str, Any]:
-    return {name: value for name, value in asdict(instance).items() if value is not None}
+    return {name: value for name, value in asdict(instance).items() if value not in (None, {})}

@@ -557,10 +557,11 @@ def test_check_names_poses_and_landmarks_that_do_not_fit(table, small, tmp_path,
     (tmp_path / "far.json").write_text('{"nose": 7}')
     (tmp_path / "near.json").write_text('{"nose": 3}')
     still = {"mesh": str(small)}
-    no_rig = "small.obj has no shapes and no clips: give a glTF file with a rig, or leave out the"
+    no_rig = "small.obj has no shapes, clips or joints: give a glTF file with a rig, or leave out"
     faults: list[tuple[dict[str, Any], str]] = [
         ({**still, "pose.weights": {"jawOpen": 1.0, "jawLeft": 0.5}}, no_rig),
         ({"pose.weights": {"jawOpn": 1.0}}, "head.glb has no shape 'jawOpn': its shapes are"),
+        ({"pose.joints": {"a.1": [0, 9, 0]}}, "head.glb has no joint 'a.1': it has no joints"),
         ({"pose.clip": "walk"}, "clip = 'walk', which head.glb lacks: its clips are talk"),
         ({"pose.clip": "talk", "pose.time": 9.0}, "time of clip 'talk' = 9.0"),
         ({"before.weights": {"a": 1.0}, "outputs": "motion"}, "head.glb has no shape 'a'"),

@@ -286,6 +286,15 @@ def test_lights_of_a_table_replace_the_lights_of_a_scene():
     assert Job.from_dict(row.tables).lights == (replace(LIGHTS["rim"], azimuth=5.0),)
 
 
+def test_names_of_shapes_and_joints_may_have_dots_or_only_digits():
+    row = {"pose.joints": {"Bone.001": [0, 9, 0]}, "pose.joints.0": [1, 2, 3]}
+    (row,) = rows_of({**row, "before": {"weights": {"a.b": 0.5, "0": 1.0}}})
+    job = Job.from_dict(row.tables)
+    assert job.pose.joints == {"Bone.001": (0.0, 9.0, 0.0), "0": (1.0, 2.0, 3.0)}
+    assert job.before.weights == {"a.b": 0.5, "0": 1.0}
+    assert Job.from_dict(job.as_dict()) == job
+
+
 def test_keys_may_have_indices_of_lists():
     (row,) = rows_of(
         {

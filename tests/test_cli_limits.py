@@ -21,7 +21,7 @@ from facerender.commands.output import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.files import FRAME_RATES
-from facerender.scenes.vectors import SHAPE_WEIGHTS
+from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS
 from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 from tests.awkward_files import MINI_HEAD
 from tests.test_help import PARSERS
@@ -68,6 +68,7 @@ PYTHON: dict[str, tuple[Range, Raises]] = {
     **{name: (Range(0.0, HIGHEST), partial(compared, name)) for name in LIMITS},
     "exposure": (EXPOSURES, lambda value: fr.Output("x.png", exposure=value)),
     "weight": (SHAPE_WEIGHTS, lambda value: fr.Pose({"jawOpen": value})),
+    "joint": (ROTATIONS, lambda value: fr.Pose(joints={"head": value})),
     "fps": (Range(*FRAME_RATES), lambda value: fr.save_animation("x.gif", [IMAGE], value)),
     "memory": (MEMORY, lambda value: fr.Renderer((8, 8), memory=value)),
 }
@@ -92,6 +93,7 @@ FORMS: dict[str, Callable[[Any], tuple[str, Any]]] = {
     "target": lambda x: (f"{x!r},0,0", (x, 0.0, 0.0)),
     "background": lambda x: (f"{x!r},0,0", (x, 0.0, 0.0)),
     "weight": lambda x: (f"jawOpen={x!r}", x),
+    "joint": lambda x: (f"head=0,{x!r},0", [0.0, x, 0.0]),
 }
 
 
@@ -151,7 +153,11 @@ def test_text_in_place_of_a_number(command, option, folder, capsys):
     assert (out, err.count("\n")) == ("", 1)
     assert "much" in err
     own = {"size": "give N or WxH", "weight": "give NAME=WEIGHT", "target": "give 3 numbers"}
-    own |= {"ambient": "give 1 or 3 numbers", "background": "give 3 numbers"}
+    own |= {
+        "joint": "give NAME=X,Y,Z",
+        "ambient": "give 1 or 3 numbers",
+        "background": "give 3 numbers",
+    }
     assert own.get(name_of(option), f"'much' is not {kind}: give {option.help.values}") in err
 
 

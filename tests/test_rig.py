@@ -7,6 +7,7 @@ import json
 import math
 import time
 import warnings
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import facerender as fr
 from facerender.commands import main
 from facerender.errors import InputError
+from facerender.images.files import read_image
 from tests import awkward_files as files
 from tests.awkward_files import KINDS, WIDTHS, Glb, assert_equal
 from tests.meshes import with_geometry
@@ -287,7 +289,33 @@ def instanced():
     return file
 
 
+def rigid_eyes():
+    """A skinned head without clips, and two instances of a rigid eye with a target below its joint,
+    in an armature with z up that has another unit."""
+    file = Glb(
+        {"children": [1, 2], "rotation": [-HALF, 0, 0, HALF], "scale": [0.1, 0.1, 0.1]},
+        {"mesh": 0, "skin": 0},
+        {"children": [3], "rotation": around("xyz", 90, 20, -30)[0].tolist()},
+        {"children": [4], "translation": [3, 10, 1], "rotation": around("z", 65)[0].tolist()},
+        {"children": [5], "scale": [1, 1.5, -1], "translation": [0, 0, 2]},
+        {"mesh": 1, "translation": [1, 2, 3]},
+    )
+    skinned_tube(file, *along(tube()[0], 2))
+    inverse = np.tile(np.diag([5.0, 10.0, 10.0, 1.0]), (2, 1, 1))
+    inverse[1, 3, 1] = -10.0
+    file.skin([2, 3], inverse)
+    eye = file.primitive(*cube())
+    eye["targets"] = targets_of(file, 1, 24, 13)
+    file.mesh(eye)
+    offsets = {"TRANSLATION": file.add([(0, 0, 0), (3, 0, 0)])}
+    instancing = {"EXT_mesh_gpu_instancing": {"attributes": offsets}}
+    file.document["nodes"][5]["extensions"] = instancing
+    return file
+
+
+SKINNED = [rigged_simple, recursive_skeletons, eight_joints, mirrored, rigid_eyes]
 SAMPLES = [
+    rigid_eyes,
     animated_cube,
     box_animated,
     interpolation_test,
@@ -357,8 +385,12 @@ class Reference:
                 found = (1 - t) * middle[k] + t * middle[k + 1]
         return found / np.linalg.norm(found) if path == "rotation" else found
 
-    def parts(self, given, clip, at):
-        """Return positions and normals of the primitives in the order of the scene."""
+    def parts(self, given, clip, at, angles):
+        """Return positions and normals of the primitives in the order of the scene.
+
+        angles : three angles of some joints, keyed by the node's name
+        """
+        self.angles = angles
         nodes = [dict(node) for node in self.document["nodes"]]
         for node in nodes:
             if "mesh" in node:
@@ -378,19 +410,28 @@ class Reference:
         self.worlds: dict[int, Any] = {}
         self.order: list[int] = []
         for root in self.document["scenes"][0]["nodes"]:
-            self.visit(root, np.eye(4))
+            self.visit(root, np.eye(4), Rotation.identity())
         found = []
         for number in self.order:
             if "mesh" in nodes[number]:
                 found += self.mesh(nodes[number], self.worlds[number], given)
         return found
 
-    def visit(self, number, parent):
+    def visit(self, number, parent, axes):
+        """Set the world matrices of a node and of all nodes below it.
+
+        axes : rotation of the mesh's axes by the angles of the joints above the node
+        """
         node = self.nodes[number]
         self.order.append(number)
-        self.worlds[number] = parent @ local(node)
+        self.worlds[number] = world = parent @ local(node)
+        angles = self.angles.get(node.get("name"), (0.0, 0.0, 0.0))
+        for axis, angle in zip(axes.as_matrix().T, angles, strict=True):
+            turn = Rotation.from_rotvec(math.radians(angle) * axis)
+            world[:3, :3] = turn.as_matrix() @ world[:3, :3]
+            axes = turn * axes
         for child in node.get("children", ()):
-            self.visit(child, self.worlds[number])
+            self.visit(child, world, axes)
 
     def mesh(self, node, world, given):
         mesh = self.document["meshes"][node["mesh"]]
@@ -452,8 +493,8 @@ def local(node):
     return matrix
 
 
-def assert_pose(mesh, file, weights, clip, at):
-    found = Reference(file).parts(weights, clip, at)
+def assert_pose(mesh, file, weights, clip, at, angles=MappingProxyType({})):
+    found = Reference(file).parts(weights, clip, at, angles)
     assert len(mesh.parts) == len(found)
     for part, (places, normals) in zip(mesh.parts, found, strict=True):
         scale = max(1.0, np.abs(places).max())
@@ -476,6 +517,30 @@ def test_poses_follow_the_specification(sample):
             assert_pose(pose.with_pose(given, clip=clip, time=at), file, given, number, at)
     given = dict(zip(mesh.shapes, (1.5, -0.5, 0.25), strict=False))
     assert_pose(mesh.with_pose(given), file, given, None, 0.0)
+
+
+@pytest.mark.parametrize("sample", SKINNED)
+def test_joints_rotate_about_the_axes_of_the_mesh(sample):
+    """Their children follow, and carry the axes of their rotations along."""
+    file = sample()
+    for skin in file.document["skins"]:
+        for number in skin["joints"]:
+            file.document["nodes"][number]["name"] = f"node {number}"
+    mesh = file.load()
+    rng = np.random.default_rng(3)
+    angles = {name: rng.uniform(-90, 90, 3).tolist() for name in mesh.joints}
+    weights = dict.fromkeys(mesh.shapes, 0.5)
+    for joints in (dict([*angles.items()][-1:]), angles):
+        assert_pose(mesh.with_pose(joints=joints), file, {}, None, 0.0, joints)
+        for clip in mesh.clips:
+            pose = mesh.with_pose(weights, joints=joints, clip=clip, time=0.7)
+            assert_pose(pose, file, weights, 0, 0.7, joints)
+    pose = mesh.with_pose(weights, joints=angles)
+    assert_pose(pose, file, weights, None, 0.0, angles)
+    for same in (pose.with_pose(), mesh.with_pose(joints=dict.fromkeys(angles, (0, 0.0, 0)))):
+        for part, own in zip(same.parts, mesh.parts, strict=True):
+            assert_equal(part.positions, own.positions, "no angles")
+            assert_equal(part.normals, own.normals, "no angles")
 
 
 # --- normals -------------------------------------------------------------------------------------
@@ -608,6 +673,48 @@ def test_names_of_shapes_and_clips():
     assert fr.load_mesh(files.MINI_HEAD).clips == {}
 
 
+def boned(*names):
+    """Return a file whose nodes 2, 3 and 4 have these names; 2 and 3 are joints."""
+    file = rigid_eyes()
+    for node, name in zip(file.document["nodes"][2:], names, strict=False):
+        node["name"] = name
+    return file
+
+
+@pytest.mark.parametrize(
+    ("names", "joints"),
+    [
+        (("Bone", "Bone", "other"), ("Bone", "Bone.2")),
+        (("", 5), ("joint1", "joint2")),
+        ((" two\nlines ", "joint1"), ("two lines", "joint1")),
+    ],
+)
+def test_names_of_joints(names, joints, tmp_path, capsys):
+    path = tmp_path / "a.glb"
+    path.write_bytes(boned(*names).content())
+    assert fr.load_mesh(path).joints == joints
+    assert main(["info", str(path)]) == 0
+    assert f"\n2 joints:\n  {', '.join(joints)}\n" in capsys.readouterr().out
+
+
+def test_files_and_options_rotate_joints(tmp_path, egl):
+    (tmp_path / "a.glb").write_bytes(boned("Bone", "Bone.001").content())
+    scene = '[pose]\njoints = { Bone = [0, 0, 40], "Bone.001" = [10, 0, 0] }\n'
+    (tmp_path / "scene.toml").write_text(scene)
+    base = ["render", f"{tmp_path}/a.glb", "--size=64", "--samples=1", "-o", f"{tmp_path}/a.png"]
+    assert main([*base, "--scene", f"{tmp_path}/scene.toml", "--joint", "Bone.001=0,0,-70"]) == 0
+    mesh = fr.load_mesh(tmp_path / "a.glb")
+    angles = {"Bone": (0, 0, 40), "Bone.001": (0, 0, -70)}
+    with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
+        image, still = (
+            renderer.render(fr.Scene(mesh.with_pose(joints=joints))).srgb8()
+            for joints in (angles, {})
+        )
+    found = read_image(tmp_path / "a.png").pixels
+    np.testing.assert_array_equal(found, image)
+    assert (image != still).any(axis=-1).mean() > 0.1
+
+
 def test_a_shape_moves_all_parts_that_have_it():
     mesh = two_meshes().load()
     pose = mesh.with_pose({"smile": 1.0})
@@ -670,6 +777,19 @@ def test_invalid_arguments_raise(arguments, message):
     assert message in error_of(morph_stress().load(), **arguments)
 
 
+@pytest.mark.parametrize(
+    ("joints", "message"),
+    [
+        ({"hed": (0, 9, 0)}, "bytes has no joint 'hed': its joints are joint1, joint2"),
+        ({"joint1": 9.0}, "joint 'joint1' = 9.0: give three numbers in [-3600, 3600] degrees"),
+        ({"joint1": (0, math.nan, 0)}, "joint 'joint1' = (0, nan, 0): give three numbers in"),
+        ([9], "joints = [9]: give a mapping"),
+    ],
+)
+def test_invalid_joints_raise(joints, message):
+    assert message in error_of(rigid_eyes().load(), joints=joints)
+
+
 def error_of(mesh, *arguments, **more):
     with pytest.raises(InputError) as caught:
         mesh.with_pose(*arguments, **more)
@@ -679,13 +799,16 @@ def error_of(mesh, *arguments, **more):
 
 def test_meshes_without_rig_or_clips_raise():
     still = fr.load_mesh(files.MINI_HEAD)
-    assert "has no shapes and no clips: give a glTF file" in error_of(still, {"smile": 1.0})
+    assert "has no shapes, clips or joints: give a glTF file" in error_of(still, {"smile": 1.0})
     file = morph_stress()
     del file.document["animations"]
     mesh = file.load()
     assert "time = 1 needs a clip, which bytes lacks: it has no clips" in error_of(mesh, time=1)
     file = box_animated()
     assert "has no shape 'smile': it has no shapes" in error_of(file.load(), {"smile": 1.0})
+    assert "no joint 'a': it has no joints" in error_of(file.load(), joints={"a": (0, 9, 0)})
+    with pytest.raises(InputError, match="vertices = 'a.npy' exclude weights, joints, clip and"):
+        fr.Pose(joints={"a": (0, 9, 0)}, vertices="a.npy")
 
 
 def test_a_pose_that_leaves_the_camera_behind_raises():
@@ -899,6 +1022,7 @@ def test_rigs_survive_the_cache(sample, tmp_path, cache_folder):
     assert_equal(with_geometry(first), with_geometry(cached), "mesh")
     skeletons = {part.rig.skeleton for part in cached.parts if part.rig is not None}
     assert len(skeletons) == 1
+    assert cached.joints == first.joints
     for clip, duration in first.clips.items():
         poses = [each.with_pose(clip=clip, time=0.6 * duration) for each in (first, cached)]
         assert_equal(*(pose.parts[0].positions for pose in poses), "positions")

@@ -198,11 +198,13 @@ SAMPLES: dict[tuple[type, str], list[dict[str, Any]]] = {
         | {"full_maps": True, "alpha_threshold": 0.3}
     ],
     (fr.Pose, "pose"): [
-        {"weights": {"jawOpen": 0.5}, "clip": "nod", "time": 0.5, "track": True},
+        {"weights": {"jawOpen": 0.5}, "clip": "nod", "time": 0.5, "track": True}
+        | {"joints": {"head": [0.0, 20.0, 0.0]}},
         {"vertices": "a.npy", "frame": 3},
     ],
     (fr.Pose, "before"): [
-        {"weights": {"jawOpen": 0.5}, "clip": "nod", "time": 0.5, "track": True},
+        {"weights": {"jawOpen": 0.5}, "clip": "nod", "time": 0.5, "track": True}
+        | {"joints": {"head": [0.0, 20.0, 0.0]}},
         {"vertices": "a.npy", "frame": 3},
     ],
     (Planned, "planned"): [

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 _File = tuple[Any, ...]  # kind of a file, its path, and options with which it is read
-_Use = tuple[str, str | None]  # "weights", "clip", "vertices" or "landmarks", with a name or path
+_Use = tuple[str, str | None]  # a key of Pose, or "landmarks", with a name or path
 _Call = Callable[..., Any]
 _Place = tuple[int, str]  # number of a row, and its position as a text for messages
 _OPTIONS = ("allow_outside", "as_is", "parts", "hide")  # keys of a mesh that change its vertices
@@ -113,8 +113,8 @@ def _uses(row: Row) -> Iterator[tuple[_Use, float]]:
     moves = not {"motion", "layers"}.isdisjoint(row.outputs)
     for key in ("pose", "before") if moves else ("pose",):
         pose = row.tables.get(key, {})
-        for name in pose.get("weights", ()):
-            yield ("weights", name), 0.0
+        for kind in ("weights", "joints"):
+            yield from (((kind, name), 0.0) for name in pose.get(kind, ()))
         if "vertices" in pose:
             yield ("vertices", pose["vertices"]), pose.get("frame", 0)
         elif "clip" in pose or "time" in pose:
@@ -124,13 +124,15 @@ def _uses(row: Row) -> Iterator[tuple[_Use, float]]:
 
 
 def _check_use(mesh: Mesh, kind: str, name: Any, moment: Any) -> None:
-    """Raise InputError if a mesh lacks a shape or clip, or vertices or landmarks do not fit it."""
+    """Raise InputError if a mesh lacks a shape, joint or clip, or other data do not fit it."""
     if kind == "landmarks":
         load_landmarks(name).positions(mesh)
     elif kind == "vertices":
         posed(mesh, Pose(vertices=name, frame=moment))
     elif kind == "clip":
         posed(mesh, Pose(clip=name, time=moment))
+    elif kind == "joints":
+        posed(mesh, Pose(joints={name: (0.0, 0.0, 0.0)}))
     elif name not in mesh.shapes:
         posed(mesh, Pose({name: 0.0}))
 

@@ -27,6 +27,8 @@ Table = dict[str, Any]
 
 _DEEPEST = 10  # levels of nested tables and lists
 _DIGITS = frozenset("0123456789")
+# Tables whose keys are names in a mesh file, which may contain dots, or only digits.
+_NAMED = ("parts", "pose.weights", "pose.joints", "before.weights", "before.joints")
 _MOST_BITS = 64  # largest size of a whole number, in bits
 
 
@@ -107,14 +109,14 @@ def with_default_lights(tables: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists, except ``parts``; raise InputError if a
-    number is missing among these keys."""
+    """Convert tables with the keys 0, 1, 2, ... into lists, unless the keys are names; raise
+    InputError if a number is missing among these keys."""
     if type(value) is dict:
         items = {
             key: listed(item, f"{name}.{key}") if type(item) in (dict, list) else item
             for key, item in value.items()
         }
-        if not items or not _places(items) or name == "parts":
+        if not items or not _places(items) or name in _NAMED:
             return items
         for place in range(len(items)):
             if str(place) not in items:
@@ -165,7 +167,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
         entry = _plain(entry, full, depth + 1)
         if entry == {} and value[key]:  # the value contained only None
             continue
-        if "." in key and name != "parts":  # the names of parts may contain dots
+        if "." in key and name not in _NAMED:
             key, *parts = key.split(".")
             if depth + len(parts) > _DEEPEST:
                 raise InputError(f"key {shown(full)} has too many dots: use at most {_DEEPEST}")

@@ -23,7 +23,7 @@ from facerender.scenes.part import Part
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
-_NAMES_PER_LINE, _MOST_NAMES = 8, 64  # names of shapes and of clips in the text output
+_NAMES_PER_LINE, _MOST_NAMES = 8, 64  # names of shapes, joints and clips in the text output
 _MOST_ROWS = 20  # rows of the table of parts in the text output
 _WIDTH = 120  # width of this table for more parts than rows, if the output is no terminal
 _HEAD_OF_TABLE = ("part", "triangles", "skin", "preset", "maps", "material")
@@ -33,10 +33,10 @@ def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
         "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
-        "of a unit, and for each part triangles, preset, maps and factors; shapes and clips\n"
-        "of its rig, repairs, omissions, and hints on probable mistakes. Equal parts of a\n"
-        f"mesh with more than {_MOST_ROWS} parts share a row. Factors and maps of other commands\n"
-        "apply to the parts that are skin. The command draws nothing."
+        "of a unit, and for each part triangles, preset, maps and factors; shapes, joints\n"
+        "and clips of its rig, repairs, omissions, and hints on probable mistakes. Equal\n"
+        f"parts of a mesh with more than {_MOST_ROWS} parts share a row. Factors and maps of\n"
+        "other commands apply to the parts that are skin. The command draws nothing."
     )
     options = Options(info)
     options.add_mesh()
@@ -83,6 +83,7 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "millimetres_of_a_head": hints.millimetres_of(mesh),
         "parts": parts,
         "shapes": list(mesh.shapes),
+        "joints": list(mesh.joints),
         "clips": {c.name: None if c.fault else c.duration for c in clips_of(mesh.parts)},
         "hints": hints.of_mesh(mesh),
     }
@@ -124,6 +125,7 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     few = len(parts) <= _MOST_ROWS
     lines += _table([_HEAD_OF_TABLE, *map(_row, parts)]) if few else _table_of_groups(parts)
     lines += _list("shape", facts["shapes"])
+    lines += _list("joint", facts["joints"])
     clips = facts["clips"].items()
     lines += _list("clip", [f"{n} {'damaged' if t is None else f'{t:.4g} s'}" for n, t in clips])
     lines += [f"warning: {warning}" for warning in facts["warnings"]]

@@ -32,9 +32,9 @@ from facerender.scenes.file import (
     ImageSettings,
     Pose,
     load_scene,
+    parse_entry,
     parse_environment,
     parse_vertices,
-    parse_weight,
 )
 from facerender.scenes.hints import no_shadows
 from facerender.scenes.light import LIGHTS, Light, parse_light
@@ -42,7 +42,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene, background_of, default_light
-from facerender.scenes.vectors import SHAPE_WEIGHTS
+from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
@@ -96,6 +96,8 @@ def _add_pose(scene: Options) -> None:
     text, default = "weight of a shape; repeat for others", "the mesh file's"
     note, values = "facerender info lists the names", SHAPE_WEIGHTS
     scene.add_option("--weight NAME=WEIGHT", text, default, note, values, action="append")
+    text = "angles of a joint about x, y and z; repeat for others"
+    scene.add_option("--joint NAME=X,Y,Z", text, default, note, ROTATIONS, action="append")
     scene.add_option("--clip NAME", "animation of the mesh file", "none; the first with --time")
     scene.add_field(Pose, "time SECONDS", "time in the clip", "the whole clip")
     text = "vertex positions, all frames or one"
@@ -260,8 +262,10 @@ def job_of(
 def _pose(options: argparse.Namespace, pose: Pose) -> Pose:
     """Return the pose of the scene file, changed by the options."""
     changes = values_of(options, "clip", "time")
-    if options.weight:
-        changes["weights"] = {**pose.weights, **dict(map(parse_weight, options.weight))}
+    for option in ("weight", "joint"):
+        if texts := getattr(options, option):
+            entries = dict(parse_entry(option, text) for text in texts)
+            changes[f"{option}s"] = getattr(pose, f"{option}s") | entries
     if options.vertices is not None:
         file, frame = parse_vertices(options.vertices)
         changes |= {"vertices": file, "frame": frame or 0}

@@ -39,8 +39,8 @@ def posed(mesh: Mesh, pose: Pose) -> Mesh:
     """
     if pose.vertices is not None:
         mesh = mesh.with_positions(_frame(pose.vertices, pose.frame))
-    elif pose.weights or pose.clip is not None or pose.time is not None:
-        mesh = mesh.with_pose(pose.weights, clip=pose.clip, time=pose.time)
+    elif pose.weights or pose.joints or pose.clip is not None or pose.time is not None:
+        mesh = mesh.with_pose(pose.weights, joints=pose.joints, clip=pose.clip, time=pose.time)
     return tracked(mesh) if pose.track else mesh
 
 

@@ -219,8 +219,9 @@ class _File:
         skeleton, self.worlds, self.visible = scene_nodes(self.document, self.name)
         self.rigs = RigReader(buffers)
         clips = self.rigs.clips()
-        self.skeleton = replace(skeleton, clips=clips)
-        moved = {track.node for clip in clips for track in clip.tracks}
+        joints = self.rigs.joints(self.worlds)
+        self.skeleton = replace(skeleton, clips=clips, joints=joints)
+        moved = {track.node for clip in clips for track in clip.tracks} | {n for _, n in joints}
         if any(clip.fault for clip in clips):
             moved = {*self.worlds}  # a damaged clip may move any node; a rig reports the damage
         self.moving = self.skeleton.below(moved)
@@ -374,7 +375,7 @@ class _File:
             colors = np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
         uv, uv2 = primitive.uv(first), primitive.uv(second)
         rig = None
-        if shapes or self.skeleton.clips:
+        if shapes or self.moving:
             arrays = np.array(base), None if base_normals is None else np.array(base_normals)
             rig = Rig(self.skeleton, -1, *arrays, weights, shapes, rig_skin, skin is None)
         return Piece(

@@ -5,7 +5,7 @@ returned with a description of the damage, so that the stored pose can still be 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -323,6 +323,13 @@ class RigReader:
                 raise ValueError(f"{where}: the times run backwards")
             self.times[index] = times[:, 0].astype(np.float64)
         return self.times[index]
+
+    def joints(self, nodes: Iterable[int]) -> tuple[tuple[str, int], ...]:
+        """Return a unique name and the number of each of the nodes that is a joint of a skin."""
+        joints = {joint for skin in self.document["skins"] for joint in skin["joints"]}
+        numbers = [number for number in nodes if number in joints]
+        stored_names = [self.document["nodes"][number].get("name") for number in numbers]
+        return tuple(zip(_named(stored_names, "joint", len(numbers)), numbers, strict=True))
 
     def shapes(self, primitive: Primitive) -> tuple[Shape, ...]:
         """Return the morph targets of a primitive. The first list targetNames in the extras of the

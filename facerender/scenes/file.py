@@ -21,7 +21,7 @@ from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, PRESETS, Material, preset
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene, background_of
-from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, SHAPE_WEIGHTS
+from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, ROTATIONS, SHAPE_WEIGHTS, Vector
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
 from facerender.terms.ranges import (
@@ -96,6 +96,7 @@ class Pose:
         with one such array for each part; see :meth:`facerender.Mesh.with_positions`
     frame : index of the frame in ``vertices``; 0 without vertices
     track : whether the framing follows the head; see :func:`facerender.tracked`
+    joints : angles x, y, z in degrees by name of the joint; see :meth:`facerender.Mesh.with_pose`
     """
 
     weights: Mapping[str, float] = field(default_factory=dict)
@@ -104,22 +105,27 @@ class Pose:
     vertices: str | None = None
     frame: int = ranged(IntegerRange(0, 1 << 30), 0)
     track: bool = False
+    joints: Mapping[str, Vector] = field(default_factory=dict)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        check_type("pose weights", self.weights, Mapping, "a table of numbers by shape name")
-        pairs = self.weights.items()
-        weights = {str(name): SHAPE_WEIGHTS.check(f"weight {name}", w) for name, w in pairs}
-        object.__setattr__(self, "weights", weights)
+        for name, noun, limits in (
+            ("weights", "shape", SHAPE_WEIGHTS),
+            ("joints", "joint", ROTATIONS),
+        ):
+            table = getattr(self, name)
+            check_type(f"pose {name}", table, Mapping, f"a table of numbers by {noun} name")
+            values = {str(k): limits.check(f"{name[:-1]} {k}", v) for k, v in table.items()}
+            object.__setattr__(self, name, values)
         check_type("pose clip", self.clip, str | None, "the name of a clip")
         if self.vertices is not None:
             check_path("pose vertices", self.vertices)
             object.__setattr__(self, "vertices", os.fspath(self.vertices))
-            if weights or self.clip is not None or self.time is not None:
+            if self.weights or self.joints or self.clip is not None or self.time is not None:
                 raise InputError(
-                    f"pose vertices = {shown(self.vertices)} exclude weights, clip and time: leave "
-                    "one of them out"
+                    f"pose vertices = {shown(self.vertices)} exclude weights, joints, clip and "
+                    "time: leave one of them out"
                 )
         check_fields(self, "pose ")
         if self.frame and self.vertices is None:
@@ -229,17 +235,20 @@ def parse_vertices(text: str) -> tuple[str, int | None]:
     return file, int(frame[:10]) if frame else None
 
 
-def parse_weight(text: str) -> tuple[str, float]:
-    """Parse the name of a shape and its weight from ``NAME=WEIGHT``. Raises InputError if the text
-    has another form, or the weight is outside its range."""
-    name, _, number = text.rpartition("=")
-    try:
-        weight = float(number)
-    except ValueError:
-        name = ""
-    if not name:
-        raise InputError(f"--weight {shown(text)}: give NAME=WEIGHT, such as jawOpen=0.6")
-    return name, SHAPE_WEIGHTS.check(f"weight {name}", weight)
+def parse_entry(option: str, text: str) -> tuple[str, Any]:
+    """Parse a name and its values from the text of --weight, ``NAME=WEIGHT``, or of --joint,
+    ``NAME=X,Y,Z``. Raises InputError if the text has another form."""
+    count, form = {
+        "weight": (1, "WEIGHT, such as jawOpen=0.6"),
+        "joint": (3, "X,Y,Z, such as head=0,20,0"),
+    }[option]
+    name, _, words = text.rpartition("=")
+    numbers: list[float] = []
+    with suppress(ValueError):
+        numbers = [*map(float, words.split(","))]
+    if not name or len(numbers) != count:
+        raise InputError(f"--{option} {shown(text)}: give NAME={form}")
+    return name, numbers[0] if count == 1 else numbers
 
 
 def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:

@@ -351,10 +351,18 @@ class Mesh:
         ``clip2``... if they have none. Damaged animations are left out."""
         return {clip.name: clip.duration for clip in clips_of(self.parts) if not clip.fault}
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints of a glTF file's skins, parents first: ``joint1``, ``joint2``... if
+        they have none."""
+        skeletons = (part.rig.skeleton for part in self.parts if part.rig)
+        return next((tuple(dict(skeleton.joints)) for skeleton in skeletons), ())
+
     def with_pose(
         self,
         weights: Mapping[str, float] | None = None,
         *,
+        joints: Mapping[str, Sequence[float]] | None = None,
         clip: str | None = None,
         time: float | None = None,
     ) -> Mesh:
@@ -365,14 +373,18 @@ class Mesh:
         ----------
         weights : weights in [-100, 100] of morph targets, keyed by a name of :attr:`shapes`. They
             override the weights of the clip and of the file, in all parts with this shape
+        joints : angles x, y, z in degrees, in [-3600, 3600], keyed by a name of :attr:`joints`. The
+            joint, with all that is below it, rotates about its position in the clip or file: about
+            the mesh's axis x, then y, then z, whatever the local axes of the joint. The rotation of
+            a joint carries along the axes of the joints below it; a clip does not
         clip : name of an animation, see :attr:`clips`; None: the first one if ``time`` is given,
             otherwise the pose in the file
         time : time in seconds, from 0 to the length of the clip; None: 0
 
         Raises
         ------
-        InputError : the mesh has no shapes and no clips, a name is unknown, a value is outside its
-            range, a clip or shape is damaged, or a vertex moves too far
+        InputError : the mesh has no shapes, clips or joints, a name is unknown, a value is outside
+            its range, a clip or shape is damaged, or a vertex moves too far
 
         Warns
         -----
@@ -382,7 +394,7 @@ class Mesh:
         from facerender.scenes.rig import posed  # only for poses, as above
 
         stored = replace(self, pose=None)
-        return moved(stored, *posed(stored, weights, clip, time))
+        return moved(stored, *posed(stored, weights, joints, clip, time))
 
 
 def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:

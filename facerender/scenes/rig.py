@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type, clipped, shown, warn
 from facerender.scenes.repair import transformed
-from facerender.scenes.vectors import MOST_RADII, SHAPE_WEIGHTS, unit
+from facerender.scenes.vectors import MOST_RADII, ROTATIONS, SHAPE_WEIGHTS, rotation_of, unit
 
 if TYPE_CHECKING:
     from facerender.scenes.mesh import Mesh
@@ -149,22 +149,34 @@ class Clip:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Skeleton:
-    """The nodes of a file's scene, parents first, and the clips of the file."""
+    """The nodes of a file's scene, parents first, the clips of the file, and the name and node of
+    each joint of its skins."""
 
     nodes: tuple[Node, ...]
     clips: tuple[Clip, ...] = ()
+    joints: tuple[tuple[str, int], ...] = ()
 
     def worlds(self, moves: Moves) -> dict[int, Float]:
         """Return the world matrix (4, 4) of each node, keyed by its number.
 
-        moves : values that replace stored transforms, as returned by :meth:`Clip.at`
+        moves : values that replace stored transforms, as returned by :meth:`Clip.at`, and "angles",
+            see :meth:`Mesh.with_pose`
         """
         worlds: dict[int, Float] = {}
+        changes: dict[int | None, Float] = {}  # transforms in mesh space that follow from angles
         for node in self.nodes:
-            node_moves = moves.get(node.number)
+            node_moves = moves.get(node.number, {})
             local = node.local(node_moves) if node_moves else self._locals[node.number]
-            worlds[node.number] = local if node.parent is None else worlds[node.parent] @ local
-        return worlds
+            world = local if node.parent is None else worlds[node.parent] @ local
+            worlds[node.number] = world
+            if node.parent in changes:
+                changes[node.number] = changes[node.parent]
+            if "angles" in node_moves:
+                change = np.eye(4)
+                change[:3, :3] = rotation_of(node_moves["angles"])
+                change[:3, 3] = world[:3, 3] - change[:3, :3] @ world[:3, 3]
+                changes[node.number] = changes.get(node.parent, np.eye(4)) @ change
+        return {n: changes[n] @ world if n in changes else world for n, world in worlds.items()}
 
     @cached_property
     def _locals(self) -> dict[int, Float]:
@@ -434,7 +446,11 @@ _Rows = list[Float | None]
 
 
 def posed(
-    rest: Mesh, weights: Mapping[str, float] | None, clip: str | None, time: float | None
+    rest: Mesh,
+    weights: Mapping[str, float] | None,
+    joints: Mapping[str, Sequence[float]] | None,
+    clip: str | None,
+    time: float | None,
 ) -> tuple[_Rows, _Rows]:
     """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
     pose. The normals have any length.
@@ -442,32 +458,43 @@ def posed(
     Parameters
     ----------
     rest : the mesh in the reference pose
-    weights, clip, time : see :meth:`Mesh.with_pose`
+    weights, joints, clip, time : see :meth:`Mesh.with_pose`
     """
     skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
     if skeleton is None:
         remedy = "give a glTF file with a rig, or leave out the pose"
-        raise InputError(f"{rest.name} has no shapes and no clips: {remedy}")
-    overrides = _checked(rest, weights)
+        raise InputError(f"{rest.name} has no shapes, clips or joints: {remedy}")
+    known = dict(skeleton.joints)
+    overrides = _checked(rest, "weights", weights, rest.shapes)
+    rotations = _checked(rest, "joints", joints, [*known])
     selected = _clip(rest, skeleton.clips, clip, time)
-    moves: Moves = {}
+    moves: dict[int, dict[str, Sequence[float]]] = {}
     if selected is not None:
         moves = selected.at(0.0 if time is None else float(time))
         if selected.ignored:
             name, ignored = shown(selected.name), selected.ignored
             warn(f"clip {name} of {rest.name} has channels of {ignored}: ignored")
+    for name, angles in rotations.items():
+        if any(angles):
+            moves.setdefault(known[name], {})["angles"] = angles
     with np.errstate(all="ignore"):
         return _evaluated(rest, skeleton.worlds(moves), overrides, moves)
 
 
-def _checked(mesh: Mesh, weights: Mapping[str, float] | None) -> dict[str, float]:
-    check_type("weights", weights, Mapping | None, "a mapping from names of shapes to numbers")
-    shapes = mesh.shapes
-    for name, weight in (weights or {}).items():
-        if name not in shapes:
-            raise InputError(f"{mesh.name} has no shape {shown(name)}: {_known('shapes', shapes)}")
-        check_range(f"weight of {shown(name)}", weight, SHAPE_WEIGHTS.low, SHAPE_WEIGHTS.high)
-    return {name: float(weight) for name, weight in (weights or {}).items()}
+def _checked(
+    mesh: Mesh, option: str, values: Mapping[str, Any] | None, known: Sequence[str]
+) -> dict[str, Any]:
+    """Return checked weights, keyed by shape, or joints, keyed by name."""
+    noun, label, limits = {
+        "weights": ("shape", "weight of", SHAPE_WEIGHTS),
+        "joints": ("joint", "joint", ROTATIONS),
+    }[option]
+    check_type(option, values, Mapping | None, f"a mapping from names of {noun}s to numbers")
+    for name in values or {}:
+        if name not in known:
+            names = _known(f"{noun}s", known)
+            raise InputError(f"{mesh.name} has no {noun} {shown(name)}: {names}")
+    return {n: limits.check(f"{label} {shown(n)}", value) for n, value in (values or {}).items()}
 
 
 def _known(kind: str, names: Sequence[str]) -> str:
@@ -506,7 +533,7 @@ def _evaluated(
             stored = rig.stored_weights
             clip_weights = moves.get(rig.node, {}).get("weights", stored)
             pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(stored)], strict=False)
-            weights = [overrides.get(shape.name, weight) for shape, weight in pairs]
+            weights = [float(overrides.get(shape.name, weight)) for shape, weight in pairs]
             if turned_nodes or weights != stored:
                 places, turned = _posed(rest_mesh, part, rig, worlds, weights)
             if (lagging := rig.lagging(weights)) != weights:

@@ -23,6 +23,7 @@ COLORS = VectorRange(0.0, MOST_RADIANCE)  # linear RGB of a colour or an irradia
 _NONE = ', or "none" (None in Python) for a transparent background'
 BACKGROUNDS = VectorRange(0.0, MOST_RADIANCE, other=_NONE)
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
+ROTATIONS = VectorRange(-3600.0, 3600.0, "degrees", single=False)  # see rotation_of()
 ELEVATIONS = Range(-90.0, 90.0, "degrees")
 
 

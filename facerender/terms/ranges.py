@@ -87,21 +87,22 @@ class SizeRange(IntegerRange):
 
 @dataclass(frozen=True)
 class VectorRange(Range):
-    """Three numbers in the range. One number stands for three equal numbers.
+    """Three numbers in the range.
 
     other : further valid values, for messages, such as ", or None"
+    single : whether one number stands for three equal numbers
     """
 
     other: str = ""
+    single: bool = True
 
     def check(self, name: str, value: Any) -> Any:
         several = value.tolist() if hasattr(value, "tolist") else value
-        numbers = [*several] if isinstance(several, list | tuple) else [several] * 3
+        numbers = [*several] if isinstance(several, list | tuple) else [several] * 3 * self.single
         if len(numbers) != 3 or not all(number in self for number in numbers):
-            bounds = f"[{self.low:g}, {self.high:g}]"
-            raise InputError(
-                f"{name} = {shown(value)}: give a number in {bounds}, or three{self.other}"
-            )
+            bounds = f"[{self.low:g}, {self.high:g}] {self.unit}".strip()
+            few = f"a number in {bounds}, or three" if self.single else f"three numbers in {bounds}"
+            raise InputError(f"{name} = {shown(value)}: give {few}{self.other}")
         return tuple(map(float, numbers))
 
 

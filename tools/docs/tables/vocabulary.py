@@ -61,7 +61,11 @@ _OPTIONS: Mapping[type, Mapping[str, str]] = {
         "rotation": "--environment FILE,ROTATION",
         "scale": "--environment FILE,ROTATION,SCALE",
     },
-    Pose: {"weights": "--weight NAME=WEIGHT", "frame": "--vertices FILE,FRAME"},
+    Pose: {
+        "weights": "--weight NAME=WEIGHT",
+        "frame": "--vertices FILE,FRAME",
+        "joints": "--joint NAME=X,Y,Z",
+    },
     MeshFile: {"path": "MESH"},
     Term: {"m": "", "small_slope": ""},
     Shading: dict.fromkeys(("ks", "normal_map", "ambient", "environment", "lights"), ""),
