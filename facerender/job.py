@@ -41,7 +41,7 @@ from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
 from facerender.scenes.scene import Only, Scene, background_of, check_only, default_light
-from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
+from facerender.scenes.vectors import BACKGROUNDS, COLORS, ROTATIONS, UPS, Vector
 from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES, check_fields, range_of, ranged
 
@@ -72,6 +72,8 @@ class MeshFile:
     normal_map_y: str = "up"
     as_is: bool = False
     double_sided: bool = False
+    up: str | None = None
+    rotate: Vector | None = ranged(ROTATIONS, None)
 
     __repr__ = short_repr
     __getstate__ = parameters
@@ -85,6 +87,8 @@ class MeshFile:
             check_type(f"mesh {name}", value, str | os.PathLike | None, "a path as text")
             object.__setattr__(self, name, value if value is None else os.fspath(value))
         check_normal_map_y(self.normal_map_y)
+        if self.up is not None:
+            check_known("mesh up", self.up, UPS)
         check_fields(self, "mesh ")
 
     @cached_property

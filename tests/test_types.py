@@ -42,10 +42,8 @@ RIGHT: dict[str, list[Any]] = {
     "Pose weights": [{"x": 1}],
     **{f"{name} paths": [["x"]] for name in ("resolve_includes", "shader_source")},
     **{f"Mesh.with_positions {name}": [None, {}] for name in ("positions", "normals")},
-    **{
-        name: [MATRIX]
-        for name in ("Mesh bounds", "Texture.from_array texels", "Mesh.from_arrays faces")
-    },
+    **{f"Mesh{name}": [MATRIX] for name in (" bounds", " rotation", ".from_arrays faces")},
+    "Texture.from_array texels": [MATRIX],
 }
 UNCHECKED = ("Texture size", "plan progress")  # for internal use
 METHODS = [

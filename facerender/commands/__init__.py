@@ -54,8 +54,8 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 class _Parser(argparse.ArgumentParser):
     def __init__(self, **keywords: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_Formatter, **keywords)
-        # argparse takes -35 as a value, but -35,10 as an option unless this pattern matches it.
-        self._negative_number_matcher = re.compile(r"-[\d.]")
+        # argparse takes -35 as a value, but -35,10 and -z as options unless this pattern matches.
+        self._negative_number_matcher = re.compile(r"-([\d.]|[xyz]$)")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Raise the error for an unknown argument in the parser of the subcommand, so that the

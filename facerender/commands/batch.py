@@ -132,8 +132,8 @@ def _table(options: argparse.Namespace) -> JobTable:
     from facerender.batch.jobs import JobTable
 
     defaults = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
-    defaults |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
-    defaults |= {f"mesh.{n}": getattr(options, n) or None for n in ("as_is", "double_sided")}
+    names = ("parts", "hide", "as_is", "double_sided", "up", "rotate")
+    defaults |= {f"mesh.{name}": getattr(options, name) or None for name in names}
     defaults |= {"parts": part_materials(options) or None}
     defaults |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
     return JobTable(options.jobs, defaults)

@@ -10,6 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.loading.source import FORMATS, named_files
 from facerender.scenes.file import STUDIO, ImageSettings, parse_part
 from facerender.scenes.material import PRESETS
+from facerender.scenes.vectors import ROTATIONS, UPS
 from facerender.system.files import check_file, check_writable, remove_abandoned
 from facerender.system.process import Bar
 from facerender.terms.ranges import IntegerRange, Range, range_of
@@ -57,6 +59,14 @@ def number_parser(whole: bool, values: str) -> Callable[[str], float]:
             ) from None
 
     return parse
+
+
+def parse_angles(text: str) -> list[float]:
+    """Parse the value of --rotate, for argparse."""
+    with suppress(ValueError):
+        if len(angles := [*map(float, text.split(","))]) == 3:
+            return angles
+    raise argparse.ArgumentTypeError(f"{shown(text)} is not X,Y,Z: give three numbers")
 
 
 SIDE = f"{ImageSettings.size[0]}"  # default of --size
@@ -200,8 +210,16 @@ class Options:
         text = "open files that the mesh file refers to even if they are outside its directory"
         self.add_flag("allow-outside", text)
 
+    def add_axes(self) -> None:
+        """Add --up and --rotate."""
+        text = "axis of the mesh file that points up"
+        self.add_option("--up", text, "y", choices=tuple(UPS))
+        text = "rotate the mesh about x, then y, then z, after --up"
+        note = "Poses, files of vertices and cameras of the mesh file follow"
+        self.add_option("--rotate X,Y,Z", text, "0,0,0", note, ROTATIONS, type=parse_angles)
+
     def add_parts(self) -> None:
-        """Add --parts, --hide, --part, --as-is and --double-sided."""
+        """Add --parts, --hide, --part, --as-is, --double-sided, --up and --rotate."""
         names = "Names may contain the wildcards *, ? and [...]; facerender info lists the names"
         self.add_option("--parts NAME,...", "render only these parts of the mesh", "all", names)
         hidden = "do not render these parts, which are named as in --parts"
@@ -217,6 +235,7 @@ class Options:
         note = "By default, glTF materials decide; in other formats, only open surfaces have two "
         note += "sides"
         self.add_flag("double-sided", "draw the back faces of all parts", note)
+        self.add_axes()
 
     def add_as_is(self) -> None:
         note = "By default, a part with a known name and without maps or opacity gets a preset. "

@@ -14,8 +14,7 @@ from typing import Any
 from facerender.commands.common import Options
 from facerender.commands.output import print_result
 from facerender.errors import FacerenderWarning, number_of
-from facerender.loading import load_mesh
-from facerender.loading.source import source_of
+from facerender.job import MeshFile
 from facerender.scenes import hints
 from facerender.scenes.material import MAPS, PRESETS, Material
 from facerender.scenes.mesh import Mesh, clips_of
@@ -42,16 +41,19 @@ def add(info: argparse.ArgumentParser) -> None:
     options.add_mesh()
     options.add_allow_outside()
     options.add_as_is()
+    options.add_axes()
     options.add_flag(
         "json", "print all contents as JSON, also vertices, names of maps and every factor"
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    source = source_of(options.mesh)
+    names = ("allow_outside", "as_is", "up", "rotate")
+    file = MeshFile(options.mesh, **{name: getattr(options, name) for name in names})
+    source = file.source
     with warnings.catch_warnings(record=True) as caught:  # warnings are part of the result
         warnings.simplefilter("always", FacerenderWarning)
-        mesh = load_mesh(source, allow_outside=options.allow_outside, as_is=options.as_is)
+        mesh = file.load()
     facts = {
         "file": str(source.path),
         "format": source.suffix[1:],

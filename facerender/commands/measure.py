@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     range_of(Material, "m").check("m", options.m)
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
-    names = ("allow_outside", "parts", "hide", "as_is", "double_sided")
+    names = ("allow_outside", "parts", "hide", "as_is", "double_sided", "up", "rotate")
     file = MeshFile(options.mesh, **{name: getattr(options, name) for name in names})
     job = Job(file, parts=part_materials(options))
     check_outputs(files, mesh_files(file))

@@ -42,7 +42,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene, background_of, default_light
-from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS
+from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS, axes_of
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
 from facerender.terms.ranges import range_of
@@ -389,7 +389,7 @@ def _cameras(
     camera = replace(orbiting(camera), **changes)
     cameras: dict[str, Camera] = {}
     for place in options.camera:
-        for name, placed_camera in _placed(place, camera, changes, options.mesh, size).items():
+        for name, placed_camera in _placed(place, camera, changes, options, size).items():
             cameras[name if name not in cameras else f"{name}_{len(cameras):03d}"] = placed_camera
     return next(iter(cameras.values())), cameras
 
@@ -398,7 +398,7 @@ def _placed(
     place: str,
     camera: Camera,
     changes: Mapping[str, Any],
-    mesh: str | None,
+    options: argparse.Namespace,
     size: tuple[int, int] | None,
 ) -> dict[str, Camera]:
     """Return the cameras of one --camera option, keyed by name.
@@ -417,7 +417,7 @@ def _placed(
         turned = enumerate(turntable(camera, int(count)))
         return {f"turntable_{number:03d}": turned_camera for number, turned_camera in turned}
     if word == "gltf" or _is_file(place):
-        file_cameras = _file_cameras(place, mesh, size).items()
+        file_cameras = _file_cameras(place, options, size).items()
         return {name: replace(file_camera, **changes) for name, file_camera in file_cameras}
     return {place.replace(",", "_"): orbiting(camera, **orbit_of(place, WHERE))}
 
@@ -426,21 +426,24 @@ def _is_file(place: str) -> bool:
     return place.lower().endswith(CAMERA_FILES)
 
 
-def _file_cameras(place: str, mesh: str | None, size: tuple[int, int] | None) -> dict[str, Camera]:
+def _file_cameras(
+    place: str, options: argparse.Namespace, size: tuple[int, int] | None
+) -> dict[str, Camera]:
     from facerender.loading.cameras import gltf_cameras, load_cameras
 
     word, colon, name = place.partition(":")
     if word != "gltf":
         return load_cameras(place, size)
-    source = source_of(mesh)
-    if mesh is None or source.suffix not in GLTF:
+    source = source_of(options.mesh)
+    if options.mesh is None or source.suffix not in GLTF:
         raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
-    cameras = gltf_cameras(source.content, source.name)
+    axes = axes_of(options.up or "y", options.rotate or (0.0, 0.0, 0.0))
+    cameras = gltf_cameras(source.content, source.name, axes)
     if not colon:
         return cameras
     if name not in cameras:
         names = ", ".join(map(clipped, cameras))
-        raise InputError(f"--camera {place}: {mesh} has no such camera; it has {names}")
+        raise InputError(f"--camera {place}: {options.mesh} has no such camera; it has {names}")
     return {name: cameras[name]}
 
 

@@ -440,13 +440,13 @@ def _words(job: Job) -> dict[str, Any]:
             if value is True:
                 words[name] = option
             elif value != getattr(MeshFile, name):
-                text = value if isinstance(value, str) else ",".join(value)
+                text = value if isinstance(value, str) else ",".join(map(str, value))
                 words[name] = f"{option} {shlex.quote(text)}"
         return words
 
     path = [shlex.quote(job.mesh.path)] if job.mesh.path else []
     flags = ("flip_v", "allow_outside", "as_is", "double_sided", "occlusion")
-    files = options(*flags, "normal_map_y", "parts", "hide").values()
+    files = options(*flags, "normal_map_y", "parts", "hide", "up", "rotate").values()
     materials = [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
     factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *UNDRAWN)}
     pose = {n: value for n, value in asdict(job.pose).items() if value != getattr(Pose(), n)}

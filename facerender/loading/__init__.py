@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import (
     InputError,
@@ -40,9 +41,10 @@ from facerender.loading.source import (
 )
 from facerender.scenes.hints import gloss_of
 from facerender.scenes.mesh import Mesh, names_of
-from facerender.scenes.repair import Piece, clean, in_space_order
+from facerender.scenes.repair import Piece, clean, in_space_order, placed
 from facerender.scenes.sources import MeshSource
 from facerender.scenes.texture import LARGE, Texture
+from facerender.scenes.vectors import ROTATIONS
 from facerender.system.files import read_file
 
 Path_ = str | os.PathLike[str]
@@ -73,6 +75,8 @@ def load_mesh(
     parts: str | Iterable[str] = (),
     hide: str | Iterable[str] = (),
     double_sided: bool = False,
+    up: str = "y",
+    rotate: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Mesh:
     """Load a mesh from a file or a trimesh object, or load the built-in head.
 
@@ -105,12 +109,16 @@ def load_mesh(
     parts, hide : see :meth:`facerender.Mesh.select`; the skin is defined among the selected parts
     double_sided : draw the back faces of all parts. By default, the material of a glTF file decides
         (doubleSided); in other formats, the back faces of closed surfaces are not drawn
+    up : axis of the file that points up: "y", "z", "x", "-y", "-z" or "-x". The shortest rotation
+        turns it to y: for "z", a face that looks along -y then looks to +z
+    rotate : three angles in [-3600, 3600] degrees, by which the mesh is rotated about x, then y,
+        then z after ``up``. Poses follow; ``Mesh.geometry.rotation`` is the whole rotation
 
     Raises
     ------
     InputError : the file or a map is missing, empty, damaged or of an unknown format; the mesh has
         no faces; no part has a name of ``parts`` or ``hide``; millimetres is outside [1e-6, 1e6];
-        normal_map_y is invalid
+        normal_map_y, up or rotate is invalid
     """
     maps = _maps(albedo, normal_map, specular_map, roughness_map, lobe_map)
     if not (isinstance(cache, str) and cache == "read"):
@@ -120,11 +128,12 @@ def load_mesh(
     for name, value in {**switches, "double_sided": double_sided}.items():
         check_switch(name, value)
     selected = names_of("parts", parts), names_of("hide", hide)
-    options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected)
+    angles = ROTATIONS.check("rotate", rotate)
+    options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected, up, angles)
     if is_object(source):
         name, textures = name_of(source), _opened(maps)
         with np.errstate(all="ignore"):
-            pieces = pieces_of(source, name)
+            pieces = pieces_of(source, name, options.axes)
             mesh = _assembled(pieces, name, millimetres_of(source), textures, options)
     else:
         mesh = _loaded(source_of(source, kind), maps, options, cache)
@@ -209,21 +218,30 @@ def _read(
     check_format(source.content, source.suffix, source.name)
     references = References(source.name, source.folder, options.allow_outside)
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        pieces = _pieces(source.content, source.suffix, references, "albedo_map" in textures)
+        albedo_given = "albedo_map" in textures
+        pieces = _pieces(source.content, source.suffix, references, albedo_given, options.axes)
         millimetres = 1000.0 if source.suffix in GLTF else None
         return _assembled(pieces, source.name, millimetres, textures, options), references
 
 
 def _pieces(
-    data: bytes, suffix: str, references: References, albedo_given: bool
+    data: bytes,
+    suffix: str,
+    references: References,
+    albedo_given: bool,
+    axes: NDArray[np.float64] | None,
 ) -> Sequence[Piece]:
     """Return a piece for every geometry with faces. The readers are imported here: a mesh from the
     cache does not need them.
 
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
+    axes : see :func:`facerender.scenes.vectors.axes_of`
     """
+    read: Callable[[bytes, References, bool], Sequence[Piece]]
     if suffix in GLTF:
-        from facerender.loading.gltf import read_gltf as read
+        from facerender.loading.gltf import read_gltf
+
+        read = partial(read_gltf, axes=axes)  # its joints define the height of a head
     elif suffix == ".obj":
         from facerender.loading.obj import read_obj as read
     elif suffix == ".ply":
@@ -243,7 +261,9 @@ def _pieces(
         raise
     if not pieces:
         raise no_faces(references.name, points=False)
-    return pieces
+    if axes is None or suffix in GLTF:
+        return pieces
+    return [placed(piece, axes) for piece in pieces]
 
 
 def _assembled(
@@ -263,6 +283,8 @@ def _assembled(
             if options.flip_v and (uv := getattr(piece, key)) is not None:
                 setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
     mesh = Mesh.assembled(pieces, name, millimetres).select(options.parts, options.hide)
+    if (axes := options.axes) is not None:
+        mesh = replace(mesh, geometry=replace(mesh.geometry, rotation=axes[:3, :3]))
     return _mapped(mesh, textures, options.normal_map_y)
 
 

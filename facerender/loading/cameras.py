@@ -12,6 +12,7 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason, shown
 from facerender.loading.gltf import scene_nodes
@@ -19,6 +20,7 @@ from facerender.loading.gltf_document import chunks, document_of
 from facerender.loading.source import GLTF
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named, world_to_camera
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
+from facerender.scenes.vectors import axes_of
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file, suffix_of
 
@@ -28,7 +30,11 @@ _MATRICES = ("R", "Rt", "K", "extrinsics", "intrinsics")
 
 
 def load_cameras(
-    path: str | os.PathLike[str], size: int | tuple[int, int] | None = None
+    path: str | os.PathLike[str],
+    size: int | tuple[int, int] | None = None,
+    *,
+    up: str = "y",
+    rotate: ArrayLike = (0.0, 0.0, 0.0),
 ) -> dict[str, Camera]:
     """Return the cameras of a file, keyed by their names. A camera without a name gets a key such
     as "rig_000": the file name without suffix (for glTF "camera") and the camera's index.
@@ -46,6 +52,8 @@ def load_cameras(
         - .npz: arrays named like the keys of a .json table; an extra first axis is the camera index
         - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
     size : width and height of the images in pixels; used if the file has intrinsics without a size
+    up, rotate : as in :func:`facerender.load_mesh`, for cameras in the glTF file of the mesh.
+        Cameras of other files are in mesh space
 
     Raises
     ------
@@ -55,6 +63,8 @@ def load_cameras(
     size = None if size is None else SIZES.check("size", size)
     suffix = suffix_of(path, (*CAMERA_FILES, *GLTF), "camera", "a camera file")
     name = clipped(Path(path).name)
+    if (axes := axes_of(up, rotate)) is not None and suffix not in GLTF:
+        raise InputError(f"{name} is no glTF file: leave up and rotate out, and rotate its cameras")
     if suffix == ".toml":
         scene = load_scene(path)
         single = [scene["camera"]] if "camera" in scene else []
@@ -63,7 +73,7 @@ def load_cameras(
         content = read_file(path, "a camera file", MOST if suffix in GLTF else MOST_BYTES)
         try:
             if suffix in GLTF:
-                return gltf_cameras(content, name)
+                return gltf_cameras(content, name, axes)
             tables = _json(content, size) if suffix == ".json" else _arrays(content)
             cameras = named([_camera(table, size) for table in tables], Path(path).stem)
         except InputError as error:
@@ -74,9 +84,11 @@ def load_cameras(
     return cameras
 
 
-def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
+def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) -> dict[str, Camera]:
     """Return the perspective cameras of a glTF scene, keyed by the name of the node or,
     if the node has no name, by the name of the camera.
+
+    axes : see :func:`facerender.scenes.vectors.axes_of`
 
     Raises
     ------
@@ -84,7 +96,7 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     """
     document = document_of(chunks(content, name)[0], name)
     cameras = []
-    for index, world in scene_nodes(document, name)[1].items():
+    for index, world in scene_nodes(document, name, axes)[1].items():
         node = document["nodes"][index]
         if "camera" not in node:
             continue

@@ -119,8 +119,12 @@ def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
         return None
 
 
-def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]:
+def pieces_of(
+    source: trimesh.Trimesh | trimesh.Scene, name: str, axes: NDArray[np.float64] | None
+) -> list[Piece]:
     """Return a copy of every mesh instance that has faces.
+
+    axes : see :func:`facerender.scenes.vectors.axes_of`
 
     Raises
     ------
@@ -137,7 +141,9 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
         for part_name, mesh, world in instances:
             if not len(getattr(mesh, "faces", ())):  # not a mesh, such as a path
                 continue
-            piece = placed(_piece(mesh, name, textures), np.asarray(world, dtype=np.float64))
+            matrix = np.asarray(world, dtype=np.float64)
+            matrix = matrix if axes is None else axes @ matrix
+            piece = placed(_piece(mesh, name, textures), matrix)
             pieces.append(replace(piece, name=str(part_name)))
             check_count(len(pieces), name)
     except InputError:

@@ -18,7 +18,7 @@ from facerender.loading.gltf_material import Materials
 from facerender.loading.source import References
 from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.repair import Piece, check_count, placed
+from facerender.scenes.repair import Piece, check_count, placed, transformed
 from facerender.scenes.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, morphed, skinned
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
@@ -30,9 +30,13 @@ _TIMES, _MOST_REPEATED = 8, 1 << 20
 Float = NDArray[np.float64]
 
 
-def scene_nodes(document: Doc, name: str) -> tuple[Skeleton, dict[int, Float], set[int]]:
+def scene_nodes(
+    document: Doc, name: str, axes: Float | None
+) -> tuple[Skeleton, dict[int, Float], set[int]]:
     """Return the nodes of a checked document's scene as a skeleton without clips, their world
     matrices (4, 4), and the visible nodes. Without a scene, all nodes are used.
+
+    axes : see :func:`facerender.scenes.vectors.axes_of`
 
     The matrices are keyed by the node's index, parents first. A node is visible if it and all of
     its ancestors are (KHR_node_visibility).
@@ -61,7 +65,7 @@ def scene_nodes(document: Doc, name: str) -> tuple[Skeleton, dict[int, Float], s
         if visibility.get("visible", True) and (parent is None or parent in visible):
             visible.add(index)
         queue += [(child, index) for child in reversed(node.get("children", []))]
-    skeleton = Skeleton(tuple(tree.values()))
+    skeleton = Skeleton(tuple(tree.values()), root=axes)
     return skeleton, skeleton.worlds({}), visible
 
 
@@ -180,11 +184,14 @@ class Primitive:
         return attributes if faces is None else attributes | {"faces": np.asarray(faces)}
 
 
-def read_gltf(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
+def read_gltf(
+    data: bytes, references: References, albedo_given: bool, axes: Float | None
+) -> list[Piece]:
     """Return a piece for every primitive instance with triangles.
 
     references : reader of the buffers and images that are separate files
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
+    axes : see :func:`facerender.scenes.vectors.axes_of`
 
     Raises
     ------
@@ -200,7 +207,7 @@ def read_gltf(data: bytes, references: References, albedo_given: bool) -> list[P
             raise InputError(
                 f"{name} requires the extension {clipped(extension, 60)}; export it without this"
             )
-    return _File(Buffers(name, document, binary, references), albedo_given).pieces()
+    return _File(Buffers(name, document, binary, references), albedo_given, axes).pieces()
 
 
 class _File:
@@ -210,13 +217,13 @@ class _File:
     skin whose joints place the mesh; None: the node places it.
     """
 
-    def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
+    def __init__(self, buffers: Buffers, albedo_given: bool, axes: Float | None) -> None:
         self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
         self.materials = Materials(buffers, albedo_given)
         self.warn = self.materials.warn
         for extension in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
             self.warn(f"{self.name} uses {clipped(extension, 60)}, which is not supported: ignored")
-        skeleton, self.worlds, self.visible = scene_nodes(self.document, self.name)
+        skeleton, self.worlds, self.visible = scene_nodes(self.document, self.name, axes)
         self.rigs = RigReader(buffers)
         clips = self.rigs.clips()
         joints = self.rigs.joints(self.worlds)
@@ -363,6 +370,8 @@ class _File:
                 positions, normals, mirrored = skinned(positions, normals, rig_skin, self.worlds)
                 faces = faces[:, ::-1] if mirrored else faces
                 bounds = self._head_bounds(positions, rig_skin, *influences)
+            elif self.skeleton.root is not None:  # neither joints nor the node place the part
+                positions, normals, _ = transformed(positions, normals, self.skeleton.root)
         index = primitive.properties.get("material")
         name = "" if index is None else self.document["materials"][index].get("name", "")
         colors = primitive.column("COLOR_0", 3, 4)

@@ -30,6 +30,7 @@ from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind, Levels
 from facerender.scenes.texture import LARGE, Texture, pack
+from facerender.scenes.vectors import Vector, axes_of
 from facerender.system import cache
 from facerender.system.files import digest_of
 
@@ -62,6 +63,13 @@ class LoadOptions(NamedTuple):
     as_is: bool
     parts: tuple[str, ...]
     hide: tuple[str, ...]
+    up: str
+    rotate: Vector
+
+    @property
+    def axes(self) -> NDArray[np.float64] | None:
+        """Result of :func:`axes_of`."""
+        return axes_of(self.up, self.rotate)
 
 
 def entry_name(source: Source, maps: Mapping[str, tuple[str, bytes]], options: LoadOptions) -> str:

@@ -42,6 +42,8 @@ class Geometry:
         renderer's space
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
     known_regions : result of :attr:`regions` if it is known, as from the cache; None to compute it
+    rotation : (3, 3), for column vectors, from the axes of the file to mesh space; None if they are
+        equal. See :func:`facerender.load_mesh`
     gloss : for each part, the highlight of the material in the file; None if the mesh was not
         loaded. Hints name only these highlights, see :func:`facerender.scenes.hints.gloss_of`
     """
@@ -53,6 +55,7 @@ class Geometry:
     profile: Floats
     millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
     known_regions: Mapping[str, Region | None] | None = None
+    rotation: Floats | None = None
     gloss: tuple[Any, ...] | None = None
 
     __getstate__ = parameters

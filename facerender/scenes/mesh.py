@@ -169,10 +169,10 @@ class Mesh:
         stored = [self.geometry.parts[i] for i in remaining]
         materials = [self.materials[i] for i in remaining]
         mesh = Mesh.of(self.name, stored, materials, self.millimetres)
-        if self.pose is None:
-            return mesh
+        geometry = replace(mesh.geometry, rotation=self.geometry.rotation)
         posed = tuple(self.parts[i] for i in remaining)
-        return replace(mesh, pose=MeshPose(mesh.geometry, posed, mesh.bounds))
+        pose = self.pose and MeshPose(geometry, posed, geometry.bounds)
+        return replace(mesh, geometry=geometry, pose=pose)
 
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
@@ -307,7 +307,8 @@ class Mesh:
         ----------
         positions : (N, 3), a row for each vertex of the file or arrays from which the mesh was
             made, or for each vertex of all parts in order. Or an array for each part, as a list, or
-            as a mapping by part name; parts without an array (None) stay as they are
+            as a mapping by part name; parts without an array (None) stay as they are. In the axes
+            of the file: :attr:`rotation` is applied
         normals : like positions, vectors of any length. None to compute them: area-weighted means
             of face normals, also across texture seams and parts. Creases of the reference pose
             remain creases
@@ -324,6 +325,11 @@ class Mesh:
         places = _rows_of_parts(self, "positions", positions)
         part_normals = _rows_of_parts(self, "normals", normals)
         with np.errstate(all="ignore"):  # MeshPose refuses positions that cause overflow
+            if (rotation := self.geometry.rotation) is not None:
+                places, part_normals = (
+                    [None if row is None else row @ rotation.T for row in rows]
+                    for rows in (places, part_normals)
+                )
             return moved(self, places, part_normals)
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:

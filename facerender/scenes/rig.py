@@ -150,11 +150,15 @@ class Clip:
 @dataclass(frozen=True, eq=False, repr=False)
 class Skeleton:
     """The nodes of a file's scene, parents first, the clips of the file, and the name and node of
-    each joint of its skins."""
+    each joint of its skins.
+
+    root : (4, 4), transform of the scene; None: no transform
+    """
 
     nodes: tuple[Node, ...]
     clips: tuple[Clip, ...] = ()
     joints: tuple[tuple[str, int], ...] = ()
+    root: Float | None = None
 
     def worlds(self, moves: Moves) -> dict[int, Float]:
         """Return the world matrix (4, 4) of each node, keyed by its number.
@@ -167,7 +171,8 @@ class Skeleton:
         for node in self.nodes:
             node_moves = moves.get(node.number, {})
             local = node.local(node_moves) if node_moves else self._locals[node.number]
-            world = local if node.parent is None else worlds[node.parent] @ local
+            parent = self.root if node.parent is None else worlds[node.parent]
+            world = local if parent is None else parent @ local
             worlds[node.number] = world
             if node.parent in changes:
                 changes[node.number] = changes[node.parent]
@@ -307,7 +312,7 @@ class Rig:
 
     def _matrix(self, worlds: Mapping[int, Float]) -> Float:
         if not self.placed:
-            return np.eye(4)
+            return np.eye(4) if self.skeleton.root is None else self.skeleton.root
         world = worlds[self.node]
         return world if self.offset is None else world @ self.offset
 

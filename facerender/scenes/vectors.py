@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, reason, shown
+from facerender.errors import InputError, check_known, reason, shown
 from facerender.terms.ranges import Range, VectorRange
 
 Vector = tuple[float, float, float]
@@ -25,6 +25,12 @@ BACKGROUNDS = VectorRange(0.0, MOST_RADIANCE, other=_NONE)
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
 ROTATIONS = VectorRange(-3600.0, 3600.0, "degrees", single=False)  # see rotation_of()
 ELEVATIONS = Range(-90.0, 90.0, "degrees")
+# Keyed by the axis of a file that points up: angles of the shortest rotation from this axis to y.
+# For -y, it keeps the direction of the face.
+UPS: dict[str, Vector] = {
+    **{"y": (0.0, 0.0, 0.0), "z": (-90.0, 0.0, 0.0), "x": (0.0, 0.0, 90.0)},
+    **{"-y": (0.0, 0.0, 180.0), "-z": (90.0, 0.0, 0.0), "-x": (0.0, 0.0, -90.0)},
+}
 
 
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -64,6 +70,20 @@ def rotation_of(angles: ArrayLike) -> NDArray[np.float64]:
     matrix: NDArray[np.float64] = turns @ matrix33.create_from_x_rotation(x)
     exact = np.rint(matrix)
     return np.where(np.abs(matrix - exact) < 1e-15, exact + 0.0, matrix)
+
+
+def axes_of(up: str, rotate: ArrayLike) -> NDArray[np.float64] | None:
+    """Return the matrix (4, 4) from the axes of a file to mesh space; None if it changes nothing.
+
+    up, rotate : see :func:`facerender.load_mesh`, also for the errors
+    """
+    check_known("up", up, UPS)
+    angles = ROTATIONS.check("rotate", rotate)
+    if up == "y" and not any(angles):
+        return None  # without the import of pyrr
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of(angles) @ rotation_of(UPS[up])
+    return None if (matrix == np.eye(4)).all() else matrix
 
 
 def rows_of(
