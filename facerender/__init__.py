@@ -32,7 +32,6 @@ shader_source   returns a GLSL file for a target, with its includes inserted; sh
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from facerender.scenes import sources
 from facerender.system import IMPORTER  # noqa: F401  # early, to store the process id
 
 if TYPE_CHECKING:
@@ -59,26 +58,26 @@ if TYPE_CHECKING:
     from facerender.job import Output as Output
     from facerender.loading import load_mesh as load_mesh
     from facerender.loading.cameras import load_cameras as load_cameras
-    from facerender.loading.environment import load_environment as load_environment
     from facerender.planning.plan import Plan as Plan
     from facerender.planning.plan import plan as plan
     from facerender.scenes.camera import Camera as Camera
     from facerender.scenes.camera import turntable as turntable
     from facerender.scenes.environment import Environment as Environment
+    from facerender.scenes.environment import EnvironmentFile as EnvironmentFile
     from facerender.scenes.environment import Panorama as Panorama
-    from facerender.scenes.file import EnvironmentFile as EnvironmentFile
+    from facerender.scenes.environment import load_environment as load_environment
     from facerender.scenes.file import ImageSettings as ImageSettings
     from facerender.scenes.file import Pose as Pose
     from facerender.scenes.file import load_scene as load_scene
     from facerender.scenes.landmarks import Landmarks as Landmarks
     from facerender.scenes.landmarks import load_landmarks as load_landmarks
     from facerender.scenes.light import Light as Light
-    from facerender.scenes.lod import simplified as simplified
     from facerender.scenes.material import Material as Material
     from facerender.scenes.mesh import Mesh as Mesh
     from facerender.scenes.mesh import tracked as tracked
     from facerender.scenes.occlusion import with_occlusion as with_occlusion
     from facerender.scenes.scene import Scene as Scene
+    from facerender.scenes.simplify import simplified as simplified
     from facerender.scenes.texture import Texture as Texture
     from facerender.scenes.view import View as View
     from facerender.scenes.view import shifted as shifted
@@ -99,12 +98,11 @@ _HOMES = {
     "job": ("Job", "MeshFile", "Output"),
     "loading": ("load_mesh",),
     "loading.cameras": ("load_cameras",),
-    "loading.environment": ("load_environment",),
     "planning.plan": ("Plan", "plan"),
     "scenes.camera": ("Camera", "turntable"),
-    "scenes.environment": ("Environment", "Panorama"),
-    "scenes.file": ("EnvironmentFile", "ImageSettings", "Pose", "load_scene"),
-    "scenes.lod": ("simplified",),
+    "scenes.environment": ("Environment", "EnvironmentFile", "Panorama", "load_environment"),
+    "scenes.file": ("ImageSettings", "Pose", "load_scene"),
+    "scenes.simplify": ("simplified",),
     "scenes.landmarks": ("Landmarks", "load_landmarks"),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),
@@ -129,10 +127,6 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'facerender' has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"facerender.{_HOME[name]}"), name)
     return value
-
-
-sources.reader = lambda source: __getattr__("load_mesh")(source)
-sources.environment_reader = lambda file: __getattr__("load_environment")(file)
 
 
 def __dir__() -> list[str]:

@@ -24,12 +24,11 @@ from facerender.images.files import format_of
 from facerender.loading import load_mesh
 from facerender.loading.source import Source, check_normal_map_y, source_of
 from facerender.scenes.camera import Camera, camera_of
+from facerender.scenes.environment import EnvironmentFile, environment_file
 from facerender.scenes.file import (
     KEYS,
-    EnvironmentFile,
     ImageSettings,
     Pose,
-    environment_file,
     from_table,
     part_tables,
     scene_value,
@@ -37,10 +36,11 @@ from facerender.scenes.file import (
 )
 from facerender.scenes.geometry import Geometry
 from facerender.scenes.light import Light, lights_of
-from facerender.scenes.lod import LevelOfDetail, Planned, simplified
+from facerender.scenes.lod import LevelOfDetail, Planned
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
 from facerender.scenes.scene import Only, Scene, background_of, check_only, default_light
+from facerender.scenes.simplify import simplified
 from facerender.scenes.vectors import BACKGROUNDS, COLORS, ROTATIONS, UPS, Vector
 from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES, check_fields, range_of, ranged
@@ -258,13 +258,13 @@ class Job:
         loaded = self.mesh.load() if mesh is None else mesh
         previous_scene = None
         if moves or self.pose != Pose():
-            from facerender.loading.from_trimesh import posed
+            from facerender.scenes.vertices import posed
 
             previous_scene = Scene(posed(loaded, self.before), self.camera) if moves else None
             loaded = posed(loaded, self.pose)
         environment = None
         if self.environment is not None:
-            from facerender.loading.environment import load_environment
+            from facerender.scenes.environment import load_environment
 
             environment = load_environment(self.environment)
         if self.material:

@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_known, check_type, short_repr, shown
+from facerender.scenes.material import WEIGHTS
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.lobe import SLOPES, named
-from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
+from facerender.terms.ranges import IntegerRange, check_fields, range_of, ranged
 
 S = TypeVar("S")
 
 OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # Lowest m at which the exact lobe is accurate without FR_SMALL_SLOPE.
-WEIGHTS = Range(0.0, 1e6)  # Specular and diffuse weights.
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 
 

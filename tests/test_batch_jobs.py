@@ -20,7 +20,8 @@ from facerender.batch.jobs import OUTPUTS, OWN, TABLES, JobTable, Row, _rows
 from facerender.errors import InputError
 from facerender.job import Job, MeshFile
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import EnvironmentFile, ImageSettings, Pose
+from facerender.scenes.environment import EnvironmentFile
+from facerender.scenes.file import ImageSettings, Pose
 from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material

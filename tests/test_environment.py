@@ -19,8 +19,7 @@ from facerender.images.files import save_exr
 from facerender.images.image import linear_to_srgb
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
-from facerender.scenes.environment import SIDE, studio
-from facerender.scenes.file import parse_environment
+from facerender.scenes.environment import SIDE, parse_environment, studio
 from facerender.scenes.geometry import Geometry
 from facerender.scenes.part import Part
 from facerender.scenes.scattering import scattering_of

@@ -17,7 +17,8 @@ from facerender.commands import parser_of
 from facerender.commands.output import commands_of, groups_of
 from facerender.commands.scene import job_of
 from facerender.scenes.camera import AZIMUTHS_BY_NAME
-from facerender.scenes.file import KEYS, STUDIO, scene_value, toml_text
+from facerender.scenes.environment import STUDIO
+from facerender.scenes.file import KEYS, scene_value, toml_text
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS

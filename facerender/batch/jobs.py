@@ -22,7 +22,8 @@ from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
 from facerender.errors import InputError, check_known, check_path, clipped, shown
 from facerender.job import MESH_PATHS, MeshFile, parse_size
-from facerender.scenes.file import KEYS, STUDIO, from_table, scene_value
+from facerender.scenes.environment import STUDIO
+from facerender.scenes.file import KEYS, from_table, scene_value
 from facerender.scenes.scene import ONLY, Scene
 from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES

@@ -20,15 +20,15 @@ from facerender.errors import InputError, clipped
 from facerender.images.files import exr_bytes, openexr, png_bytes
 from facerender.job import Job
 from facerender.loading import load_mesh
-from facerender.loading.environment import load_environment
-from facerender.loading.from_trimesh import frame_count, posed
-from facerender.scenes.file import STUDIO, EnvironmentFile, Pose
+from facerender.scenes.environment import STUDIO, EnvironmentFile, load_environment
+from facerender.scenes.file import Pose
 from facerender.scenes.landmarks import load_landmarks, located
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.material import MAPS
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.texture import Texture
+from facerender.scenes.vertices import frame_count, posed
 from facerender.scenes.view import View, view_of
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ import numpy as np
 
 from facerender.errors import InputError, clipped, shown
 from facerender.scenes.camera import orbit_of
-from facerender.scenes.file import parse_environment
+from facerender.scenes.environment import parse_environment
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.scene import Scene
 

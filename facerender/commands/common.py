@@ -20,7 +20,8 @@ from facerender.commands.output import Help, print_message
 from facerender.errors import InputError, shown
 from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.loading.source import FORMATS, named_files
-from facerender.scenes.file import STUDIO, ImageSettings, parse_part
+from facerender.scenes.environment import STUDIO
+from facerender.scenes.file import ImageSettings, parse_part
 from facerender.scenes.material import PRESETS
 from facerender.scenes.vectors import ROTATIONS, UPS
 from facerender.system.files import check_file, check_writable, remove_abandoned
@@ -284,7 +285,7 @@ def check_inputs(job: Job) -> None:
         if pose.vertices is not None:
             check_file(pose.vertices, "a file of vertices", sys.maxsize)
     if job.environment is not None and job.environment.file != STUDIO:
-        from facerender.loading.environment import wanted
+        from facerender.scenes.environment import wanted
 
         check_file(job.environment.file, wanted(job.environment.file))
 

@@ -33,12 +33,12 @@ from facerender.images.files import (
     format_of,
 )
 from facerender.job import MeshFile, Output, parse_size
-from facerender.loading.from_trimesh import posed
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import ImageSettings, Pose
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.scene import ONLY, Scene
 from facerender.scenes.vectors import Vector
+from facerender.scenes.vertices import posed
 from facerender.scenes.view import view_of
 from facerender.shading import OUTSIDE, Shading
 from facerender.system.process import MIB, limit

@@ -26,16 +26,8 @@ from facerender.scenes.camera import (
     orbiting,
     turntable,
 )
-from facerender.scenes.file import (
-    STUDIO,
-    EnvironmentFile,
-    ImageSettings,
-    Pose,
-    load_scene,
-    parse_entry,
-    parse_environment,
-    parse_vertices,
-)
+from facerender.scenes.environment import STUDIO, EnvironmentFile, parse_environment
+from facerender.scenes.file import ImageSettings, Pose, load_scene, parse_entry, parse_vertices
 from facerender.scenes.hints import no_shadows
 from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.material import Material
@@ -288,7 +280,7 @@ def sequence(pose: Pose, mesh: Mesh, fps: float) -> list[Pose]:
     InputError : the mesh has no such clip, the file cannot be used, or there are too many frames
     """
     if pose.vertices is not None:
-        from facerender.loading.from_trimesh import frame_count
+        from facerender.scenes.vertices import frame_count
 
         return [replace(pose, frame=number) for number in range(frame_count(pose.vertices))]
     mesh.with_pose(clip=pose.clip)  # only checks the clip

@@ -58,8 +58,9 @@ from facerender.drawing.shade import (
 )
 from facerender.errors import ContextError, check_switch, check_type, clipped
 from facerender.job import Job
-from facerender.loading import load_mesh
+from facerender.loading import MeshSource, load_mesh
 from facerender.scenes.camera import Camera
+from facerender.scenes.environment import EnvironmentSource
 from facerender.scenes.file import ImageSettings
 from facerender.scenes.hints import emit, emit_all, too_clear
 from facerender.scenes.landmarks import Landmarks, located
@@ -76,7 +77,6 @@ from facerender.scenes.scene import (
     check_shading_rate,
     refuse_keyword,
 )
-from facerender.scenes.sources import EnvironmentSource, MeshSource
 from facerender.scenes.vectors import Vector
 from facerender.scenes.view import View, sample_grid, view_of
 from facerender.shading import Shading

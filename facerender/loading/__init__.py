@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,18 +42,19 @@ from facerender.loading.source import (
 from facerender.scenes.hints import gloss_of
 from facerender.scenes.mesh import Mesh, names_of
 from facerender.scenes.repair import Piece, clean, in_space_order, placed
-from facerender.scenes.sources import MeshSource
 from facerender.scenes.texture import LARGE, Texture
 from facerender.scenes.vectors import ROTATIONS
 from facerender.system.files import read_file
 
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
+    import trimesh
     from PIL.Image import Image
 
+    MeshSource: TypeAlias = Path_ | bytes | IO[bytes] | trimesh.Trimesh | trimesh.Scene
     Map = Path_ | Texture | NDArray[Any] | Image
 else:
-    Map = Any
+    MeshSource = Map = Any
 _MAPS = ("albedo_map", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 

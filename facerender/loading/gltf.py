@@ -18,8 +18,9 @@ from facerender.loading.gltf_material import Materials
 from facerender.loading.source import References
 from facerender.scenes.framing import names_head
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.repair import Piece, check_count, placed, transformed
+from facerender.scenes.repair import Piece, check_count, placed
 from facerender.scenes.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, morphed, skinned
+from facerender.scenes.vectors import transformed
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 _TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip

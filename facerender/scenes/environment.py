@@ -1,20 +1,24 @@
 """Environment maps: a panorama, its octahedral mip levels and irradiance coefficients for shading,
-and a procedural studio panorama. ``loading/environment.py`` reads image files."""
+and a procedural studio panorama. Files are .hdr, .exr or NumPy."""
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, clipped, shown
-from facerender.images.files import png_bytes
+from facerender.errors import InputError, check_type, clipped, near, shown
+from facerender.images.files import MAX_BYTES, check_pixels, png_bytes, read_image
 from facerender.images.image import encode_srgb8
 from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, direction_to
-from facerender.terms.environment import harmonics
+from facerender.system.files import read_file, suffix_of
 from facerender.terms.ranges import Range, check_fields, ranged
 
 Float = NDArray[np.float64]
@@ -23,6 +27,8 @@ Float32 = NDArray[np.float32]
 SIDE = 256  # side of the octahedral map's first mip level, in texels; 4 texels in the last level
 LEVELS = 7
 _INSIDE = 4  # each texel of the octahedral map averages 4 x 4 samples of the panorama
+_SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
+STUDIO = "studio"  # name of the procedural environment map
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +82,8 @@ class Panorama:
     @cached_property
     def coefficients(self) -> Float:
         """Irradiance for each normal, as nine RGB coefficients of spherical harmonics, (9, 3)."""
+        from facerender.terms.environment import harmonics
+
         radiance, directions, solid_angle = self._resampled
         weights = harmonics(directions) * solid_angle[..., None]
         received = np.tensordot(weights, radiance, ((0, 1), (0, 1)))
@@ -237,3 +245,119 @@ def _bordered(level: Float) -> Float:
     the two halves of each edge of an octahedral map coincide."""
     beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
     return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])
+
+
+@dataclass(frozen=True)
+class EnvironmentFile:
+    """Path, rotation and scale of an environment map.
+
+    Parameters
+    ----------
+    file : path of a .hdr, .exr, .npy or .npz, or "studio" for the procedural environment map
+    rotation : rotation about the vertical axis in degrees; added to the map's azimuths
+    scale : factor on the radiance
+    """
+
+    file: str
+    rotation: float = ranged(AZIMUTHS, 0.0)
+    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
+            raise InputError(f"environment file = {shown(self.file)}: give a path, or {STUDIO}")
+        object.__setattr__(self, "file", os.fspath(self.file))
+        check_fields(self, "environment ")
+
+
+def parse_environment(text: str) -> EnvironmentFile:
+    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
+    text has another form, or a value is outside its range."""
+    file, *words = text.split(",")
+    numbers: list[float] | None = None
+    with suppress(ValueError):
+        numbers = [*map(float, words)]
+    if numbers is None or len(numbers) > 2:
+        raise InputError(
+            f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
+            "and ROTATION is in degrees"
+        )
+    return EnvironmentFile(file, *numbers)
+
+
+def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:
+    """Return the file of an environment map, given as an :class:`EnvironmentFile`, as a path, or as
+    a text that :func:`parse_environment` parses. Raises InputError for a value of another type, and
+    the errors of :func:`parse_environment`."""
+    if isinstance(value, str):
+        return parse_environment(value)
+    if isinstance(value, os.PathLike):
+        return EnvironmentFile(os.fspath(value))
+    remedy = f"a path, {STUDIO}, or a facerender.EnvironmentFile"
+    check_type("environment", value, EnvironmentFile, remedy)
+    return value
+
+
+def wanted(file: str) -> str:
+    """Return the description of the expected file for messages, first a name like ``file``."""
+    maps = f"an environment map ({', '.join(_SUFFIXES)})"
+    return f"{STUDIO}, or {maps}" if near(file, [STUDIO]) else f"{maps}, or {STUDIO}"
+
+
+EnvironmentSource: TypeAlias = "Environment | EnvironmentFile | str | os.PathLike[str]"
+
+
+def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:
+    """Load an environment map. The panoramas of the two files used last are cached, with all data
+    derived from these panoramas. All environments loaded from one file share its panorama.
+
+    file : a path, "studio", a text such as "room.hdr,ROTATION,SCALE", or an
+        :class:`EnvironmentFile`
+
+    Raises
+    ------
+    InputError : the file is missing, damaged, or of an unknown format or shape; a radiance is not a
+        number in [0, 1e9]; OpenImageIO (.hdr) or OpenEXR (.exr) is not installed
+    """
+    file = environment_file(file)
+    panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
+    return Environment(panorama, file.rotation, file.scale)
+
+
+def _state(path: str) -> tuple[int, int]:
+    """Return a file's modification time in ns and its size in bytes, to detect a change."""
+    try:
+        status = Path(path).stat()
+    except (OSError, ValueError):
+        return 0, 0  # reading the file reports the error
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(2)
+def _panorama(file: str, written: int, size: int) -> Panorama:
+    path, description = Path(file), wanted(file)
+    if suffix_of(path, _SUFFIXES, "environment", description, MAX_BYTES) == ".hdr":
+        return Panorama(file, _read_hdr(read_file(path, description, MAX_BYTES), path))
+    picture = read_image(path)
+    if picture.encoding != "linear":
+        raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
+    return Panorama(file, picture.color)
+
+
+def _read_hdr(content: bytes, path: Path) -> NDArray[np.float32]:
+    try:
+        import OpenImageIO as oiio
+    except ImportError:
+        raise InputError(
+            f"{path}: .hdr needs the package OpenImageIO; pip install 'facerender[hdr]'"
+        ) from None
+    file, why = None, "it does not start like a Radiance file"
+    if content.startswith(b"#?"):  # otherwise OpenImageIO would try other formats
+        file, why = oiio.ImageInput.open(str(path)), oiio.geterror()
+    if file:
+        spec = file.spec()
+        check_pixels(str(path), spec.width, spec.height, 4 * spec.nchannels, len(content))
+        if (pixels := file.read_image(oiio.FLOAT)) is not None:
+            return np.asarray(pixels, dtype=np.float32)
+        why = file.geterror()
+    why = clipped(why) or "damaged"
+    raise InputError(f"OpenImageIO cannot read {path} ({why}); write the file again")

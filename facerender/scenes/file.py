@@ -16,12 +16,13 @@ import numpy as np
 from facerender.errors import InputError, check_path, check_type, clipped, short_repr, shown
 from facerender.images.files import MAX_SIDE
 from facerender.scenes.camera import Camera, camera_of
+from facerender.scenes.environment import EnvironmentFile, parse_environment
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, PRESETS, Material, preset
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene, background_of
-from facerender.scenes.vectors import AZIMUTHS, MOST_RADIANCE, ROTATIONS, SHAPE_WEIGHTS, Vector
+from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS, Vector
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
 from facerender.terms.ranges import (
@@ -40,29 +41,6 @@ KEYS = (
 )
 MAX_SAMPLES = 64
 MOST_BYTES = 1 << 24  # largest size of a scene file, in bytes
-STUDIO = "studio"  # name of the procedural environment map
-
-
-@dataclass(frozen=True)
-class EnvironmentFile:
-    """Path, rotation and scale of an environment map.
-
-    Parameters
-    ----------
-    file : path of a .hdr, .exr, .npy or .npz, or "studio" for the procedural environment map
-    rotation : rotation about the vertical axis in degrees; added to the map's azimuths
-    scale : factor on the radiance
-    """
-
-    file: str
-    rotation: float = ranged(AZIMUTHS, 0.0)
-    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
-            raise InputError(f"environment file = {shown(self.file)}: give a path, or {STUDIO}")
-        object.__setattr__(self, "file", os.fspath(self.file))
-        check_fields(self, "environment ")
 
 
 @dataclass(frozen=True)
@@ -130,34 +108,6 @@ class Pose:
         check_fields(self, "pose ")
         if self.frame and self.vertices is None:
             raise InputError(f"pose frame = {self.frame} needs vertices: give the file as well")
-
-
-def parse_environment(text: str) -> EnvironmentFile:
-    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
-    text has another form, or a value is outside its range."""
-    file, *words = text.split(",")
-    numbers: list[float] | None = None
-    with suppress(ValueError):
-        numbers = [*map(float, words)]
-    if numbers is None or len(numbers) > 2:
-        raise InputError(
-            f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
-            "and ROTATION is in degrees"
-        )
-    return EnvironmentFile(file, *numbers)
-
-
-def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:
-    """Return the file of an environment map, given as an :class:`EnvironmentFile`, as a path, or as
-    a text that :func:`parse_environment` parses. Raises InputError for a value of another type, and
-    the errors of :func:`parse_environment`."""
-    if isinstance(value, str):
-        return parse_environment(value)
-    if isinstance(value, os.PathLike):
-        return EnvironmentFile(os.fspath(value))
-    remedy = f"a path, {STUDIO}, or a facerender.EnvironmentFile"
-    check_type("environment", value, EnvironmentFile, remedy)
-    return value
 
 
 _TABLES: dict[str, Any] = {"planned": Planned, "pose": Pose, "before": Pose}

@@ -89,6 +89,12 @@ class Geometry:
         """The regions "head", "face" and "auto", see :func:`framing.regions_of`."""
         return self.known_regions or framing.regions_of(self.parts, self.space, self.profile)
 
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the morph targets."""
+        rigs = (part.rig for part in self.parts)
+        return tuple(dict.fromkeys(shape.name for rig in rigs if rig for shape in rig.shapes))
+
     @cached_property
     def corners(self) -> Corners:
         """Corners of the faces, from which a pose computes its normals."""

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from facerender.errors import InputError, check_known, check_type, parameters, short_repr, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import COLORS, MOST_RADIANCE, Vector
-from facerender.shading import WEIGHTS
 from facerender.terms.lobe import MIN_SLOPE, SLOPES
 from facerender.terms.ranges import FRACTION, Range, check_fields, ranged
 
@@ -32,6 +31,7 @@ MAPS = (
     *("lobe_map", "opacity_map", "emissive_map"),
 )
 MAX_NORMAL_STRENGTH = 100.0
+WEIGHTS = Range(0.0, 1e6)  # specular and diffuse weights
 
 
 @dataclass(frozen=True)

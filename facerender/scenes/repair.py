@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, warn
 from facerender.scenes.material import Material
+from facerender.scenes.vectors import transformed
 
 if TYPE_CHECKING:
     from facerender.scenes.rig import Rig
@@ -95,23 +95,6 @@ def check_count(count: int, name: str) -> None:
     """Raise InputError if a file has too many parts."""
     if count > _MOST_PIECES:
         raise InputError(f"{name} has more than {_MOST_PIECES} parts with materials: join some")
-
-
-def transformed(
-    positions: NDArray[Any], normals: NDArray[Any] | None, matrix: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, bool]:
-    """Return positions and normals after a transform, and whether the transform mirrors. The
-    normals have any length; they are None if there are none or the matrix is singular.
-
-    matrix : (4, 4), for column vectors
-    """
-    linear = matrix[:3, :3]
-    determinant = float(np.linalg.det(linear)) if np.isfinite(matrix).all() else 0.0
-    turned = None
-    if normals is not None and determinant:
-        with suppress(np.linalg.LinAlgError):
-            turned = np.asarray(normals, dtype=np.float64) @ np.linalg.inv(linear)
-    return positions @ linear.T + matrix[:3, 3], turned, determinant < 0.0
 
 
 def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Never, NoReturn, get_args
 
 from facerender.errors import InputError, check_known, check_type, near, short_repr, shown
-from facerender.scenes import sources
 from facerender.scenes.camera import Camera, camera_of
+from facerender.scenes.environment import Environment, EnvironmentSource, load_environment
 from facerender.scenes.light import LIGHTS, Light, lights_of
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.vectors import BACKGROUNDS, COLORS, Vector
@@ -16,8 +16,7 @@ from facerender.terms.ranges import check_fields, range_of, ranged
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from facerender.scenes.environment import Environment
-    from facerender.scenes.sources import EnvironmentSource, MeshSource
+    from facerender.loading import MeshSource
 
 # Images of one term or layer of a scene. Images in DATA have one sample per pixel.
 Data = Literal["albedo", "normal", "depth", "cosines", "visibility", "mask", "parts", "motion"]
@@ -136,17 +135,14 @@ class Scene:
     ) -> None:
         for name in unknown:
             refuse_keyword(Scene, name)
-        if sources.reader and not isinstance(mesh, Mesh) and mesh is not None:
-            mesh = sources.reader(mesh)
+        if not isinstance(mesh, Mesh) and mesh is not None:
+            from facerender.loading import load_mesh
+
+            mesh = load_mesh(mesh)
         check_type("mesh", mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
         check_type("before", before, Scene | None, "the facerender.Scene of the frame before")
-        if environment is not None:
-            from facerender.scenes.environment import Environment
-
-            if sources.environment_reader and not isinstance(environment, Environment):
-                environment = sources.environment_reader(environment)
-            remedy = "an Environment, as facerender.load_environment returns it"
-            check_type("environment", environment, Environment, remedy)
+        if environment is not None and not isinstance(environment, Environment):
+            environment = load_environment(environment)
         lights, ambient = default_light(lights, ambient, environment is not None)
         vars(self).update(
             mesh=mesh,

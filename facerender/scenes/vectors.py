@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -121,3 +122,20 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (..., 3) scaled to length 1; zero vectors stay zero."""
     length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     return np.asarray(vectors / np.maximum(length, 1e-300))
+
+
+def transformed(
+    positions: NDArray[Any], normals: NDArray[Any] | None, matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, bool]:
+    """Return positions and normals after a transform, and whether the transform mirrors. The
+    normals have any length; they are None if there are none or the matrix is singular.
+
+    matrix : (4, 4), for column vectors
+    """
+    linear = matrix[:3, :3]
+    determinant = float(np.linalg.det(linear)) if np.isfinite(matrix).all() else 0.0
+    turned = None
+    if normals is not None and determinant:
+        with suppress(np.linalg.LinAlgError):
+            turned = np.asarray(normals, dtype=np.float64) @ np.linalg.inv(linear)
+    return positions @ linear.T + matrix[:3, 3], turned, determinant < 0.0

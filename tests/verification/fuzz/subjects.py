@@ -24,10 +24,10 @@ from facerender.commands import main
 from facerender.drawing import shade
 from facerender.errors import FacerenderError, InputError
 from facerender.images.files import read_image
-from facerender.loading.environment import load_environment
-from facerender.loading.from_trimesh import posed
 from facerender.scenes import framing
-from facerender.scenes.file import EnvironmentFile, load_scene
+from facerender.scenes.environment import EnvironmentFile, load_environment
+from facerender.scenes.file import load_scene
+from facerender.scenes.vertices import posed
 from tests.verification.fuzz import seeds
 
 SLOW = 10.0  # seconds of processor time per input; waiting is limited by HANGS

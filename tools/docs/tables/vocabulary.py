@@ -11,7 +11,8 @@ from facerender.commands import parser_of
 from facerender.commands.output import commands_of, groups_of
 from facerender.job import MeshFile
 from facerender.scenes.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
-from facerender.scenes.file import STUDIO, EnvironmentFile, ImageSettings, Pose
+from facerender.scenes.environment import STUDIO, EnvironmentFile
+from facerender.scenes.file import ImageSettings, Pose
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.material import MAPS, PRESETS, Material
 from facerender.scenes.scene import ONLY, Scene
