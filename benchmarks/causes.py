@@ -33,7 +33,7 @@ from facerender.comparison.causes import (
 from facerender.comparison.causes import Change as Changed
 from facerender.comparison.compare import compare
 from facerender.images.image import ImageData, image_from_array
-from facerender.scenes.simplify import simplified
+from facerender.mesh.simplify import simplified
 from tests.meshes import with_geometry
 from tests.verification.pairs.changes import (
     CHANGES,

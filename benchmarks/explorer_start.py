@@ -29,7 +29,7 @@ from playwright.sync_api import Playwright, ViewportSize, sync_playwright
 
 import facerender as fr
 from facerender.explorer.page import explorer_page
-from facerender.job import Job
+from facerender.scene.job import Job
 from facerender.system.files import data_dir
 from tests.verification import chromium
 

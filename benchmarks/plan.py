@@ -34,7 +34,7 @@ from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan
 from facerender.pricing.table import load_prices
-from facerender.scenes.view import view_of
+from facerender.scene.view import view_of
 from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force
 
 SIZE = (512, 512)

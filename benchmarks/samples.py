@@ -24,7 +24,7 @@ from threading import Lock
 
 import numpy as np
 
-from facerender.shading import Term
+from facerender.scene.shading import Term
 from tests.verification.cases import Case, Each, brdf_case, singles
 from tests.verification.climb import VARIANTS, slopes_of
 from tests.verification.evaluate import Inputs

@@ -19,9 +19,9 @@ from benchmarks.data import meshes, save
 from benchmarks.prices import table
 from facerender.drawing import reference
 from facerender.images.image import encode_srgb8
-from facerender.scenes.environment import studio
-from facerender.scenes.vectors import direction_to
+from facerender.scene.environment import studio
 from facerender.terms.environment import environment_irradiance
+from facerender.values.vectors import direction_to
 
 Float = NDArray[np.float64]
 

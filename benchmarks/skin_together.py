@@ -18,7 +18,7 @@ import facerender as fr
 from benchmarks.data import save, scenes
 from benchmarks.frame import medians, plan_of
 from facerender.pricing.cost import seconds
-from facerender.scenes.environment import Environment, studio
+from facerender.scene.environment import Environment, studio
 from tests.meshes import with_geometry
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject

@@ -53,37 +53,37 @@ if TYPE_CHECKING:
     from facerender.glsl.library import shader_dir as shader_dir
     from facerender.glsl.library import shader_source as shader_source
     from facerender.images.animation import save_animation as save_animation
-    from facerender.job import Job as Job
-    from facerender.job import MeshFile as MeshFile
-    from facerender.job import Output as Output
     from facerender.loading import load_mesh as load_mesh
-    from facerender.loading.cameras import load_cameras as load_cameras
+    from facerender.material import Material as Material
+    from facerender.mesh.mesh import Mesh as Mesh
+    from facerender.mesh.mesh import tracked as tracked
+    from facerender.mesh.occlusion import with_occlusion as with_occlusion
+    from facerender.mesh.simplify import simplified as simplified
     from facerender.planning.plan import Plan as Plan
     from facerender.planning.plan import plan as plan
-    from facerender.scenes.camera import Camera as Camera
-    from facerender.scenes.camera import turntable as turntable
-    from facerender.scenes.environment import Environment as Environment
-    from facerender.scenes.environment import EnvironmentFile as EnvironmentFile
-    from facerender.scenes.environment import Panorama as Panorama
-    from facerender.scenes.environment import load_environment as load_environment
-    from facerender.scenes.file import ImageSettings as ImageSettings
-    from facerender.scenes.file import Pose as Pose
-    from facerender.scenes.file import load_scene as load_scene
-    from facerender.scenes.landmarks import Landmarks as Landmarks
-    from facerender.scenes.landmarks import load_landmarks as load_landmarks
-    from facerender.scenes.light import Light as Light
-    from facerender.scenes.material import Material as Material
-    from facerender.scenes.mesh import Mesh as Mesh
-    from facerender.scenes.mesh import tracked as tracked
-    from facerender.scenes.occlusion import with_occlusion as with_occlusion
-    from facerender.scenes.scene import Scene as Scene
-    from facerender.scenes.simplify import simplified as simplified
-    from facerender.scenes.texture import Texture as Texture
-    from facerender.scenes.view import View as View
-    from facerender.scenes.view import shifted as shifted
-    from facerender.scenes.view import view_of as view_of
-    from facerender.shading import Shading as Shading
-    from facerender.shading import Term as Term
+    from facerender.scene.camera import Camera as Camera
+    from facerender.scene.camera import turntable as turntable
+    from facerender.scene.cameras import load_cameras as load_cameras
+    from facerender.scene.environment import Environment as Environment
+    from facerender.scene.environment import EnvironmentFile as EnvironmentFile
+    from facerender.scene.environment import Panorama as Panorama
+    from facerender.scene.environment import load_environment as load_environment
+    from facerender.scene.file import ImageSettings as ImageSettings
+    from facerender.scene.file import Pose as Pose
+    from facerender.scene.file import load_scene as load_scene
+    from facerender.scene.job import Job as Job
+    from facerender.scene.job import MeshFile as MeshFile
+    from facerender.scene.job import Output as Output
+    from facerender.scene.landmarks import Landmarks as Landmarks
+    from facerender.scene.landmarks import load_landmarks as load_landmarks
+    from facerender.scene.light import Light as Light
+    from facerender.scene.scene import Scene as Scene
+    from facerender.scene.shading import Shading as Shading
+    from facerender.scene.shading import Term as Term
+    from facerender.scene.view import View as View
+    from facerender.scene.view import shifted as shifted
+    from facerender.scene.view import view_of as view_of
+    from facerender.texture.texture import Texture as Texture
 
 __version__ = "0.1.0"
 
@@ -97,20 +97,20 @@ _HOMES = {
     "glsl.library": ("moderngl_includes", "resolve_includes", "shader_dir", "shader_source"),
     "job": ("Job", "MeshFile", "Output"),
     "loading": ("load_mesh",),
-    "loading.cameras": ("load_cameras",),
+    "scene.cameras": ("load_cameras",),
     "planning.plan": ("Plan", "plan"),
-    "scenes.camera": ("Camera", "turntable"),
-    "scenes.environment": ("Environment", "EnvironmentFile", "Panorama", "load_environment"),
-    "scenes.file": ("ImageSettings", "Pose", "load_scene"),
-    "scenes.simplify": ("simplified",),
-    "scenes.landmarks": ("Landmarks", "load_landmarks"),
-    "scenes.light": ("Light",),
-    "scenes.material": ("Material",),
-    "scenes.mesh": ("Mesh", "tracked"),
-    "scenes.occlusion": ("with_occlusion",),
-    "scenes.scene": ("Scene",),
-    "scenes.texture": ("Texture",),
-    "scenes.view": ("View", "shifted", "view_of"),
+    "scene.camera": ("Camera", "turntable"),
+    "scene.environment": ("Environment", "EnvironmentFile", "Panorama", "load_environment"),
+    "scene.file": ("ImageSettings", "Pose", "load_scene"),
+    "mesh.simplify": ("simplified",),
+    "scene.landmarks": ("Landmarks", "load_landmarks"),
+    "scene.light": ("Light",),
+    "material": ("Material",),
+    "mesh.mesh": ("Mesh", "tracked"),
+    "mesh.occlusion": ("with_occlusion",),
+    "scene.scene": ("Scene",),
+    "texture.texture": ("Texture",),
+    "scene.view": ("View", "shifted", "view_of"),
     "shading": ("Shading", "Term"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

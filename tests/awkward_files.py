@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.scenes.material import MAPS
+from facerender.material import MAPS
 
 MINI_HEAD = Path(__file__).parent / "data" / "mini_head.glb"
 SKIN_MTL = "newmtl skin\nKd 1 1 1\nmap_Kd {texture}\n"

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.part import Part
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.part import Part
 
 
 def shape_of(vertices: Any, faces: Any) -> Any:

@@ -15,13 +15,13 @@ from facerender.drawing.prepare import resolve
 from facerender.drawing.refraction import regions_of
 from facerender.errors import InputError
 from facerender.explorer.page import drawable, lost_features
-from facerender.job import Job
-from facerender.scenes.file import load_scene, scene_toml
-from facerender.scenes.light import parse_light
-from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.part import Part
-from facerender.scenes.texture import Texture
+from facerender.material import MAPS, Material
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
+from facerender.scene.file import load_scene, scene_toml
+from facerender.scene.job import Job
+from facerender.scene.light import parse_light
+from facerender.texture.texture import Texture
 from tests.meshes import with_geometry
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped

@@ -17,7 +17,7 @@ import facerender as fr
 from facerender.batch.jobs import JobTable
 from facerender.batch.outputs import file_faults
 from facerender.commands import main
-from facerender.scenes.simplify import simplified
+from facerender.mesh.simplify import simplified
 from tests import awkward_files as files
 from tests.awkward_files import Glb, assert_equal, join_glb, split_glb
 from tests.test_rig import SAMPLES, cube, recursive_skeletons

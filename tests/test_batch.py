@@ -36,8 +36,8 @@ from facerender.batch.jobs import JobTable, Row
 from facerender.batch.records import Settings, Storage, chunks, code_version, forget_files, key_of
 from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
-from facerender.job import MESH_PATHS
 from facerender.loading.source import named_files, source_of
+from facerender.scene.job import MESH_PATHS
 from facerender.system.process import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
@@ -281,7 +281,7 @@ def test_the_key_of_a_job_depends_on_the_content_of_each_file(tmp_path, name):
 
 CRASH = """
 import os, signal
-import facerender.job as job
+import facerender.scene.job as job
 load = job.load_mesh
 def load_or_die(source, **more):
     name = str(getattr(source, "path", source))

@@ -18,14 +18,14 @@ import pytest
 
 from facerender.batch.jobs import OUTPUTS, OWN, TABLES, JobTable, Row, _rows
 from facerender.errors import InputError
-from facerender.job import Job, MeshFile
-from facerender.scenes.camera import Camera
-from facerender.scenes.environment import EnvironmentFile
-from facerender.scenes.file import ImageSettings, Pose
-from facerender.scenes.light import LIGHTS, Light, parse_light
-from facerender.scenes.lod import Planned
-from facerender.scenes.material import MAPS, Material
-from facerender.scenes.scene import Scene
+from facerender.material import MAPS, Material
+from facerender.scene.camera import Camera
+from facerender.scene.detail import Planned
+from facerender.scene.environment import EnvironmentFile
+from facerender.scene.file import ImageSettings, Pose
+from facerender.scene.job import Job, MeshFile
+from facerender.scene.light import LIGHTS, Light, parse_light
+from facerender.scene.scene import Scene
 from tests.conftest import require_module
 
 ROOT = Path(__file__).parents[1]

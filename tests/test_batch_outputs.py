@@ -22,8 +22,8 @@ import facerender as fr
 from facerender.batch.outputs import OUTPUTS as ALL
 from facerender.batch.outputs import camera_facts, draw, transforms_frame
 from facerender.images.files import read_image
-from facerender.scenes.lod import Planned
-from facerender.scenes.view import view_of
+from facerender.scene.detail import Planned
+from facerender.scene.view import view_of
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.meshes import with_geometry

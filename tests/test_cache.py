@@ -137,7 +137,7 @@ def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
 def test_regions_are_found_once(tmp_path, monkeypatch):
     path = files.write_gltf(tmp_path / "head.gltf", mini_head())
     load(path)
-    monkeypatch.setattr("facerender.scenes.framing.regions_of", None)
+    monkeypatch.setattr("facerender.mesh.framing.regions_of", None)
     assert load(path).with_material(m=0.2).regions["head"] is not None
 
 

@@ -10,8 +10,8 @@ import pytest
 from pyrr import Matrix33, Matrix44, Quaternion, Vector3
 
 import facerender as fr
-from facerender.scenes.vectors import rotation_of
-from facerender.scenes.view import view_of
+from facerender.scene.view import view_of
+from facerender.values.vectors import rotation_of
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 from tests.meshes import with_geometry
 

@@ -24,7 +24,7 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import doctor, main
 from facerender.drawing import context
-from facerender.scenes.light import LIGHTS
+from facerender.scene.light import LIGHTS
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 

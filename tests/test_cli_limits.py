@@ -21,8 +21,8 @@ from facerender.commands.output import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.files import FRAME_RATES
-from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS
-from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
+from facerender.values.ranges import EXPOSURES, MEMORY, Range, range_of
+from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS
 from tests.awkward_files import MINI_HEAD
 from tests.test_help import PARSERS
 

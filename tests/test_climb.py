@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from facerender.drawing.context import Backend, create_context
-from facerender.shading import Term
+from facerender.scene.shading import Term
 from facerender.terms import lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
 from tests.test_targets import opened

@@ -17,7 +17,6 @@ from facerender import InputError
 from facerender.commands import main
 from facerender.comparison import pictures, report
 from facerender.comparison.compare import Pair
-from facerender.comparison.pictures import save_heat_map
 from facerender.comparison.report import entry, write_report
 from facerender.comparison.sources import CHECKS
 from facerender.images.image import ImageData
@@ -349,7 +348,7 @@ def test_heat_map(tmp_path: Path) -> None:
         ("bytes.png", to_8_bit(image(3)), to_8_bit(with_pixel(0.0, 3))),
         ("grey.png", image(1), with_pixel(0.0, 1)),
     ):
-        save_heat_map(tmp_path / name, Pair.of("x", a, b))
+        Pair.of("x", a, b).save_heat_map(tmp_path / name)
         heat = np.asarray(Image.open(tmp_path / name)).astype(int).sum(axis=-1)
         assert heat.shape == SIZE
         assert np.unravel_index(heat.argmax(), SIZE) == AT[::-1]
@@ -359,12 +358,12 @@ def test_heat_map(tmp_path: Path) -> None:
 def test_heat_map_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "heat.png"
     with pytest.raises(InputError, match="no heat map: cannot read no.exr: no such file"):
-        save_heat_map(path, Pair.of("x", "no.exr", image()))
+        Pair.of("x", "no.exr", image()).save_heat_map(path)
     with pytest.raises(InputError, match="48 x 40, B is 20 x 40 pixels"):
-        save_heat_map(path, Pair.of("x", image(), image()[:, :20]))
+        Pair.of("x", image(), image()[:, :20]).save_heat_map(path)
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     with pytest.raises(InputError, match=r"pip install 'facerender\[measure\]'"):
-        save_heat_map(path, Pair.of("x", image(), with_pixel(0.0)))
+        Pair.of("x", image(), with_pixel(0.0)).save_heat_map(path)
     assert list(tmp_path.iterdir()) == []
 
 

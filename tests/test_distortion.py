@@ -16,9 +16,9 @@ import trimesh
 import facerender as fr
 from facerender.batch.outputs import camera_facts, transforms_frame
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.camera import distort, jacobian, undistort
-from facerender.scenes.scene import DATA
-from facerender.scenes.view import view_of
+from facerender.scene.camera import distort, jacobian, undistort
+from facerender.scene.scene import DATA
+from facerender.scene.view import view_of
 from tests.awkward_files import MINI_HEAD
 from tests.verification.rays import Surface
 

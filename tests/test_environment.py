@@ -17,12 +17,12 @@ from facerender import InputError, brdf
 from facerender.commands import main
 from facerender.images.files import save_exr
 from facerender.images.image import linear_to_srgb
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.part import Part
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
-from facerender.scenes.environment import SIDE, parse_environment, studio
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.part import Part
-from facerender.scenes.scattering import scattering_of
+from facerender.scene.environment import SIDE, parse_environment, studio
+from facerender.scene.scattering import scattering_of
 from facerender.terms.transport import PROFILES, scatter_profile, spiral
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module

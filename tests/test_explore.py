@@ -24,14 +24,14 @@ from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
 from facerender.explorer.page import drawable, encoded, explorer_page
 from facerender.images.image import linear_to_srgb
-from facerender.job import Job, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
-from facerender.scenes.texture import Texture
-from facerender.scenes.vectors import direction_to
-from facerender.scenes.view import view_of
-from facerender.shading import Term
+from facerender.scene.job import Job, MeshFile
+from facerender.scene.shading import Term
+from facerender.scene.view import view_of
 from facerender.terms import LOBES, MODELS, lobe_entry
+from facerender.texture.texture import Texture
+from facerender.values.vectors import direction_to
 from tests.meshes import with_geometry
 from tests.test_parts import row
 

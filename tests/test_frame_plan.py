@@ -26,8 +26,8 @@ from facerender.planning.decisions import details
 from facerender.planning.search import Choice
 from facerender.pricing import cost as pricing
 from facerender.pricing.cost import Interval, Line, ratio, relative
-from facerender.scenes.file import load_scene
-from facerender.scenes.lod import LevelOfDetail, Planned
+from facerender.scene.detail import LevelOfDetail, Planned
+from facerender.scene.file import load_scene
 from tests.awkward_files import MINI_HEAD
 from tests.verification.lights import PLAIN
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.scenes.framing import names_head
-from facerender.scenes.view import view_of
+from facerender.mesh.framing import names_head
+from facerender.scene.view import view_of
 from tests.awkward_files import Glb
 from tests.people import PEOPLE, ball, body, hair, head_shape, limb, mesh_of, person
 from tools.head.landmarks import HAIRLINE

@@ -75,7 +75,7 @@ from tools.fuzz import following
 with following():
     from pathlib import Path
 import facerender as fr
-from facerender.scenes.mesh import Mesh
+from facerender.mesh.mesh import Mesh
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) >> 8  # MiB

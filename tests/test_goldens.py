@@ -19,8 +19,8 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend
-from facerender.scenes.light import LIGHTS
-from facerender.scenes.scene import ONLY, Only
+from facerender.scene.light import LIGHTS
+from facerender.scene.scene import ONLY, Only
 from tests import awkward_files as files
 from tests.conftest import missing, require_backend
 from tests.test_reference import SHADINGS, shading_name

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.scenes.part import Part
+from facerender.mesh.part import Part
 from tests.awkward_files import split_glb
 from tests.conftest import require_module
 

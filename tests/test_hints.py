@@ -11,7 +11,7 @@ import pytest
 import facerender as fr
 from facerender.commands import main
 from facerender.errors import noting
-from facerender.scenes import hints
+from facerender.mesh import hints
 from tests.awkward_files import MINI_HEAD, mini_head, write_glb, write_obj
 from tests.test_batch import draw, reused, rows, table  # noqa: F401  # fixtures
 from tests.verification.cache import wait_for_cache

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from facerender.scenes import material as materials
 from PIL import Image
 
 import facerender as fr
@@ -24,9 +25,8 @@ from facerender.comparison import compare, sources
 from facerender.drawing import renderer as drawing
 from facerender.errors import InputError
 from facerender.images.files import MAX_PIXELS, check_pixels, read_image
-from facerender.scenes import material as materials
-from facerender.scenes.file import load_scene
-from facerender.scenes.texture import Texture
+from facerender.scene.file import load_scene
+from facerender.texture.texture import Texture
 from tests.awkward_files import MINI_HEAD
 
 LONGEST = 500

@@ -14,9 +14,9 @@ import pytest
 
 import facerender as fr
 from facerender.lobes import GPower
-from facerender.scenes.file import scene_toml
-from facerender.scenes.light import LIGHTS
-from facerender.scenes.lod import Planned
+from facerender.scene.detail import Planned
+from facerender.scene.file import scene_toml
+from facerender.scene.light import LIGHTS
 from tests import awkward_files as files
 
 POINT = fr.Light(irradiance=(1.0, 0.5, 0.2), position=(0.2, 0.3, 0.5))

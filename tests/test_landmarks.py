@@ -11,7 +11,7 @@ import pytest
 
 import facerender as fr
 from facerender.batch.outputs import draw
-from facerender.scenes.landmarks import MOST_LANDMARKS, located
+from facerender.scene.landmarks import MOST_LANDMARKS, located
 from tests.meshes import with_geometry
 from tests.verification.rays import Surface, by_opencv, camera_of
 
@@ -360,7 +360,7 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
 @pytest.mark.filterwarnings("ignore:.*cannot be simplified")
 def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path):
     pytest.importorskip("meshoptimizer")
-    from facerender.scenes.lod import Planned
+    from facerender.scene.detail import Planned
 
     landmarks = nearest(skull, nose_of(skull), nose_of(skull) + (0.25, 0.0, -0.2))
     path = written(tmp_path, landmarks.vertices[:, 0].tolist())

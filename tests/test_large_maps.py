@@ -13,8 +13,8 @@ import facerender as fr
 from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced, resolve
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.texture import Texture
-from facerender.scenes.view import levels_to_spare, view_of
+from facerender.scene.view import levels_to_spare, view_of
+from facerender.texture.texture import Texture
 from tests.meshes import with_geometry
 
 SIZE = (256, 256)

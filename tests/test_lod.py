@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.drawing import reference
+from facerender.mesh import occlusion
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.part import Part
 from facerender.planning.plan import _digest
-from facerender.scenes import occlusion
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.part import Part
 from tests.awkward_files import MINI_HEAD
 from tests.meshes import with_geometry
 from tests.test_cli import Cli

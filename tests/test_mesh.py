@@ -21,8 +21,8 @@ from scipy.sparse.csgraph import connected_components
 import facerender as fr
 from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.loading.mtl import DEPTH
-from facerender.scenes.material import SKIN_ALBEDO
-from facerender.scenes.repair import joined
+from facerender.material import SKIN_ALBEDO
+from facerender.mesh.repair import joined
 from tests import awkward_files as files
 from tests.awkward_files import Head, flat, mini_head, texels
 from tests.test_hostile_mesh import loaded

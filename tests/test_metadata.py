@@ -12,8 +12,8 @@ import pytest
 import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.images.files import read_image, save_exr
-from facerender.scenes.environment import studio
-from facerender.scenes.light import LIGHTS
+from facerender.scene.environment import studio
+from facerender.scene.light import LIGHTS
 from tests.awkward_files import MINI_HEAD
 from tests.meshes import with_geometry
 

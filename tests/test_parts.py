@@ -13,8 +13,8 @@ import pytest
 import facerender as fr
 from facerender.commands import main
 from facerender.images.files import read_image
-from facerender.scenes.material import Material
-from facerender.scenes.part import Part
+from facerender.material import Material
+from facerender.mesh.part import Part
 from tests.awkward_files import (
     gltf,
     join_glb,

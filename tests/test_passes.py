@@ -13,7 +13,7 @@ from facerender.drawing.passes import Draw, Pass, Target, Visibility
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program, scene_uniforms
 from facerender.drawing.shade import shade_pass
-from facerender.scenes.view import view_of
+from facerender.scene.view import view_of
 from tests.verification.lights import PLAIN_THREE
 
 SHADERS = {

@@ -31,10 +31,10 @@ from facerender.planning.candidates import (
 )
 from facerender.planning.decisions import _words
 from facerender.pricing.table import load_prices
-from facerender.scenes.camera import turntable
-from facerender.scenes.file import load_scene, scene_toml
-from facerender.scenes.lod import Planned
-from facerender.shading import Shading
+from facerender.scene.camera import turntable
+from facerender.scene.detail import Planned
+from facerender.scene.file import load_scene, scene_toml
+from facerender.scene.shading import Shading
 from tests.conftest import require_module
 from tests.meshes import with_geometry
 from tests.test_glsl import OUTPUT, run

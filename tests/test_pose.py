@@ -19,9 +19,9 @@ import facerender as fr
 from facerender.batch.outputs import draw
 from facerender.commands import main
 from facerender.images.files import read_image
-from facerender.scenes.lod import LevelOfDetail
-from facerender.scenes.texture import Texture
-from facerender.scenes.view import view_of
+from facerender.scene.detail import LevelOfDetail
+from facerender.scene.view import view_of
+from facerender.texture.texture import Texture
 from tests.awkward_files import MINI_HEAD
 from tests.meshes import with_geometry
 from tests.test_alpha import quad

@@ -17,10 +17,10 @@ from facerender.commands.common import part_materials
 from facerender.drawing.renderer import Renderer
 from facerender.images.files import read_image
 from facerender.loading.conventions import _eye_map, _lash_map, mark_skin, preset_for
-from facerender.scenes import hints
-from facerender.scenes.file import parse_part, part_text, scene_toml
-from facerender.scenes.material import PRESETS, SKIN_ALBEDO, Material, changed
-from facerender.scenes.repair import Piece
+from facerender.material import PRESETS, SKIN_ALBEDO, Material, changed
+from facerender.mesh import hints
+from facerender.mesh.repair import Piece
+from facerender.scene.file import parse_part, part_text, scene_toml
 from tests.awkward_files import gltf, join_glb, mini_head, write_glb
 from tests.conftest import require_module
 from tests.meshes import with_geometry

@@ -19,6 +19,7 @@ from benchmarks.prices.table import parts as compiled_parts
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import term_macros
 from facerender.lobes import GPower
+from facerender.material import PROPERTY_MAPS
 from facerender.pricing import cost
 from facerender.pricing import cost as scatter
 from facerender.pricing import table as prices
@@ -33,8 +34,7 @@ from facerender.pricing.table import (
     scene_with,
     variants,
 )
-from facerender.scenes.material import PROPERTY_MAPS
-from facerender.shading import Shading
+from facerender.scene.shading import Shading
 from tests.conftest import missing
 from tests.meshes import with_geometry
 from tests.verification.lights import PLAIN

@@ -1,4 +1,4 @@
-"""Tests ``facerender.terms.ranges``: constructors check the ranges of fields, help texts state
+"""Tests ``facerender.values.ranges``: constructors check the ranges of fields, help texts state
 them."""
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import pytest
 import facerender as fr
 from facerender.commands import main
 from facerender.lobes import GPower
-from facerender.scenes.environment import studio
-from facerender.scenes.file import scene_value
-from facerender.scenes.lod import Planned
-from facerender.terms.ranges import (
+from facerender.scene.detail import Planned
+from facerender.scene.environment import studio
+from facerender.scene.file import scene_value
+from facerender.values.ranges import (
     FRACTION,
     IntegerRange,
     SizeRange,

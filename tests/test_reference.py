@@ -19,8 +19,8 @@ from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program
 from facerender.drawing.shade import shade_pass
 from facerender.lobes import GPower
-from facerender.scenes.environment import studio
-from facerender.scenes.view import view_of
+from facerender.scene.environment import studio
+from facerender.scene.view import view_of
 from tests.verification.lights import PLAIN_THREE
 
 

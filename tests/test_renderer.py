@@ -30,9 +30,9 @@ from facerender.drawing.program import Program
 from facerender.images.files import read_image
 from facerender.images.image import ImageData
 from facerender.lobes import GPower
+from facerender.material import MAPS
 from facerender.measure.measurement import block_error
-from facerender.scenes.environment import studio
-from facerender.scenes.material import MAPS
+from facerender.scene.environment import studio
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.scenes.file import load_scene
-from facerender.scenes.light import LIGHTS, parse_light
-from facerender.scenes.lod import Planned
-from facerender.scenes.view import view_of
+from facerender.scene.detail import Planned
+from facerender.scene.file import load_scene
+from facerender.scene.light import LIGHTS, parse_light
+from facerender.scene.view import view_of
 
 
 def project(scene: fr.Scene, point, aspect=1.0):

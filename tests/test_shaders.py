@@ -14,7 +14,7 @@ import pytest
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
 from facerender.glsl.library import defines, lobe_macros
-from facerender.shading import Term
+from facerender.scene.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
 from tests.verification.cases import brdf_case, directions, flat, include
 from tests.verification.evaluate import Evaluator

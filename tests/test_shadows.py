@@ -13,9 +13,9 @@ import trimesh
 import facerender as fr
 from facerender.drawing.context import create_context
 from facerender.drawing.shade import MOST
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.light import parse_light
-from facerender.scenes.part import Part
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.part import Part
+from facerender.scene.light import LIGHTS, parse_light
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import code
 from tests.test_alpha import quad
@@ -169,8 +169,8 @@ def test_invalid_shadows_are_refused(renderer, head):
 
 
 def test_shadow_option_of_lights():
-    assert parse_light("key,no-shadow") == replace(fr.scenes.light.LIGHTS["key"], shadow=False)
-    assert parse_light("key,radius=2") == replace(fr.scenes.light.LIGHTS["key"], radius=2.0)
+    assert parse_light("key,no-shadow") == replace(LIGHTS["key"], shadow=False)
+    assert parse_light("key,radius=2") == replace(LIGHTS["key"], radius=2.0)
     light = parse_light("10,20,2,radius=3,no-shadow")
     assert (light.azimuth, light.radius, light.shadow) == (10.0, 3.0, False)
     assert not parse_light("point:1,2,3,no-shadow,radius=1").shadow

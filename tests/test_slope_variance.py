@@ -16,7 +16,7 @@ from facerender.drawing.context import create_context
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import surface_features
 from facerender.images.files import read_image
-from facerender.scenes.light import parse_light
+from facerender.scene.light import parse_light
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_reference import areas

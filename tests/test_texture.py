@@ -14,8 +14,8 @@ from PIL import Image
 
 from facerender import InputError
 from facerender.images.image import srgb_to_linear
-from facerender.scenes.texture import Texture, pack
 from facerender.system.process import unload
+from facerender.texture.texture import Texture, pack
 
 
 def texture(pixels, name="map.png"):

@@ -14,7 +14,7 @@ from facerender import InputError, brdf
 from facerender.drawing.prepare import resolve
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
-from facerender.scenes.texture import Texture
+from facerender.texture.texture import Texture
 from tests.conftest import missing
 from tests.test_reference import SWEAT, programs_of, ramp
 from tests.verification.lights import PLAIN_THREE

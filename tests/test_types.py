@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.job import MESH_PATHS
+from facerender.scene.job import MESH_PATHS
 from tests.awkward_files import MINI_HEAD
 
 MATRIX, NAME, HUGE = np.zeros((2, 3)), np.array(["a"]), 10**400

@@ -18,9 +18,9 @@ from facerender.commands import main
 from facerender.drawing import passes
 from facerender.drawing.program import IN_ROW
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.material import Material
-from facerender.scenes.part import Part
+from facerender.material import Material
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.part import Part
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 from tests.meshes import with_geometry
 from tests.test_alpha import quad

@@ -16,12 +16,12 @@ import facerender as fr
 from facerender.commands import parser_of
 from facerender.commands.output import commands_of, groups_of
 from facerender.commands.scene import job_of
-from facerender.scenes.camera import AZIMUTHS_BY_NAME
-from facerender.scenes.environment import STUDIO
-from facerender.scenes.file import KEYS, scene_value, toml_text
-from facerender.scenes.light import LIGHTS
-from facerender.scenes.lod import Planned
-from facerender.scenes.material import MAPS
+from facerender.material import MAPS
+from facerender.scene.camera import AZIMUTHS_BY_NAME
+from facerender.scene.detail import Planned
+from facerender.scene.environment import STUDIO
+from facerender.scene.file import KEYS, scene_value, toml_text
+from facerender.scene.light import LIGHTS
 from tests.awkward_files import MINI_HEAD
 from tools.docs.tables import vocabulary
 

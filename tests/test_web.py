@@ -23,7 +23,7 @@ import facerender as fr
 from facerender import brdf
 from facerender.glsl.library import functions
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.light import LIGHTS
+from facerender.scene.light import LIGHTS
 from tests.conftest import missing, node_tool
 from tests.test_hosts import SCENES, check
 from tests.verification.hosts import babylon as in_babylon

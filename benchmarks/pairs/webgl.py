@@ -16,9 +16,9 @@ from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.prepare import reduced, resolve
 from facerender.drawing.program import ENVIRONMENT_MAP, fixed_attributes
 from facerender.drawing.shade import shade_pass, with_shadows
-from facerender.scenes.mips import Kind
-from facerender.scenes.scene import Scene
-from facerender.scenes.view import view_of
+from facerender.scene.scene import Scene
+from facerender.scene.view import view_of
+from facerender.texture.mips import Kind
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -17,10 +17,10 @@ from facerender.images.image import encode_srgb8
 from facerender.loading import load_mesh
 from facerender.measure.measurement import MODELS, lobe_error
 from facerender.pricing.cost import printed_lobe
-from facerender.scenes.camera import Camera
-from facerender.scenes.light import Light
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.scene.camera import Camera
+from facerender.scene.light import Light
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 
 FACE_SLOPE = 0.4
 CAPTIONS = {

@@ -27,9 +27,9 @@ from facerender.pricing.table import (
     variants,
     without_specular,
 )
-from facerender.scenes.scattering import Scattering
-from facerender.scenes.view import view_of
-from facerender.shading import Shading, Term
+from facerender.scene.scattering import Scattering
+from facerender.scene.shading import Shading, Term
+from facerender.scene.view import view_of
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower
 from facerender.terms.lobe import G_POWERS
 from facerender.terms.transport import PROFILES

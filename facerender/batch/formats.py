@@ -20,7 +20,7 @@ from typing import Any
 
 from facerender.batch.tables import Table, grid_rows, nested
 from facerender.errors import FacerenderError, InputError, clipped, reason, shown
-from facerender.job import MESH_PATHS
+from facerender.scene.job import MESH_PATHS
 from facerender.system.files import check_suffix, read_file, tables_of
 
 # The number of the line where a row ends (None for .parquet, .toml and .py), and the row or its

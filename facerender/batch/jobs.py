@@ -21,12 +21,12 @@ import numpy as np
 from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
 from facerender.errors import InputError, check_known, check_path, clipped, shown
-from facerender.job import MESH_PATHS, MeshFile, parse_size
-from facerender.scenes.environment import STUDIO
-from facerender.scenes.file import KEYS, from_table, scene_value
-from facerender.scenes.scene import ONLY, Scene
-from facerender.shading import Shading
-from facerender.terms.ranges import EXPOSURES
+from facerender.scene.environment import STUDIO
+from facerender.scene.file import KEYS, from_table, scene_value
+from facerender.scene.job import MESH_PATHS, MeshFile, parse_size
+from facerender.scene.scene import ONLY, Scene
+from facerender.scene.shading import Shading
+from facerender.values.ranges import EXPOSURES
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "landmarks")

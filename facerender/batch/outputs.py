@@ -18,18 +18,18 @@ from facerender.batch.jobs import FILES, OUTPUTS, Row, check_outputs, file_name
 from facerender.drawing.frame import Frame, data_view
 from facerender.errors import InputError, clipped
 from facerender.images.files import exr_bytes, openexr, png_bytes
-from facerender.job import Job
 from facerender.loading import load_mesh
-from facerender.scenes.environment import STUDIO, EnvironmentFile, load_environment
-from facerender.scenes.file import Pose
-from facerender.scenes.landmarks import load_landmarks, located
-from facerender.scenes.lod import LevelOfDetail
-from facerender.scenes.material import MAPS
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import DATA, Only, Scene
-from facerender.scenes.texture import Texture
-from facerender.scenes.vertices import frame_count, posed
-from facerender.scenes.view import View, view_of
+from facerender.material import MAPS
+from facerender.mesh.mesh import Mesh
+from facerender.scene.detail import LevelOfDetail
+from facerender.scene.environment import STUDIO, EnvironmentFile, load_environment
+from facerender.scene.file import Pose
+from facerender.scene.job import Job
+from facerender.scene.landmarks import load_landmarks, located
+from facerender.scene.scene import DATA, Only, Scene
+from facerender.scene.vertices import frame_count, posed
+from facerender.scene.view import View, view_of
+from facerender.texture.texture import Texture
 
 if TYPE_CHECKING:
     from facerender.drawing.renderer import Renderer

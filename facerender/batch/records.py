@@ -27,8 +27,8 @@ from uuid import uuid4
 from facerender import __version__
 from facerender.batch.jobs import FILES, Row, file_name
 from facerender.errors import InputError
-from facerender.job import MESH_PATHS
 from facerender.loading.source import named_files, source_of
+from facerender.scene.job import MESH_PATHS
 from facerender.system.files import TEMPORARY, CannotUse, data_dir, digest_of, reported
 
 if TYPE_CHECKING:
@@ -301,9 +301,11 @@ def chunks(
 @cache
 def code_version() -> str:
     """Return a digest of the package version and of all sources that the pixels depend on."""
-    folders = ("terms", "glsl", "scenes", "loading", "drawing", "images")
-    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
-    paths += (_PACKAGE / name for name in ("batch/outputs.py", "job.py", "shading.py"))
+    folders = ("values", "terms", "images", "texture", "mesh", "loading", "scene", "glsl")
+    paths = [
+        path for name in (*folders, "drawing") for path in sorted((_PACKAGE / name).rglob("*.py"))
+    ]
+    paths += (_PACKAGE / name for name in ("batch/outputs.py", "material.py"))
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
     return digest_of(__version__, *(path.read_bytes() for path in paths))
 

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from facerender.errors import InputError, clipped, shown
-from facerender.scenes.camera import orbit_of
-from facerender.scenes.environment import parse_environment
-from facerender.scenes.light import Light, parse_light
-from facerender.scenes.scene import Scene
+from facerender.scene.camera import orbit_of
+from facerender.scene.environment import parse_environment
+from facerender.scene.light import Light, parse_light
+from facerender.scene.scene import Scene
 
 Table = dict[str, Any]
 

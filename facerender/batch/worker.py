@@ -33,10 +33,10 @@ from facerender.batch.records import (
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
-from facerender.job import MESH_PATHS, Job, MeshFile
 from facerender.loading.source import named_files
-from facerender.scenes.file import ImageSettings
-from facerender.scenes.mesh import Mesh
+from facerender.mesh.mesh import Mesh
+from facerender.scene.file import ImageSettings
+from facerender.scene.job import MESH_PATHS, Job, MeshFile
 from facerender.system.files import CannotUse
 from facerender.system.signals import heed_the_coordinator
 

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from facerender.commands.common import SIDE, Options, check_outputs, part_materials
 from facerender.commands.output import Help, print_message, print_result
 from facerender.errors import InputError
-from facerender.scenes.file import ImageSettings
-from facerender.scenes.scene import ONLY
-from facerender.terms.ranges import IntegerRange, Range
+from facerender.scene.file import ImageSettings
+from facerender.scene.scene import ONLY
+from facerender.values.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
     from facerender.batch.jobs import JobTable

@@ -18,15 +18,15 @@ import numpy as np
 
 from facerender.commands.output import Help, print_message
 from facerender.errors import InputError, shown
-from facerender.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.loading.source import FORMATS, named_files
-from facerender.scenes.environment import STUDIO
-from facerender.scenes.file import ImageSettings, parse_part
-from facerender.scenes.material import PRESETS
-from facerender.scenes.vectors import ROTATIONS, UPS
+from facerender.material import PRESETS
+from facerender.scene.environment import STUDIO
+from facerender.scene.file import ImageSettings, parse_part
+from facerender.scene.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.system.files import check_file, check_writable, remove_abandoned
 from facerender.system.process import Bar
-from facerender.terms.ranges import IntegerRange, Range, range_of
+from facerender.values.ranges import IntegerRange, Range, range_of
+from facerender.values.vectors import ROTATIONS, UPS
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
@@ -267,7 +267,7 @@ def part_materials(
     options: argparse.Namespace, known: Mapping[str, Mapping[str, Any]] | None = None
 ) -> dict[str, dict[str, Any]]:
     """Return the materials of parts: the tables ``known`` of a scene file, as in
-    :func:`facerender.scenes.file.part_tables`, changed by --part. Later options win."""
+    :func:`facerender.scene.file.part_tables`, changed by --part. Later options win."""
     tables = {name: dict(table) for name, table in (known or {}).items()}
     for name, table in map(parse_part, options.part or ()):
         tables[name] = {**tables.pop(name, {}), **table}
@@ -285,7 +285,7 @@ def check_inputs(job: Job) -> None:
         if pose.vertices is not None:
             check_file(pose.vertices, "a file of vertices", sys.maxsize)
     if job.environment is not None and job.environment.file != STUDIO:
-        from facerender.scenes.environment import wanted
+        from facerender.scene.environment import wanted
 
         check_file(job.environment.file, wanted(job.environment.file))
 

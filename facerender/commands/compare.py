@@ -20,7 +20,7 @@ from facerender.comparison.sources import CHECKS, HIGHEST
 from facerender.errors import InputError, clipped, warn
 from facerender.images.files import SUFFIXES, WRITTEN, read_image
 from facerender.system.files import write_text
-from facerender.terms.ranges import Range
+from facerender.values.ranges import Range
 
 # Suffixes of each output file, keyed by the option's name in Python.
 OUTPUTS = {
@@ -88,7 +88,7 @@ def default_of(name: str) -> str:
 def run(options: argparse.Namespace) -> int:
     from facerender.comparison.calibration import read_limits
     from facerender.comparison.compare import Pair, pairs_of
-    from facerender.comparison.pictures import save_heat_map, side_by_side
+    from facerender.comparison.pictures import side_by_side
     from facerender.comparison.report import entry, write_report
 
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
@@ -128,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
             progress("report", 0.0)
             write_report(options.report, entries)
         if options.heatmap:
-            save_heat_map(options.heatmap, pair)
+            pair.save_heat_map(options.heatmap)
         if options.sheet:
             if pair.reference is None or pair.image is None:
                 raise InputError(f"no sheet: {pair.error}")

@@ -14,11 +14,11 @@ from typing import Any
 from facerender.commands.common import Options
 from facerender.commands.output import print_result
 from facerender.errors import FacerenderWarning, number_of
-from facerender.job import MeshFile
-from facerender.scenes import hints
-from facerender.scenes.material import MAPS, PRESETS, Material
-from facerender.scenes.mesh import Mesh, clips_of
-from facerender.scenes.part import Part
+from facerender.material import MAPS, PRESETS, Material
+from facerender.mesh import hints
+from facerender.mesh.mesh import Mesh, clips_of
+from facerender.mesh.part import Part
+from facerender.scene.job import MeshFile
 
 _SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults

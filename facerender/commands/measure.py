@@ -14,10 +14,10 @@ from facerender.commands.common import (
 )
 from facerender.commands.output import print_message, print_result
 from facerender.drawing.context import BACKENDS
-from facerender.job import Job, MeshFile
-from facerender.scenes.material import Material
+from facerender.material import Material
+from facerender.scene.job import Job, MeshFile
 from facerender.system.files import make_folder
-from facerender.terms.ranges import range_of
+from facerender.values.ranges import range_of
 
 
 def add(measure: argparse.ArgumentParser) -> None:

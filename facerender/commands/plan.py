@@ -14,7 +14,7 @@ from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.glsl.library import LANGUAGES, TARGETS
-from facerender.job import Output
+from facerender.scene.job import Output
 from facerender.system.files import write_text
 from facerender.system.process import Progress, shows_bars
 

@@ -32,18 +32,18 @@ from facerender.images.files import (
     check_opaque,
     format_of,
 )
-from facerender.job import MeshFile, Output, parse_size
-from facerender.scenes.camera import Camera
-from facerender.scenes.file import ImageSettings, Pose
-from facerender.scenes.lod import LevelOfDetail
-from facerender.scenes.scene import ONLY, Scene
-from facerender.scenes.vectors import Vector
-from facerender.scenes.vertices import posed
-from facerender.scenes.view import view_of
-from facerender.shading import OUTSIDE, Shading
+from facerender.scene.camera import Camera
+from facerender.scene.detail import LevelOfDetail
+from facerender.scene.file import ImageSettings, Pose
+from facerender.scene.job import MeshFile, Output, parse_size
+from facerender.scene.scene import ONLY, Scene
+from facerender.scene.shading import OUTSIDE, Shading
+from facerender.scene.vertices import posed
+from facerender.scene.view import view_of
 from facerender.system.process import MIB, limit
 from facerender.terms import LOBES
-from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
+from facerender.values.ranges import EXPOSURES, MEMORY, Range, range_of
+from facerender.values.vectors import Vector
 
 STANDARD_OUTPUT = "-"
 FPS = 12.0  # default frame rate of animations of several views

@@ -12,9 +12,11 @@ from typing import Any
 from facerender.commands.common import Options, mesh_files, part_materials
 from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.errors import InputError, clipped, shown, warn
-from facerender.job import Job, MeshFile
 from facerender.loading.source import GLTF, NORMAL_MAP_Y, source_of
-from facerender.scenes.camera import (
+from facerender.material import Material
+from facerender.mesh.hints import no_shadows
+from facerender.mesh.mesh import Mesh
+from facerender.scene.camera import (
     CAMERA_FILES,
     FRAMES,
     MOST_CAMERAS,
@@ -26,18 +28,16 @@ from facerender.scenes.camera import (
     orbiting,
     turntable,
 )
-from facerender.scenes.environment import STUDIO, EnvironmentFile, parse_environment
-from facerender.scenes.file import ImageSettings, Pose, load_scene, parse_entry, parse_vertices
-from facerender.scenes.hints import no_shadows
-from facerender.scenes.light import LIGHTS, Light, parse_light
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.mips import Kind
-from facerender.scenes.scene import Scene, background_of, default_light
-from facerender.scenes.vectors import ROTATIONS, SHAPE_WEIGHTS, axes_of
-from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
+from facerender.scene.environment import STUDIO, EnvironmentFile, parse_environment
+from facerender.scene.file import ImageSettings, Pose, load_scene, parse_entry, parse_vertices
+from facerender.scene.job import Job, MeshFile
+from facerender.scene.light import LIGHTS, Light, parse_light
+from facerender.scene.scene import Scene, background_of, default_light
+from facerender.scene.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
-from facerender.terms.ranges import range_of
+from facerender.texture.mips import Kind
+from facerender.values.ranges import range_of
+from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS, axes_of
 
 _FACTORS = ["m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"]
 _OR_FILE = "{:g} or the mesh file's"  # default in the help, for factors that a mesh file may set
@@ -280,7 +280,7 @@ def sequence(pose: Pose, mesh: Mesh, fps: float) -> list[Pose]:
     InputError : the mesh has no such clip, the file cannot be used, or there are too many frames
     """
     if pose.vertices is not None:
-        from facerender.scenes.vertices import frame_count
+        from facerender.scene.vertices import frame_count
 
         return [replace(pose, frame=number) for number in range(frame_count(pose.vertices))]
     mesh.with_pose(clip=pose.clip)  # only checks the clip
@@ -421,7 +421,7 @@ def _is_file(place: str) -> bool:
 def _file_cameras(
     place: str, options: argparse.Namespace, size: tuple[int, int] | None
 ) -> dict[str, Camera]:
-    from facerender.loading.cameras import gltf_cameras, load_cameras
+    from facerender.scene.cameras import gltf_cameras, load_cameras
 
     word, colon, name = place.partition(":")
     if word != "gltf":

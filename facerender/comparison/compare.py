@@ -63,7 +63,7 @@ from facerender.comparison.windows import (
 )
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, number_of, warn
-from facerender.images.files import MAX_BYTES, REFUSED, SUFFIXES
+from facerender.images.files import MAX_BYTES, REFUSED, SUFFIXES, save_png
 from facerender.images.image import Encoding, ImageData
 from facerender.system.files import check_file
 
@@ -373,6 +373,27 @@ class Pair:
     image: ImageData | None
     comparison: Comparison | None  # metrics; None after an error
     error: str = ""
+
+    def save_heat_map(self, path: str | os.PathLike[str]) -> None:
+        """Write the FLIP heat map of the pair as PNG.
+
+        Raises
+        ------
+        InputError : flip-evaluator is missing, an image could not be read, the sizes differ or
+            exceed MAX_PIXELS, or the file cannot be written
+        """
+        from facerender.comparison.pictures import MAX_PIXELS, displayed, heat_map
+
+        a, b = self.reference, self.image
+        if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
+            raise InputError(f"no heat map: {self.error}")
+        height, width = a.pixels.shape[:2]
+        if height * width > MAX_PIXELS:
+            raise InputError(
+                f"no heat map of {width} x {height} pixels: at most {MAX_PIXELS}; give smaller "
+                "images"
+            )
+        save_png(path, heat_map(displayed(a) / 255.0, displayed(b) / 255.0), {})
 
     @classmethod
     def of(

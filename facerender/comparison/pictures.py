@@ -6,7 +6,6 @@ The package flip_evaluator is imported where it is used."""
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -20,13 +19,10 @@ from facerender.comparison.sources import Comparable, alike, as_image, check_fin
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range, shown
 from facerender.images.animation import arranged
-from facerender.images.files import save_png
 from facerender.images.image import Encoding, ImageData, encode_srgb8, srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-    from facerender.comparison.compare import Pair
 
 
 Pixels = NDArray[np.floating]  # (H, W, 3), sRGB in [0, 1]
@@ -185,25 +181,6 @@ def _worst(key: NDArray[Any], step: int, *images: Bytes) -> list[Bytes]:
 
     indices = cells(key).argmax(axis=-1)[..., None, None]
     return [np.take_along_axis(cells(image), indices, axis=2)[:, :, 0] for image in images]
-
-
-def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
-    """Write the FLIP heat map of a pair as PNG.
-
-    Raises
-    ------
-    InputError : flip-evaluator is missing, an image could not be read, the sizes differ or exceed
-        MAX_PIXELS, or the file cannot be written
-    """
-    a, b = pair.reference, pair.image
-    if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
-        raise InputError(f"no heat map: {pair.error}")
-    height, width = a.pixels.shape[:2]
-    if height * width > MAX_PIXELS:
-        raise InputError(
-            f"no heat map of {width} x {height} pixels: at most {MAX_PIXELS}; give smaller images"
-        )
-    save_png(path, heat_map(displayed(a) / 255.0, displayed(b) / 255.0), {})
 
 
 def lossless(pixels: Bytes) -> tuple[bytes, str]:

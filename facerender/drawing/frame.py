@@ -18,14 +18,14 @@ from facerender.errors import InputError, check_switch, check_type, clipped, sho
 from facerender.images.animation import arranged
 from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, png_bytes, save_exr
 from facerender.images.image import encode_srgb8
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import Only, Scene, check_only
-from facerender.scenes.texture import Texture
-from facerender.scenes.vectors import unit
-from facerender.scenes.view import View, hidden
+from facerender.material import Material
+from facerender.mesh.mesh import Mesh
+from facerender.scene.scene import Only, Scene, check_only
+from facerender.scene.view import View, hidden
 from facerender.system.files import write_bytes
-from facerender.terms.ranges import EXPOSURES
+from facerender.texture.texture import Texture
+from facerender.values.ranges import EXPOSURES
+from facerender.values.vectors import unit
 
 if TYPE_CHECKING:
     from PIL.Image import Image

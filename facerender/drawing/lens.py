@@ -1,5 +1,5 @@
 """Images of a distorting lens: the undistorted image that the renderer draws for them, and its
-resampling. ``scenes.camera`` has the model. No OpenGL here."""
+resampling. ``scene.camera`` has the model. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
 from facerender.errors import InputError
-from facerender.scenes.camera import Camera, Coefficients, jacobian, undistort
-from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import Vector
-from facerender.scenes.view import View
+from facerender.scene.camera import Camera, Coefficients, jacobian, undistort
+from facerender.scene.scene import Scene
+from facerender.scene.view import View
+from facerender.values.vectors import Vector
 
 _MARGIN = 3  # pixels around the undistorted image: the reach of a cubic filter, and a tap's offset
 _AT_ONCE = 1 << 15  # pixels per step, so that temporary arrays stay in the CPU's cache
@@ -36,7 +36,7 @@ class Lens:
     wide : width and height of the undistorted image, which contains every pixel of the distorted
         image and resolves it at least as finely
     intrinsics : matrix K of the undistorted image
-    coefficients : see ``scenes.camera``
+    coefficients : see ``scene.camera``
     focal : (fx, fy) of the distorted image in its pixels
     places : (H * W, 2) float32, position of each pixel's centre in the undistorted image
     taps : (H * W,) uint8, taps per side of each pixel

@@ -18,8 +18,8 @@ from facerender.drawing.passes import (
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, surface_features
 from facerender.errors import InputError
-from facerender.scenes.scene import Scene
-from facerender.scenes.view import View
+from facerender.scene.scene import Scene
+from facerender.scene.view import View
 
 Float = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import ResolvedPart, ResolvedScene
 from facerender.drawing.program import IN_ROW, Program, Uniforms, part_uniforms, table_features
-from facerender.scenes.scene import Scene, ShadingRate
-from facerender.scenes.setup import Area
-from facerender.scenes.view import View
+from facerender.mesh.setup import Area
+from facerender.scene.scene import Scene, ShadingRate
+from facerender.scene.view import View
 
 Floats = NDArray[np.floating[Any]]
 

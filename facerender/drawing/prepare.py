@@ -8,7 +8,7 @@ and ``pricing`` use the same result.
 m is the first of these values that exists: the constant m of the shading's term (``Term.m``), then
 (roughness factor times roughness map)^2, then ``Material.m``. ``simplify`` replaces the material's
 m if the shading's term has a constant m. ``Term.slope`` resolves m for a term, and
-``scenes.mesh.base_slope`` for a part."""
+``mesh.mesh.base_slope`` for a part."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facerender.errors import InputError
-from facerender.scenes.light import Light, LightSpace, disc_of, light_space
-from facerender.scenes.material import MAPS, PROPERTY_MAPS, Alpha, Material
-from facerender.scenes.mesh import Mesh, blends_only, coordinates, drawn_alpha, slope_range
-from facerender.scenes.mips import Kind
-from facerender.scenes.part import Part, Space
-from facerender.scenes.scene import Scene
-from facerender.scenes.texture import LARGE, Texture
-from facerender.scenes.vectors import Vector
-from facerender.scenes.view import View, levels_to_spare
-from facerender.shading import Shading, Term
+from facerender.material import MAPS, PROPERTY_MAPS, Alpha, Material
+from facerender.mesh.mesh import Mesh, blends_only, coordinates, drawn_alpha, slope_range
+from facerender.mesh.part import Part, Space
+from facerender.scene.light import Light, LightSpace, disc_of, light_space
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading, Term
+from facerender.scene.view import View, levels_to_spare
 from facerender.system.process import MIB, limit
 from facerender.terms.model import slope_filtered, slope_variance_disc, slope_variance_map
+from facerender.texture.mips import Kind
+from facerender.texture.texture import LARGE, Texture
+from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:
-    from facerender.scenes.environment import Environment
+    from facerender.scene.environment import Environment
 
 
 @dataclass(frozen=True)
 class LightGroup:
     """Lights of one kind, all with or all without a specular term and a shadow.
 
-    kind : see ``scenes.light.LIGHT_KINDS``
+    kind : see ``scene.light.LIGHT_KINDS``
     specular : whether the lights have a specular term
     count : number of lights, at least one
     shadows : index of the shadow map of the group's first light; None for lights without shadows
@@ -105,7 +105,7 @@ class ResolvedPart:
     index : index of the part in the mesh
     part : the part in the reference pose
     material : material without the features that the shading leaves out
-    alpha : see :func:`facerender.scenes.mesh.drawn_alpha`
+    alpha : see :func:`facerender.mesh.mesh.drawn_alpha`
     maps : see :func:`part_maps`
     """
 
@@ -135,7 +135,7 @@ class Appearance:
     owns what the renderer derives from it.
 
     materials, lights, ambient, environment : as in the simplified scene
-    space : see :class:`facerender.scenes.part.Space`
+    space : see :class:`facerender.mesh.part.Space`
     draws : draws of the parts, which the passes add under a key
     fitting : numbers of samples per pixel that the memory suffices for
     """

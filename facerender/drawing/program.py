@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import LightGroup, Lighting, ResolvedPart, ResolvedScene
 from facerender.glsl.library import call, environment_call, prelude, resolve_includes
-from facerender.scenes.material import PROPERTY_MAPS
-from facerender.scenes.mesh import base_slope
-from facerender.scenes.part import Part
-from facerender.scenes.scene import Only
-from facerender.scenes.view import View
-from facerender.shading import Shading, Term
+from facerender.material import PROPERTY_MAPS
+from facerender.mesh.mesh import base_slope
+from facerender.mesh.part import Part
+from facerender.scene.scene import Only
+from facerender.scene.shading import Shading, Term
+from facerender.scene.view import View
 
 ENVIRONMENT_MAP = "environment_map"
 IN_ROW = 256  # vertices or triangles in a row of a texture

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import resolve, simplify
-from facerender.scenes.light import Light, half_sum
-from facerender.scenes.material import Material
-from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import unit
-from facerender.shading import Shading, Term
+from facerender.material import Material
+from facerender.scene.light import Light, half_sum
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading, Term
 from facerender.terms.environment import (
     cook_torrance_albedo,
     cook_torrance_albedo_mean,
     diffuse_coupled,
 )
 from facerender.terms.model import cosine_disc, dot, slope_filtered, slope_variance_disc
+from facerender.values.vectors import unit
 
 Float = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
     change = np.zeros(gbuffer.normalised_position.shape)
     if terms.light is None or terms.albedo is None or gbuffer.facing is None:
         return change
-    from facerender.scenes.scattering import scattering_of
+    from facerender.scene.scattering import scattering_of
     from facerender.terms.transport import scatter, scatter_area
 
     size = gbuffer.part.shape[1], gbuffer.part.shape[0]

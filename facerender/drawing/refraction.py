@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, scene_uniforms, shade_program
-from facerender.scenes.repair import joined
-from facerender.scenes.setup import Area, TriangleSetup
-from facerender.scenes.view import View
+from facerender.mesh.repair import joined
+from facerender.mesh.setup import Area, TriangleSetup
+from facerender.scene.view import View
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.int64]

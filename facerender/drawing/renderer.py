@@ -57,17 +57,16 @@ from facerender.drawing.shade import (
     with_shadows,
 )
 from facerender.errors import ContextError, check_switch, check_type, clipped
-from facerender.job import Job
 from facerender.loading import MeshSource, load_mesh
-from facerender.scenes.camera import Camera
-from facerender.scenes.environment import EnvironmentSource
-from facerender.scenes.file import ImageSettings
-from facerender.scenes.hints import emit, emit_all, too_clear
-from facerender.scenes.landmarks import Landmarks, located
-from facerender.scenes.light import Light
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.mips import Kind
-from facerender.scenes.scene import (
+from facerender.mesh.hints import emit, emit_all, too_clear
+from facerender.mesh.mesh import Mesh
+from facerender.scene.camera import Camera
+from facerender.scene.environment import EnvironmentSource
+from facerender.scene.file import ImageSettings
+from facerender.scene.job import Job
+from facerender.scene.landmarks import Landmarks, located
+from facerender.scene.light import Light
+from facerender.scene.scene import (
     DATA,
     ONLY,
     Only,
@@ -77,16 +76,17 @@ from facerender.scenes.scene import (
     check_shading_rate,
     refuse_keyword,
 )
-from facerender.scenes.vectors import Vector
-from facerender.scenes.view import View, sample_grid, view_of
-from facerender.shading import Shading
+from facerender.scene.shading import Shading
+from facerender.scene.view import View, sample_grid, view_of
 from facerender.terms import AnyLobe
-from facerender.terms.ranges import MEMORY, ranges_of
+from facerender.texture.mips import Kind
+from facerender.values.ranges import MEMORY, ranges_of
+from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:
     from facerender.drawing.lens import Lens
     from facerender.drawing.refraction import Refraction
-    from facerender.scenes.scattering import Scattering
+    from facerender.scene.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
 
@@ -244,7 +244,7 @@ class Renderer:
         -----
         FacerenderWarning : no pixel shows the mesh; the message gives the reason. The opacity of a
             part is below ``alpha_threshold`` everywhere, for data images. A hint of
-            :mod:`facerender.scenes.hints`. The last two are emitted once for each mesh
+            :mod:`facerender.mesh.hints`. The last two are emitted once for each mesh
         """
         _check_scene(scene, shading)
         check_shading_rate("shading_rate", shading_rate)
@@ -341,7 +341,7 @@ class Renderer:
             pixel's centre (0.5, 0.5). NaN behind the camera
         depth : (N,), distance from the camera along the viewing direction, in mesh units
         visible : (N,), whether the landmark is in the image, with no surface in front of it; see
-            :func:`facerender.scenes.landmarks.located`. Blended parts hide it where their opacity
+            :func:`facerender.scene.landmarks.located`. Blended parts hide it where their opacity
             is at least ``alpha_threshold``
 
         Raises
@@ -623,7 +623,7 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     """Return the scattering of a scene, or None."""
     if not any(material.scattering for material in scene.mesh.materials):
         return None
-    from facerender.scenes.scattering import scattering_of
+    from facerender.scene.scattering import scattering_of
 
     return scattering_of(scene, size)
 

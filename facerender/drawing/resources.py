@@ -28,15 +28,15 @@ from facerender.drawing.program import (
     table_texels,
 )
 from facerender.errors import ContextError, InputError
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.mips import Kind
-from facerender.scenes.part import Part
-from facerender.scenes.setup import Area, TriangleSetup
-from facerender.scenes.texture import Texture, Wrap
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
+from facerender.mesh.setup import Area, TriangleSetup
 from facerender.system.process import give_back, unload
+from facerender.texture.mips import Kind
+from facerender.texture.texture import Texture, Wrap
 
 if TYPE_CHECKING:
-    from facerender.scenes.environment import Panorama
+    from facerender.scene.environment import Panorama
 
 # Largest number of cached programs, unless one frame needs more.
 MOST_PROGRAMS = 64

@@ -33,15 +33,15 @@ from facerender.drawing.program import (
     surface_features,
 )
 from facerender.errors import InputError
-from facerender.scenes.light import LightSpace
-from facerender.scenes.material import Material
-from facerender.scenes.scattering import Scattering
-from facerender.scenes.scene import Only, Scene
-from facerender.scenes.setup import Area
-from facerender.scenes.vectors import Vector
-from facerender.scenes.view import View
-from facerender.shading import Shading
+from facerender.material import Material
+from facerender.mesh.setup import Area
+from facerender.scene.light import LightSpace
+from facerender.scene.scattering import Scattering
+from facerender.scene.scene import Only, Scene
+from facerender.scene.shading import Shading
+from facerender.scene.view import View
 from facerender.terms.transport import scatter_uniforms
+from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:
     from facerender.drawing.refraction import Refraction

@@ -22,21 +22,21 @@ from facerender.drawing.prepare import ResolvedPart, resolved_parts
 from facerender.drawing.program import fixed_attributes, part_uniforms, surface_features
 from facerender.errors import InputError, warn
 from facerender.glsl.library import call, shader_dir, shader_source, term_source
-from facerender.job import Job, MeshFile
+from facerender.material import MAPS, Material
+from facerender.mesh.mesh import Mesh, drawn_alpha, slope_range
 from facerender.page import document
-from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
-from facerender.scenes.file import ImageSettings, Pose, part_text, toml_text
-from facerender.scenes.light import LIGHT_KINDS, Light
-from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, drawn_alpha, slope_range
-from facerender.scenes.mips import Kind
-from facerender.scenes.scene import Scene
-from facerender.scenes.texture import Texture
-from facerender.scenes.view import FRAMING_MARGIN, region_of, target_of
-from facerender.shading import SMALL_SLOPE, Shading, Term
+from facerender.scene.camera import AZIMUTHS_BY_NAME, Camera
+from facerender.scene.file import ImageSettings, Pose, part_text, toml_text
+from facerender.scene.job import Job, MeshFile
+from facerender.scene.light import LIGHT_KINDS, Light
+from facerender.scene.scene import Scene
+from facerender.scene.shading import SMALL_SLOPE, Shading, Term
+from facerender.scene.view import FRAMING_MARGIN, region_of, target_of
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
-from facerender.terms.ranges import EXPOSURES, range_of, ranges_of
+from facerender.texture.mips import Kind
+from facerender.texture.texture import Texture
+from facerender.values.ranges import EXPOSURES, range_of, ranges_of
 
 STEPS = 2**16 - 1  # Positions: 2.6 micrometres each on a head.
 LARGEST_MAP = 2048  # Texels per side; every WebGL 2 implementation supports it.

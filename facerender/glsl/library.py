@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 from facerender import __version__
 from facerender.errors import InputError, check_known, check_type
 from facerender.glsl.includes import Includes, Preprocessor, decoded
-from facerender.shading import SMALL_SLOPE, Term
+from facerender.scene.shading import SMALL_SLOPE, Term
 from facerender.system.files import data_dir
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.lobe import SLOPES, TITLES, Entry

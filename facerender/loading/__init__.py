@@ -39,12 +39,12 @@ from facerender.loading.source import (
     no_faces,
     source_of,
 )
-from facerender.scenes.hints import gloss_of
-from facerender.scenes.mesh import Mesh, names_of
-from facerender.scenes.repair import Piece, clean, in_space_order, placed
-from facerender.scenes.texture import LARGE, Texture
-from facerender.scenes.vectors import ROTATIONS
+from facerender.mesh.hints import gloss_of
+from facerender.mesh.mesh import Mesh, names_of
+from facerender.mesh.repair import Piece, clean, in_space_order, placed
 from facerender.system.files import read_file
+from facerender.texture.texture import LARGE, Texture
+from facerender.values.vectors import ROTATIONS
 
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def _pieces(
     cache does not need them.
 
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
-    axes : see :func:`facerender.scenes.vectors.axes_of`
+    axes : see :func:`facerender.values.vectors.axes_of`
     """
     read: Callable[[bytes, References, bool], Sequence[Piece]]
     if suffix in GLTF:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from facerender.errors import clipped, warn
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.material import MAPS, PRESETS, SKIN_ALBEDO, changed
-from facerender.scenes.repair import Piece
-from facerender.scenes.texture import Texture
+from facerender.material import MAPS, PRESETS, SKIN_ALBEDO, changed
+from facerender.mesh.repair import Piece
+from facerender.texture.texture import Texture
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 _SIDES = {"l", "r", "left", "right", "upper", "lower"}

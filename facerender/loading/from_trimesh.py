@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
-from facerender.scenes.material import MAPS, Material
-from facerender.scenes.repair import Piece, check_count, placed, with_face_colors
-from facerender.scenes.texture import Texture, profile_of
+from facerender.material import MAPS, Material
+from facerender.mesh.repair import Piece, check_count, placed, with_face_colors
+from facerender.texture.texture import Texture, profile_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -47,7 +47,7 @@ def pieces_of(
 ) -> list[Piece]:
     """Return a copy of every mesh instance that has faces.
 
-    axes : see :func:`facerender.scenes.vectors.axes_of`
+    axes : see :func:`facerender.values.vectors.axes_of`
 
     Raises
     ------

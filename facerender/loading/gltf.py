@@ -16,11 +16,11 @@ from facerender.loading.gltf_accessors import Buffers, RigReader
 from facerender.loading.gltf_document import EXTENSIONS, Doc, chunks, damaged, document_of
 from facerender.loading.gltf_material import Materials
 from facerender.loading.source import References
-from facerender.scenes.framing import names_head
-from facerender.scenes.material import MAPS, Material
-from facerender.scenes.repair import Piece, check_count, placed
-from facerender.scenes.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, morphed, skinned
-from facerender.scenes.vectors import transformed
+from facerender.material import MAPS, Material
+from facerender.mesh.framing import names_head
+from facerender.mesh.repair import Piece, check_count, placed
+from facerender.mesh.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, morphed, skinned
+from facerender.values.vectors import transformed
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 _TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
@@ -37,7 +37,7 @@ def scene_nodes(
     """Return the nodes of a checked document's scene as a skeleton without clips, their world
     matrices (4, 4), and the visible nodes. Without a scene, all nodes are used.
 
-    axes : see :func:`facerender.scenes.vectors.axes_of`
+    axes : see :func:`facerender.values.vectors.axes_of`
 
     The matrices are keyed by the node's index, parents first. A node is visible if it and all of
     its ancestors are (KHR_node_visibility).
@@ -192,7 +192,7 @@ def read_gltf(
 
     references : reader of the buffers and images that are separate files
     albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
-    axes : see :func:`facerender.scenes.vectors.axes_of`
+    axes : see :func:`facerender.values.vectors.axes_of`
 
     Raises
     ------

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped
 from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc, check_conversion, checked
 from facerender.loading.source import References, inline
-from facerender.scenes.repair import unique
-from facerender.scenes.rig import Clip, Interpolation, Path, Shape, Track
+from facerender.mesh.repair import unique
+from facerender.mesh.rig import Clip, Interpolation, Path, Shape, Track
 from facerender.system.meshoptimizer import library
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from facerender.errors import InputError, clipped, warn
 from facerender.loading.gltf_accessors import Buffers
 from facerender.loading.gltf_document import EXTENSIONS, Doc
 from facerender.loading.source import inline, missing_image, opened_image
-from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
-from facerender.scenes.texture import Texture, Wrap
-from facerender.scenes.vectors import MOST_RADIANCE
-from facerender.terms.ranges import range_of
+from facerender.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
+from facerender.texture.texture import Texture, Wrap
+from facerender.values.ranges import range_of
+from facerender.values.vectors import MOST_RADIANCE
 
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
 _Channel = int | Literal["alpha"] | None  # None: the colours

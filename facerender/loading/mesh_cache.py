@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.errors import FacerenderError, warn
 from facerender.loading.source import Source, content_of
-from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.mips import Kind, Levels
-from facerender.scenes.texture import LARGE, Texture, pack
-from facerender.scenes.vectors import Vector, axes_of
+from facerender.material import MAPS, PROPERTY_MAPS, Material
+from facerender.mesh.mesh import Mesh
 from facerender.system import cache
 from facerender.system.files import digest_of
+from facerender.texture.mips import Kind, Levels
+from facerender.texture.texture import LARGE, Texture, pack
+from facerender.values.vectors import Vector, axes_of
 
 _FOLDER = "meshes"
 _ALIGNMENT = 64
@@ -45,12 +45,12 @@ _CHAINS: dict[str, Kind] = {
     "normal_map": "normal",
     **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
-# Keyed by class of a stored value: its module in scenes. Most meshes have no rig: its import takes
+# Keyed by class of a stored value: its module. Most meshes have no rig: its import takes
 # 5 ms.
 _MODULES = {
-    **{"Geometry": "geometry", "Material": "material", "Mesh": "mesh"},
-    **dict.fromkeys(("Part", "Region"), "part"),
-    **dict.fromkeys(("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track"), "rig"),
+    **{"Geometry": "mesh.geometry", "Material": "material", "Mesh": "mesh.mesh"},
+    **dict.fromkeys(("Part", "Region"), "mesh.part"),
+    **dict.fromkeys(("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track"), "mesh.rig"),
 }
 
 
@@ -143,9 +143,10 @@ def _code() -> list[tuple[str, int, int]]:
     reads meshes or decodes images."""
     specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
     paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
-    for folder in ("images", "loading", "scenes"):
+    for folder in ("images", "loading", "mesh", "texture", "values"):
         paths += sorted((_PACKAGE / folder).glob("*.py"))
-    files = ((path, path.stat()) for path in (*paths, _PACKAGE / "system/files.py"))
+    paths += [_PACKAGE / "material.py", _PACKAGE / "system/files.py"]
+    files = ((path, path.stat()) for path in paths)
     return [(str(path), status.st_size, status.st_mtime_ns) for path, status in files]
 
 
@@ -230,7 +231,7 @@ def _decoded(head: bytes, content: memoryview, start: int) -> dict[str, Any]:
             value = texture.sampled(attributes["wrap"], attributes["nearest"])
         else:
             packed = attributes.pop("property_map", None)
-            module = import_module(f"facerender.scenes.{_MODULES[name]}")
+            module = import_module(f"facerender.{_MODULES[name]}")
             value = getattr(module, name)(**attributes)
             if packed is not None:  # the material finds it instead of packing the maps again
                 red, green, blue = value.properties

@@ -17,10 +17,10 @@ from facerender.errors import clipped, warn
 from facerender.images.image import srgb_to_linear
 from facerender.loading.conventions import preset_for
 from facerender.loading.source import References, text_of
-from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
-from facerender.scenes.texture import Texture
-from facerender.scenes.vectors import MOST_RADIANCE, Vector
+from facerender.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
+from facerender.texture.texture import Texture
+from facerender.values.vectors import MOST_RADIANCE, Vector
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -255,7 +255,7 @@ class Library:
 
     def ignores_ks(self, name: str) -> bool:
         """Return whether Ks of a material is 0 without a map. Many exporters write this by default,
-        so that skin gets its highlights nevertheless; see :func:`facerender.scenes.hints.no_ks`."""
+        so that skin gets its highlights nevertheless; see :func:`facerender.mesh.hints.no_ks`."""
         statements = self.materials.get(name, {})
         ks = self._numbers(statements, "ks")
         return bool(ks) and not any(ks) and "map_ks" not in statements

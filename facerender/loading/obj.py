@@ -20,8 +20,8 @@ from facerender.errors import InputError, warn
 from facerender.images.image import srgb_to_linear
 from facerender.loading.mtl import Library
 from facerender.loading.source import References, color_bytes, no_faces, text_of
-from facerender.scenes.material import MAPS
-from facerender.scenes.repair import Piece, check_count
+from facerender.material import MAPS
+from facerender.mesh.repair import Piece, check_count
 
 _INDENT, _COMMENT = re.compile(r"^ +", re.MULTILINE), re.compile(rb"#[^\n]*")
 _MAX_GROUPS = 256  # maximum number of parts: each part needs a draw call

@@ -17,9 +17,9 @@ from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
 from facerender.loading.obj import triangles_of, vertices_of
 from facerender.loading.source import TEXTURE_FILE, References, color_bytes, no_faces, text_of
-from facerender.scenes.material import Material
-from facerender.scenes.repair import Piece, check_count, subset, with_face_colors, with_faces
-from facerender.scenes.texture import Texture
+from facerender.material import Material
+from facerender.mesh.repair import Piece, check_count, subset, with_face_colors, with_faces
+from facerender.texture.texture import Texture
 
 _MAX_HEADER = 1 << 16  # longest header of a PLY file in bytes
 _TYPE = r"(?:u?(?:char|short|int|int8|int16|int32|int64)|float|float16|float32|float64|double)"

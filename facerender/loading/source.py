@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, check_path, clipped, reason, shown, warn
 from facerender.images.files import TooLarge, open_image
 from facerender.loading.gltf_document import chunks
-from facerender.scenes.texture import DECODERS
 from facerender.system.files import MOST, check_downloaded, data_dir, read_file, suffix_of
+from facerender.texture.texture import DECODERS
 
 if TYPE_CHECKING:
     from PIL.Image import Image

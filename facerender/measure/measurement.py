@@ -35,12 +35,12 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.image import encode_srgb8
 from facerender.lobes import AnyLobe
+from facerender.mesh.mesh import Mesh
 from facerender.pricing import cost
 from facerender.pricing.cost import PRINTED, Interval, Variant, lobe_terms, of_model, terms
-from facerender.scenes.camera import Camera
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import Scene
-from facerender.shading import SMALL_SLOPE, Shading
+from facerender.scene.camera import Camera
+from facerender.scene.scene import Scene
+from facerender.scene.shading import SMALL_SLOPE, Shading
 from facerender.system.process import Progress, no_progress
 from facerender.terms import LOBES
 

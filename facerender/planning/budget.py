@@ -16,7 +16,7 @@ from facerender.comparison import pictures
 from facerender.comparison.windows import FLOOR
 from facerender.errors import InputError
 from facerender.images.image import linear_to_srgb
-from facerender.terms.ranges import EXPOSURES
+from facerender.values.ranges import EXPOSURES
 
 Unit = Literal["display", "relative", "flip"]
 Float = NDArray[np.float64]

@@ -18,9 +18,9 @@ from facerender.drawing.prepare import resolve, simplify
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
-from facerender.scenes.lod import LevelOfDetail
-from facerender.scenes.scene import Scene
-from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
+from facerender.scene.detail import LevelOfDetail
+from facerender.scene.scene import Scene
+from facerender.scene.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.lobe import G_POWERS, fit_g_power
 

@@ -21,9 +21,9 @@ from facerender.planning.candidates import (
     with_decisions,
 )
 from facerender.planning.search import Choice
-from facerender.scenes.light import LIGHTS, Light
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.scene.light import LIGHTS, Light
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 
 ErrorOf = Callable[[Shading], float]
 

@@ -23,6 +23,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, check_type, each_of
 from facerender.glsl.library import Language, Target, call, term_source
 from facerender.images.files import save_png
+from facerender.mesh.mesh import drawn_alpha
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
 from facerender.planning.decisions import Decision, decisions, details
@@ -37,16 +38,15 @@ from facerender.planning.search import (
     saves,
 )
 from facerender.pricing.table import FRAME, TABLE
-from facerender.scenes.camera import Camera, cameras_of, orbiting
-from facerender.scenes.file import scene_toml
-from facerender.scenes.lod import LevelOfDetail, Planned
-from facerender.scenes.mesh import drawn_alpha
-from facerender.scenes.scene import Scene
-from facerender.scenes.texture import Texture
-from facerender.shading import Shading
+from facerender.scene.camera import Camera, cameras_of, orbiting
+from facerender.scene.detail import LevelOfDetail, Planned
+from facerender.scene.file import scene_toml
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
 from facerender.system.process import Progress, no_progress
+from facerender.texture.texture import Texture
 
 # Colour ramp of an error map: errors as fractions of the budget, the colours of these errors, and
 # the colour of errors beyond the budget.

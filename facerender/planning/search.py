@@ -28,9 +28,9 @@ from facerender.planning.candidates import (
 )
 from facerender.pricing.cost import Frames, Interval, Line, relative, seconds
 from facerender.pricing.table import NoPrice, load_prices
-from facerender.scenes.lod import LevelOfDetail
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.scene.detail import LevelOfDetail
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 from facerender.system.process import Progress
 
 _VIEWPOINTS, _REPEATS = 3, 5

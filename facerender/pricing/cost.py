@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.renderer import Renderer
 from facerender.glsl.library import defines, lobe_macros, resolve_includes
-from facerender.scenes.camera import Camera
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.part import Part
-from facerender.scenes.scene import Scene
-from facerender.shading import SMALL_SLOPE, Shading
+from facerender.material import Material
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
+from facerender.scene.camera import Camera
+from facerender.scene.scene import Scene
+from facerender.scene.shading import SMALL_SLOPE, Shading
 from facerender.terms import LOBES, MODELS
 
 

@@ -34,19 +34,19 @@ from facerender.drawing.resources import Resources, set_uniforms
 from facerender.drawing.shade import with_shadows
 from facerender.errors import InputError, check_known
 from facerender.glsl.library import call, prelude
+from facerender.material import PROPERTY_MAPS, Material
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock_of, slopes
-from facerender.scenes.environment import Environment, studio
-from facerender.scenes.geometry import Geometry
-from facerender.scenes.light import LIGHT_KINDS
-from facerender.scenes.material import PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.part import Part
-from facerender.scenes.scene import Scene
-from facerender.scenes.texture import Texture
-from facerender.scenes.view import View
-from facerender.shading import Shading, Term
+from facerender.scene.environment import Environment, studio
+from facerender.scene.light import LIGHT_KINDS
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading, Term
+from facerender.scene.view import View
 from facerender.terms import lobe_entry
+from facerender.texture.texture import Texture
 
 FEW = 2  # environment samples; compilers unroll a loop over two samples
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))

@@ -1,7 +1,7 @@
 """Integrals of the models over directions, in float64: directional albedo, importance sampling and
 environment lighting. References for ``albedo.glsl``, ``*_sample.glsl`` and ``environment.glsl``.
 
-``scenes/environment.py`` computes the maps and coefficients of an environment,
+``scene/environment.py`` computes the maps and coefficients of an environment,
 ``tools/fits/albedo.py`` the fit of the albedo. Sampled models have the exact lobe; Cook-Torrance
 has V-cavity masking. Vectors have the shape (..., 3), random numbers (..., 2) or (..., 3), m (...);
 the leading axes broadcast against one another. ``brdf.NAME`` is ``fr_NAME`` in GLSL, with the same
@@ -272,7 +272,7 @@ def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: A
 
     Parameters
     ----------
-    map : all levels side by side, (size + 2, W, 3), see ``scenes.environment.atlas``
+    map : all levels side by side, (size + 2, W, 3), see ``scene.environment.atlas``
     size : side of the first level in texels, a power of two
     l : unit vectors (..., 3)
     solid_angle : in sr, (...)

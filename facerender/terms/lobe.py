@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_known
-from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
+from facerender.values.ranges import IntegerRange, Range, check_fields, ranged
 
 ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
 

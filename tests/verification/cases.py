@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender import brdf, lobes, resolve_includes
 from facerender.glsl import library
 from facerender.lobes import AnyLobe, GPower
-from facerender.shading import Term
+from facerender.scene.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, environment, lobe_entry, transport
 from facerender.terms.lobe import TINY, ULP, power_error
 from tests.verification.evaluate import WIDTH, Inputs

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.shading import Term
+from facerender.scene.shading import Term
 from facerender.terms import FRESNEL, MASKING, MODELS, lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
 from tests.verification.cases import ALL_LOBES, F0, Case, Each

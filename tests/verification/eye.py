@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.part import Part
-from facerender.scenes.vectors import unit
+from facerender.material import Material
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
+from facerender.values.vectors import unit
 
 CORNEA, SCLERA = 7.8, 12.0  # radii of the spheres
 DEPTH, RIM = 3.6, 6.0  # iris plane below the apex; radius of the iris and of the cornea's rim

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from facerender.scenes.light import LIGHTS
+from facerender.scene.light import LIGHTS
 
 # The lights with names, without area and shadows.
 PLAIN = {name: replace(each, radius=0.0, shadow=False) for name, each in LIGHTS.items()}

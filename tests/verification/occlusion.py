@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.renderer import Renderer
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.occlusion import with_occlusion
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.occlusion import with_occlusion
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 from tests.verification.shadows import blocking, tracer_of
 
 Float = NDArray[np.float64]

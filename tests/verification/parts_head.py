@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.scenes.material import Alpha, Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.part import Part
-from facerender.scenes.texture import Texture
+from facerender.material import Alpha, Material
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
+from facerender.texture.texture import Texture
 from tests.meshes import with_geometry
 
 Floats = NDArray[np.float64]

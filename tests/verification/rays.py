@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.batch.outputs import camera_facts
-from facerender.scenes.mesh import drawn_alpha
+from facerender.mesh.mesh import drawn_alpha
 
 Float = NDArray[np.float64]
 Size = tuple[int, int]

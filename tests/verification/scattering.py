@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.image import linear_to_srgb
-from facerender.scenes.camera import Camera
-from facerender.scenes.light import Light
-from facerender.scenes.material import SKIN_ALBEDO
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.scattering import scattering_of
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.material import SKIN_ALBEDO
+from facerender.mesh.mesh import Mesh
+from facerender.scene.camera import Camera
+from facerender.scene.light import Light
+from facerender.scene.scattering import scattering_of
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 from facerender.terms.transport import Gaussians, rest, scatter, scatter_area
 from tests.meshes import with_geometry
 from tests.verification.shadows import tracer_of

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.renderer import Renderer
-from facerender.scenes.light import Light, light_axes
-from facerender.scenes.mesh import Mesh, drawn_alpha
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.mesh.mesh import Mesh, drawn_alpha
+from facerender.scene.light import Light, light_axes
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 
 Float = NDArray[np.float64]
 

@@ -30,8 +30,8 @@ from benchmarks.skin import subjects
 from benchmarks.skin_environment import sky
 from facerender.commands import main as main_command
 from facerender.images.image import encode_srgb8
-from facerender.scenes.environment import studio
-from facerender.scenes.texture import Texture
+from facerender.scene.environment import studio
+from facerender.texture.texture import Texture
 from tests.verification.scan import load_scan, scan_folder
 from tests.verification.slope_filter import Bench, relief
 
@@ -68,7 +68,7 @@ def explorer() -> None:
     from playwright.sync_api import sync_playwright
 
     from facerender.explorer.page import explorer_page
-    from facerender.job import Job
+    from facerender.scene.job import Job
     from tests.verification import chromium
 
     page = DOCS / "explorer.html"

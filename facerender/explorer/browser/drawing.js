@@ -1,5 +1,5 @@
 // Draws images A and B and their error into float targets, and the visible image on the canvas:
-// mesh, maps and GLSL of the page's data, cameras and lights as in scenes/view.py and scenes/light.py,
+// mesh, maps and GLSL of the page's data, cameras and lights as in scene/view.py and scene/light.py,
 // and WebGL 2.
 const MOST_SAMPLES = 4;
 const ATTRIBUTES = ["in_position", "in_normal", "in_uv", "in_occlusion", "in_color"];

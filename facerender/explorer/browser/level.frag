@@ -1,6 +1,6 @@
 // Computes a mip level of a normal map from the next finer level. RGB is the direction of the mean
 // vector. A is the standard deviation of the slopes in the texel, divided by FR_MAP_DEVIATION from
-// facerender/slope_variance.glsl. scenes/mips.py computes A from the length of the mean vector in the
+// facerender/slope_variance.glsl. texture/mips.py computes A from the length of the mean vector in the
 // same way.
 uniform sampler2D finer;
 uniform bool finest;  // whether `finer` is level 0, which has unit vectors

@@ -33,7 +33,7 @@ Point point(uint triangle) {
     p.inside = across > 0.0;
     // The ray may intersect the plane of an edge-on triangle at any distance. The distance is
     // clamped to [1e-3, 1]: 1 is the far plane, and nothing is drawn nearer than 1e-3
-    // (scenes/view.py).
+    // (scene/view.py).
     if (abs(across) < 1e-7) across = 1e-7;
     float distance = clamp((plane.w - dot(camera_position, plane.xyz)) / across, 1e-3, 1.0);
     p.position = camera_position + distance * direction;

@@ -14,10 +14,10 @@ from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
 from facerender.images.files import save_exr
-from facerender.scenes.file import scene_toml
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.mesh.mesh import Mesh
+from facerender.scene.file import scene_toml
+from facerender.scene.scene import Scene
+from facerender.scene.shading import Shading
 from tests import awkward_files as files
 
 

@@ -24,10 +24,10 @@ from facerender.commands import main
 from facerender.drawing import shade
 from facerender.errors import FacerenderError, InputError
 from facerender.images.files import read_image
-from facerender.scenes import framing
-from facerender.scenes.environment import EnvironmentFile, load_environment
-from facerender.scenes.file import load_scene
-from facerender.scenes.vertices import posed
+from facerender.mesh import framing
+from facerender.scene.environment import EnvironmentFile, load_environment
+from facerender.scene.file import load_scene
+from facerender.scene.vertices import posed
 from tests.verification.fuzz import seeds
 
 SLOW = 10.0  # seconds of processor time per input; waiting is limited by HANGS

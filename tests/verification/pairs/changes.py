@@ -17,7 +17,7 @@ from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
 import facerender as fr
 from facerender.images.files import png_bytes
-from facerender.scenes.part import Part
+from facerender.mesh.part import Part
 from tests.meshes import with_geometry
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.part import Part
-from facerender.scenes.texture import Texture
+from facerender.material import Material
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.part import Part
+from facerender.texture.texture import Texture
 from tests.verification.parts_head import Floats, ball, hairs, joined, surface, texture
 
 CELL = 0.011  # metres

@@ -20,8 +20,8 @@ import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.program import Program
-from facerender.scenes.scene import Scene
-from facerender.scenes.view import View, sample_grid, view_of
+from facerender.scene.scene import Scene
+from facerender.scene.view import View, sample_grid, view_of
 from tests.verification.pairs.scenes import Setting
 
 Linear = NDArray[np.float32]

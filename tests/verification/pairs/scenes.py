@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 import facerender as fr
-from facerender.scenes.environment import studio
-from facerender.scenes.vectors import Vector
+from facerender.scene.environment import studio
+from facerender.values.vectors import Vector
 from tests.verification.pairs.heads import JUDGED, makehuman_folder
 from tests.verification.parts_head import parts_head
 from tests.verification.scan import load_scan, scan_folder

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from facerender.loading.conventions import KNOWN
-from facerender.scenes.material import COMMON, PRESETS
+from facerender.material import COMMON, PRESETS
 
 
 def blocks() -> dict[str, str]:

@@ -12,7 +12,7 @@ from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
 from facerender.measure.report import Table, cost_tables, error_tables, tables_of
 from facerender.pricing.cost import SLOPE, Interval, Variant
 from facerender.pricing.table import shipped, term_name
-from facerender.shading import Term
+from facerender.scene.shading import Term
 from tools.docs.measurement import measurement_of
 from tools.docs.tables import load, markdown_table, published
 

@@ -9,14 +9,14 @@ from functools import cache
 
 from facerender.commands import parser_of
 from facerender.commands.output import commands_of, groups_of
-from facerender.job import MeshFile
-from facerender.scenes.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
-from facerender.scenes.environment import STUDIO, EnvironmentFile
-from facerender.scenes.file import ImageSettings, Pose
-from facerender.scenes.light import LIGHTS, Light
-from facerender.scenes.material import MAPS, PRESETS, Material
-from facerender.scenes.scene import ONLY, Scene
-from facerender.shading import DIFFUSE, OUTSIDE, Shading, Term
+from facerender.material import MAPS, PRESETS, Material
+from facerender.scene.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
+from facerender.scene.environment import STUDIO, EnvironmentFile
+from facerender.scene.file import ImageSettings, Pose
+from facerender.scene.job import MeshFile
+from facerender.scene.light import LIGHTS, Light
+from facerender.scene.scene import ONLY, Scene
+from facerender.scene.shading import DIFFUSE, OUTSIDE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
 from facerender.terms.transport import PROFILES
 from tools.docs.tables import markdown_table

@@ -1,0 +1,322 @@
+"""Materials: the reflectance factors and the maps of a part, and presets of factors under a name.
+
+``loading/conventions.py`` gives parts presets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from facerender.errors import InputError, check_known, check_type, parameters, short_repr, shown
+from facerender.terms.lobe import MIN_SLOPE, SLOPES
+from facerender.texture.texture import MOST_TEXELS, Texture, pack
+from facerender.values.ranges import FRACTION, Range, check_fields, ranged
+from facerender.values.vectors import COLORS, MOST_RADIANCE, Vector
+
+if TYPE_CHECKING:
+    from facerender.terms.transport import Gaussians
+
+
+SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear RGB; default of meshes without colours
+
+Alpha = Literal["opaque", "mask", "blend"]
+
+# Maps that can be packed in the red, green and blue channels of one texture.
+PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
+MAPS = (
+    *("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"),
+    *("lobe_map", "opacity_map", "emissive_map"),
+)
+MAX_NORMAL_STRENGTH = 100.0
+WEIGHTS = Range(0.0, 1e6)  # specular and diffuse weights
+
+
+@dataclass(frozen=True)
+class Material:
+    """Reflectance of a part: factors and maps.
+
+    Parameters
+    ----------
+    albedo : fraction of light that is reflected diffusely, linear RGB
+    m : roughness, the RMS slope of the microfacets, in [1e-4, 2]; unused with a roughness map
+    roughness_factor : factor on the roughness map, in [0, 1]; m = (factor * texel)^2, as in glTF
+    f0 : Fresnel reflectance at normal incidence, in [0, 1)
+    ks, kd : specular and diffuse weights, >= 0. A bare dielectric has ks = 1. For powdered skin,
+        GPU Gems 3, chapter 14, gives ks = 0.18.
+    second_slope : second specular lobe's m / first lobe's m, in [0.01, 100]; 1 for no second lobe
+    lobe_weight : fraction of ks that the first lobe gets, in [0, 1]; 1 for no second lobe
+    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Of these,
+        only the albedo map is sRGB-encoded. Albedo map and specular map multiply albedo and ks. The
+        normal map has green pointing up. The occlusion map dims ambient light.
+    lobe_map : texture or None. The red channel multiplies 1 - lobe_weight, the second lobe's
+        fraction of ks: white for sweat or oil, black for dry skin.
+    scattering : subsurface scattering: "skin", Gaussians, or None or "none" for no scattering. A
+        Gaussian has a variance in mm^2 and weights of red, green and blue. For each channel the sum
+        of all Gaussians' weights is at most 1; the remaining light leaves where it enters.
+    alpha : use of the opacity: "opaque" ignores it; "mask" discards fragments with an opacity below
+        ``alpha_cutoff``; "blend" makes the part transparent. A transparent part is drawn after all
+        other parts, casts no shadow and does not scatter.
+    opacity : opacity of the part, in [0, 1]; 1 is opaque
+    alpha_cutoff : smallest opacity that "mask" draws, >= 0
+    opacity_map : grey texture or None; multiplies the opacity
+    emissive : emitted linear radiance, >= 0; it does not light other surfaces
+    emissive_map : sRGB-encoded texture or None; multiplies emissive
+    normal_strength : factor on x and y of the normal map's texels, in [0, 100]
+    occlusion_strength : strength s of the occlusion map, in [0, 1]; occlusion = 1 + s (texel - 1)
+    second_uv : names of the maps that use the part's second texture coordinates
+    transmission : fraction of the diffuse light that passes through the surface instead, in [0, 1],
+        as in KHR_materials_transmission of glTF. The diffuse term is multiplied by
+        1 - transmission, the specular term is not. A part with transmission casts no shadow. With
+        ``refraction`` 1 it is drawn as a transparent part, whatever ``alpha`` is
+    refraction : index of refraction behind a surface with transmission, in [1, 3]; 1 is a thin
+        surface, which does not bend light
+    double_sided : whether back faces are drawn, as doubleSided of glTF. None: a new mesh sets it to
+        false if the part belongs to closed surfaces, otherwise to true. Both sides cast shadows
+    """
+
+    albedo: Vector = ranged(COLORS, SKIN_ALBEDO)
+    m: float = ranged(SLOPES, 0.3)
+    roughness_factor: float = ranged(FRACTION, 1.0)
+    f0: float = ranged(Range(0.0, 0.999), 0.028)
+    ks: float = ranged(WEIGHTS, 1.0)
+    kd: float = ranged(WEIGHTS, 1.0)
+    second_slope: float = ranged(Range(0.01, 100.0), 1.0)
+    lobe_weight: float = ranged(FRACTION, 1.0)
+    albedo_map: Texture | None = None
+    normal_map: Texture | None = None
+    roughness_map: Texture | None = None
+    specular_map: Texture | None = None
+    occlusion_map: Texture | None = None
+    lobe_map: Texture | None = None
+    scattering: str | Gaussians | None = None
+    alpha: Alpha = "opaque"
+    opacity: float = ranged(FRACTION, 1.0)
+    alpha_cutoff: float = ranged(Range(0.0, MOST_RADIANCE), 0.5)
+    opacity_map: Texture | None = None
+    emissive: Vector = ranged(COLORS, (0.0, 0.0, 0.0))
+    emissive_map: Texture | None = None
+    normal_strength: float = ranged(Range(0.0, MAX_NORMAL_STRENGTH), 1.0)
+    occlusion_strength: float = ranged(FRACTION, 1.0)
+    second_uv: tuple[str, ...] = ()
+    transmission: float = ranged(FRACTION, 0.0)
+    refraction: float = ranged(Range(1.0, 3.0), 1.0)
+    double_sided: bool | None = None
+
+    __repr__ = short_repr
+    __getstate__ = parameters
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.two_lobes and self.roughness_map is None:
+            SLOPES.check("m times second_slope", self.m * self.second_slope)
+        check_known("alpha", self.alpha, get_args(Alpha))
+        names = self.second_uv
+        names = names.split(",") if isinstance(names, str) else names  # the text of --part
+        if not isinstance(names, tuple | list) or any(name not in MAPS for name in names):
+            raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
+        object.__setattr__(self, "second_uv", tuple(names))
+        remedy = "facerender.Texture.open(FILE) or None"
+        for name in MAPS:
+            check_type(name, getattr(self, name), Texture | None, remedy)
+        for name in ("albedo_map", "emissive_map"):
+            if (texture := getattr(self, name)) is not None:
+                object.__setattr__(self, name, texture.in_srgb())
+        if self.scattering is not None:
+            from facerender.terms.transport import profile_of
+
+            none = isinstance(self.scattering, str) and self.scattering == "none"
+            object.__setattr__(self, "scattering", None if none else profile_of(self.scattering))
+
+    @property
+    def two_lobes(self) -> bool:
+        """Whether there is a second lobe that differs from the first."""
+        return self.second_slope != 1.0 and self.lobe_weight < 1.0
+
+    def with_second(self, low: float, high: float) -> tuple[float, float]:
+        """Return the range of m over both lobes, if m of the first lobe is in [low, high]."""
+        if not self.two_lobes:
+            return low, high
+        second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
+        slopes = (low, high, *second)
+        return min(slopes), max(slopes)
+
+    @cached_property
+    def slopes(self) -> tuple[float, float]:
+        """Smallest and largest m over both lobes. Decodes the roughness map if there is one."""
+        if self.roughness_map is None:
+            return self.with_second(self.m, self.m)
+        packed = self.property_map
+        texels = packed.ends()[:, 1] if packed else self.roughness_map.ends()[:, 0]
+        roughness = (self.roughness_factor * float(end) / 255.0 for end in texels)
+        low, high = (max(end**2, MIN_SLOPE) for end in roughness)
+        return self.with_second(low, high)
+
+    @cached_property
+    def property_map(self) -> Texture | None:
+        """Occlusion, roughness and specular map packed in one texture, to save texture fetches.
+        None without any of these maps, or if they differ in wrap mode, filtering or coordinates.
+        Materials with the same maps share this texture.
+        """
+        return pack(*self.properties) if self.packs else None
+
+    @property
+    def properties(self) -> tuple[Texture | None, Texture | None, Texture | None]:
+        """The maps named in PROPERTY_MAPS."""
+        return self.occlusion_map, self.roughness_map, self.specular_map
+
+    @property
+    def packs(self) -> bool:
+        """Whether the maps in PROPERTY_MAPS are packed in one texture."""
+        pairs = zip(PROPERTY_MAPS, self.properties, strict=True)
+        return len({(name in self.second_uv, m.sampling) for name, m in pairs if m}) == 1
+
+    def by_second(self, name: str) -> bool:
+        """Return whether a map of MAPS, or "property_map", uses the second texture coordinates."""
+        names = PROPERTY_MAPS if name == "property_map" else (name,)
+        return any(n in self.second_uv and getattr(self, n) is not None for n in names)
+
+    @property
+    def thin(self) -> bool:
+        """Whether light passes through the surface without being refracted."""
+        return self.transmission > 0.0 and self.refraction == 1.0
+
+    @property
+    def refracts(self) -> bool:
+        """Whether light passes through the surface and is refracted."""
+        return self.transmission > 0.0 and self.refraction > 1.0
+
+    @property
+    def emits(self) -> bool:
+        """Whether the surface shows light that it does not reflect: emitted or refracted light."""
+        return any(self.emissive) or self.refracts
+
+    @property
+    def diffuse_weight(self) -> float:
+        """Weight of the diffuse term."""
+        return self.kd * (1.0 - self.transmission)
+
+    @cached_property
+    def solid(self) -> bool:
+        """Whether the opacity has no visible effect. Decodes the opacity map if necessary."""
+        if self.alpha == "opaque":
+            return True
+        min_texel = 1.0
+        if self.opacity_map is not None:
+            min_texel = float(self.opacity_map.ends()[0, 0]) / 255.0
+        return self.opacity * min_texel >= (1.0 if self.alpha == "blend" else self.alpha_cutoff)
+
+
+def check_maps(name: str, materials: Sequence[Material]) -> None:
+    """Raise InputError if the maps of a mesh have more than MOST_TEXELS in total."""
+    maps: set[Texture | None] = set()
+    for material in materials:
+        names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if material.packs else MAPS
+        maps.update(getattr(material, name) for name in names)
+    if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MOST_TEXELS:
+        raise InputError(
+            f"the maps of {name} have {total / 1e6:.0f} million texels, more than "
+            f"{MOST_TEXELS / 1e6:.0f} million: make them smaller"
+        )
+
+
+CORNEA = 1.336  # index of the aqueous; one surface stands for cornea and aqueous
+TEAR = 1.337  # index of the tear film
+_ENAMEL, _KERATIN = 1.62, 1.55
+
+
+def reflectance(index: float) -> float:
+    """Return the Fresnel reflectance at normal incidence, seen from air, of an index of refraction
+    (at least 1)."""
+    return ((index - 1.0) / (index + 1.0)) ** 2
+
+
+# The fields that every preset sets: these values, unless the preset has its own.
+COMMON: dict[str, Any] = {
+    field.name: field.default
+    for field in fields(Material)
+    if field.name in ("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity")
+    or field.name in ("transmission", "refraction", "emissive")
+}
+_LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
+_SPECIFIC: dict[str, dict[str, Any]] = {
+    "skin": {"m": 0.3, "f0": 0.028, **_LOBES},
+    "lips": {"m": 0.2, "f0": 0.028, **_LOBES, "lobe_weight": 0.6},
+    "cornea": {"m": 0.03, "f0": reflectance(CORNEA), "transmission": 1.0, "refraction": CORNEA},
+    "tear": {"m": 0.03, "f0": reflectance(TEAR), "transmission": 1.0},
+    "sclera": {"albedo": (0.6, 0.55, 0.51), "m": 0.1, "f0": reflectance(TEAR)},
+    "iris": {"albedo": (0.15, 0.08, 0.035), "m": 0.3, "f0": 0.028, "ks": 0.0},
+    "eye-occlusion": {
+        **{"albedo": (0.0, 0.0, 0.0), "m": 0.3, "f0": 0.028, "ks": 0.0, "kd": 0.0},
+        **{"alpha": "blend", "opacity": 0.15},
+    },
+    "lashes": {
+        **{"albedo": (0.012, 0.009, 0.007), "m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.2},
+        **{"alpha": "blend", "opacity": 0.35},
+    },
+    "teeth": {"albedo": (0.6, 0.54, 0.44), "m": 0.12, "f0": reflectance(_ENAMEL)},
+    "hair-card": {"m": 0.3, "f0": reflectance(_KERATIN), "ks": 0.5, "alpha": "mask"},
+}
+PRESETS: Mapping[str, Mapping[str, Any]] = {k: {**COMMON, **v} for k, v in _SPECIFIC.items()}
+
+# Fields that need another field: the other field, and whether a material has it.
+_NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
+    "roughness_factor": ("a roughness map", lambda material: material.roughness_map is not None),
+    "normal_strength": ("a normal map", lambda material: material.normal_map is not None),
+    "occlusion_strength": ("an occlusion map", lambda material: material.occlusion_map is not None),
+    "alpha_cutoff": ("alpha mask", lambda material: material.alpha == "mask"),
+    "opacity": ("alpha blend or mask", lambda m: m.alpha != "opaque" or m.transmission > 0.0),
+    "refraction": ("transmission", lambda material: material.transmission > 0.0),
+}
+
+
+def preset(name: Any) -> Mapping[str, Any]:
+    """Return the fields of a preset; raise InputError if the name is unknown."""
+    check_known("preset", name, PRESETS)
+    return PRESETS[name]
+
+
+def changed(material: Material, table: Mapping[str, Any]) -> Material:
+    """Return a material with the values of a table.
+
+    A new ``m`` also removes the roughness map. A preset does not tint an albedo map, and does not
+    change how an opacity map is used.
+
+    Parameters
+    ----------
+    table : fields of :class:`Material`, and ``preset``, whose fields apply first
+
+    Raises
+    ------
+    InputError : the preset is unknown, a value is outside its range, or the table has both ``m``
+        and ``roughness_map``
+    """
+    values = dict(table)
+    if "m" in values and values.get("roughness_map") is not None:
+        pair = f"m = {shown(values['m'])} and roughness_map"
+        raise InputError(f"{pair} exclude each other: leave one out")
+    if (name := values.pop("preset", None)) is not None:
+        preset_fields = dict(preset(name))
+        if material.albedo_map is not None:
+            preset_fields.pop("albedo", None)
+        if material.opacity_map is not None and material.alpha != "opaque":
+            del preset_fields["alpha"], preset_fields["opacity"]
+        values = preset_fields | values
+    if "m" in values:
+        values = {"roughness_map": None, **values}
+    return replace(material, **values)
+
+
+def without_effect(
+    table: Mapping[str, Any], old: Sequence[Material], new: Sequence[Material]
+) -> Iterator[str]:
+    """Yield the names of the changed fields that have no effect, with the reason.
+
+    table, old, new : changes as in :func:`changed`, and the materials before and after
+    """
+    for name, (needed, has) in _NEEDED.items():
+        differs = name in table and any(table[name] != getattr(material, name) for material in old)
+        if differs and not any(map(has, new)):
+            yield f"{name} = {shown(table[name])} has no effect without {needed}"

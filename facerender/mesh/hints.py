@@ -1,0 +1,393 @@
+"""Hints: probable mistakes in a mesh or scene. Each function returns one line with the remedy, or
+None if nothing indicates a mistake. A wrong hint costs more than a missing one, so each
+function requires clear evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, clipped, note, warn
+from facerender.material import Material
+from facerender.mesh.geometry import Geometry
+from facerender.mesh.mesh import Mesh, blends_only, coordinates, largest_opacity
+from facerender.mesh.part import Part
+from facerender.mesh.repair import double_areas
+from facerender.texture.texture import Texture
+from facerender.values.ranges import range_of
+
+Float = NDArray[np.float64]
+_Pieces = Sequence[tuple[Part, Float]]
+
+HEAD = 230.0  # height of a head in mm, from chin to crown
+_HEADS = (100.0, 600.0)  # plausible heights of a head in mm, also with hair or a hat
+_RADII = (40.0, 1200.0)  # plausible radii of a mesh in mm, from a small head to a whole person
+_UNITS = {1.0: "mm", 10.0: "cm", 25.4: "inches", 1000.0: "m"}
+_NEAR = 1.5  # largest ratio of an estimated unit and the unit that is meant, with hair or a hat
+
+_MAP = 128  # largest side of the map's mip level that is compared with the mesh
+_NORMAL_MAP = 256  # largest side of the normal map's mip level that is examined
+_LEAST_FACES = 200  # minimum number of faces of the parts with one map
+_FACES, _VERTICES = 4096, 8192  # maximum numbers of examined faces and vertices
+_HASH = np.array([0.7548776662466927, 0.5698402909980532, 0.4301597090019468])
+_LEAST_SEAM = 100  # minimum number of vertex pairs on seams
+_APART = 0.02  # minimum distance between texture coordinates on the two sides of a seam
+
+_FAINT = 0.1  # a highlight below this fraction of the highlight of default skin is invisible
+
+_Hint = Callable[..., str | None]
+
+
+def gloss_of(material: Material) -> tuple[Any, ...]:
+    """Return the values of a highlight, for :attr:`Geometry.gloss`: highlights that a user sets get
+    no hint."""
+    return material.ks, material.f0, material.m, material.roughness_map
+
+
+def emit_all(mesh: Mesh) -> None:
+    """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
+    are not examined."""
+    maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
+    results = mesh.geometry.hints
+    if results.get("maps") != maps:
+        results |= {"maps": maps, "lines": [(h, h(mesh)) for h in (upside_down, green_down)]}
+    for hint, line in results["lines"]:
+        emit(mesh, hint, line)
+    emit(mesh, no_ks, no_ks(mesh))
+    gloss = mesh.geometry.gloss
+    if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
+        emit(mesh, faint, faint(mesh))
+
+
+def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
+    """Emit the result of a hint: as a warning once for each mesh, and for each image that records
+    its warnings."""
+    if line is not None:
+        emitted = mesh.geometry.emitted
+        (note if hint in emitted else warn)(line)
+        emitted.add(hint)
+
+
+def of_mesh(mesh: Mesh) -> list[str]:
+    """Return all hints on a mesh. Decodes the maps."""
+    of_maps = upside_down(mesh, True), green_down(mesh, True)
+    return [hint for hint in (*of_maps, no_ks(mesh), faint(mesh, True), wrong_unit(mesh)) if hint]
+
+
+def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if the texture coordinates are probably upside down.
+
+    Three properties of a map are compared between the coordinates and the same coordinates with
+    reversed v. The detail of the map correlates with the curvature of the mesh, because eyes, nose
+    and lips have both. The two sides of a seam have equal colours. The mesh covers little of the
+    map's uniform background. The first two can give the hint; all three can refute it.
+
+    decode : whether to decode maps that are not decoded yet; default false
+    """
+    best = 0.0, 0.0
+    for texture, pieces in _mapped(mesh).items():
+        image = _preview(texture, _MAP, decode)
+        few = sum(len(part.faces) for part, _ in pieces) < _LEAST_FACES
+        if few or image is None or min(image.shape[:2]) < 32:
+            continue
+        for original, reverse in _agreements(pieces, image):
+            if original > reverse:
+                return None
+            best = max(best, (original, reverse), key=lambda pair: pair[1] - pair[0])
+    if best == (0.0, 0.0):
+        return None
+    return (
+        f"the texture coordinates of {mesh.name} are probably upside down (agreement with the "
+        f"map: {best[0]:.2f}, with reversed v: {best[1]:.2f}): give --flip-v (flip_v=True), or "
+        "leave it out if you gave it"
+    )
+
+
+def _mapped(mesh: Mesh) -> dict[Texture, list[tuple[Part, Float]]]:
+    """Return the opaque parts with texture coordinates, keyed by their albedo map or, without
+    one, by their normal map."""
+    pieces_by_texture: dict[Texture, list[tuple[Part, Float]]] = {}
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        name = "albedo_map" if material.albedo_map else "normal_map"
+        texture, uv = getattr(material, name), coordinates(part, material, name)
+        if texture and uv is not None and material.alpha == "opaque":
+            pieces_by_texture.setdefault(texture, []).append((part, uv))
+    return pieces_by_texture
+
+
+def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[tuple[float, float]]:
+    """Yield clearly different agreements of mesh and map: as given, and with reversed v."""
+    faces = _sample(pieces)
+    original, reverse = detail = _detail(faces, image)
+    if max(detail) >= 0.3 and abs(original - reverse) >= 0.25:
+        yield detail
+    original, reverse = colours = _seam_colours(pieces, image)
+    if max(colours) >= 0.6 and abs(original - reverse) >= 0.4:
+        yield colours
+    original, reverse = _background(faces, image)
+    if reverse - original >= 0.15:  # the reverse proves little: dark clothes look like background
+        yield 1.0 - original, 1.0 - reverse
+
+
+def _sample(pieces: _Pieces) -> tuple[Float, Float, Float]:
+    """Return the texture coordinates (F, 2) of the centres of some faces, the areas of the faces,
+    and their curvature: difference of the vertex normals / size of the face."""
+    step = -(-sum(len(part.faces) for part, _ in pieces) // _FACES) or 1
+    centers, areas, curvature = [], [], []
+    for part, uv in pieces:
+        faces = part.faces[::step]
+        a, b, c = (part.positions[corner] for corner in faces.T)
+        area = np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
+        faces, area = faces[area > 0.0], area[area > 0.0]
+        a, b, c = (part.normals[corner] for corner in faces.T)
+        turns = sum(np.sqrt(((i - j) ** 2).sum(axis=1)) for i, j in ((a, b), (b, c), (c, a)))
+        centers.append((uv[faces[:, 0]] + uv[faces[:, 1]] + uv[faces[:, 2]]) / 3.0)
+        areas.append(area)
+        curvature.append(turns / np.sqrt(area))
+    return np.concatenate(centers), np.concatenate(areas), np.concatenate(curvature)
+
+
+def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the rank correlation of the map's detail with the curvature, and the same with
+    reversed v."""
+    centers, _, curvature = faces
+    if not len(curvature) or np.ptp(curvature) == 0.0:
+        return 0.0, 0.0
+    detail, curvature_ranks = _contrast(image), _ranks(curvature)
+    for axis in (0, 1):
+        detail = detail + np.roll(detail, 1, axis) + np.roll(detail, -1, axis)
+    original, reverse = (_ranks(_texels(detail, uv)) for uv in _both(centers))
+    return _correlation(curvature_ranks, original), _correlation(curvature_ranks, reverse)
+
+
+def _seam_colours(pieces: _Pieces, image: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the correlation of the colours on the two sides of seams, and the same with reversed
+    v. Both are 0 if the larger correlation has no smaller difference of colour."""
+    left, right = np.concatenate([_seams(part.positions, uv) for part, uv in pieces], axis=1)
+    if len(left) < _LEAST_SEAM:
+        return 0.0, 0.0
+    correlations, jumps = [], []
+    for sides in zip(_both(left), _both(right), strict=True):
+        a, b = (_texels(image, uv).astype(np.float64) for uv in sides)
+        jumps.append(float(np.abs(a - b).mean()))
+        middle = (a + b).mean(axis=0) / 2.0
+        correlations.append(_correlation(a - middle, b - middle))
+    best = int(correlations[1] > correlations[0])
+    return (correlations[0], correlations[1]) if 1.3 * jumps[best] < jumps[1 - best] else (0.0, 0.0)
+
+
+def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the fraction of the surface that lies on the map's background, and the same with
+    reversed v. The background is the most frequent colour where it is uniform."""
+    centers, areas, _ = faces
+    keys = (image >> 3).astype(np.int64) @ (1024, 32, 1)
+    colour = np.median(image[keys == np.bincount(keys.ravel()).argmax()], axis=0)
+    uniform = (np.abs(image - colour).max(axis=-1) <= 6.0) & (_contrast(image) <= 12.0)
+    shares = areas / (areas.sum() or 1.0)
+    original, reverse = (float(shares @ _texels(uniform, uv)) for uv in _both(centers))
+    return original, reverse
+
+
+def _seams(positions: Float, uv: Float) -> Float:
+    """Return the texture coordinates (2, S, 2) of vertices with equal positions."""
+    hashes = positions @ _HASH
+    order = np.arange(len(hashes))
+    if len(order) > _VERTICES:  # a choice by position keeps both sides of a seam
+        scaled = hashes * (1e4 / (np.ptp(hashes) or 1.0))
+        order = np.flatnonzero(scaled % 1.0 < _VERTICES / len(order))
+    order = order[np.argsort(hashes[order], kind="stable")]
+    pairs = np.flatnonzero(hashes[order[1:]] == hashes[order[:-1]])
+    left, right = uv[order[pairs]], uv[order[pairs + 1]]
+    return np.stack([left, right])[:, np.abs(left - right).max(axis=1, initial=0.0) > _APART]
+
+
+def _both(uv: Float) -> tuple[Float, Float]:
+    """Return texture coordinates, and the same with reversed v."""
+    return uv, uv * (1.0, -1.0) + (0.0, 1.0)
+
+
+def _texels(image: NDArray[Any], uv: Float) -> NDArray[Any]:
+    """Return the texels of an image, with row 0 at the bottom, at texture coordinates."""
+    height, width = image.shape[:2]
+    columns, rows = ((uv % 1.0) * (width, height)).astype(np.int64).T
+    return np.asarray(image[rows.clip(0, height - 1), columns.clip(0, width - 1)])
+
+
+def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return the differences between each texel and its neighbours, summed over neighbours and
+    colours. The image repeats."""
+    texels = image.astype(np.int32)
+    total = np.zeros(image.shape[:2], dtype=np.int32)
+    for axis in (0, 1):
+        steps = np.abs(texels - np.roll(texels, 1, axis)) @ np.ones(3, dtype=np.int32)
+        total += steps + np.roll(steps, -1, axis)
+    return total
+
+
+def _ranks(values: NDArray[Any]) -> Float:
+    """Return the ranks of values, with mean 0. Equal values have equal ranks."""
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = np.cumsum(counts) - 0.5 * counts - 0.5 * len(values)
+    return np.asarray(ranks[places])
+
+
+def _correlation(a: Float, b: Float) -> float:
+    """Return the correlation of values with mean 0, or 0 for constant values."""
+    norm = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum()) / norm if norm > 0.0 else 0.0
+
+
+def green_down(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if the green of a normal map probably points down.
+
+    The slopes p and q of a height field satisfy dp/dy = dq/dx. If green points down, q is negative,
+    and the two derivatives have opposite signs.
+
+    decode : as for :func:`upside_down`
+    """
+    for texture in dict.fromkeys(material.normal_map for material in mesh.materials):
+        image = None if texture is None else _preview(texture, _NORMAL_MAP, decode)
+        if texture is None or image is None or min(image.shape[:2]) < 32:
+            continue
+        normals = image.astype(np.float32) - np.float32(127.5)
+        p, q = np.moveaxis(normals[..., :2] / normals[..., 2:].clip(20.0), -1, 0)
+        across, along = p[2:, 1:-1] - p[:-2, 1:-1], q[1:-1, 2:] - q[1:-1, :-2]
+        # Differences of less than three 8-bit levels may be noise.
+        clear = (np.abs(across) > 0.02) & (np.abs(along) > 0.02)
+        opposite = float((across[clear] * along[clear] < 0.0).mean()) if clear.any() else 0.0
+        if clear.mean() >= 0.03 and opposite >= 0.65:
+            return (
+                f"the green of {texture.name} probably points down (for {opposite:.0%} of its "
+                "relief): give --normal-map-y down (normal_map_y='down')"
+            )
+    return None
+
+
+def _preview(texture: Texture, side: int, decode: bool) -> NDArray[np.uint8] | None:
+    try:
+        return texture.preview(side, decode)
+    except InputError:  # a damaged map: drawing it reports the error
+        return None
+
+
+def faint(mesh: Mesh, decode: bool = False) -> str | None:
+    """Return a hint if at least half of the skin has a specular weight above 0, but no visible
+    highlight. The peak of a highlight is proportional to ks f0 / m^2.
+
+    decode : as for :func:`upside_down`
+    """
+    skin = Material()
+    threshold = _FAINT * skin.ks * skin.f0 / skin.m**2
+    pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
+    dull = []
+    for i, (part, material) in enumerate(pairs):
+        m = _least_slope(part, material, decode)
+        if 0.0 < material.ks * material.f0 < threshold * m**2:
+            dull.append((i, material.ks, m))
+    if not dull:
+        return None
+    areas = [float(double_areas(part.positions[part.faces]).sum()) for part, _ in pairs]
+    weak = [(areas[i], ks, m) for i, ks, m in dull]
+    if sum(area for area, *_ in weak) < 0.5 * sum(areas):
+        return None
+    _, ks, m = max(weak)
+    remedies = [f"--ks {skin.ks:g}"] * (ks < 0.5) + [f"--m {skin.m:g}"] * (m > 2.0 * skin.m)
+    return (
+        f"{mesh.name} has no visible highlight with ks {ks:.2g} and m {m:.2g}: give "
+        f"{' '.join(remedies or [f'--f0 {skin.f0:g}'])} for skin"
+    )
+
+
+def no_ks(mesh: Mesh) -> str | None:
+    """Return a hint if a part whose file has Ks 0 is drawn with highlights nevertheless."""
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    if not any(p.ks_ignored and not p.preset and m.ks == Material.ks for p, m in pairs):
+        return None
+    return (
+        f"{mesh.name} has Ks 0 in its MTL, which many exporters write by default: drawn with the "
+        "highlights of skin; pass --ks 0 for none"
+    )
+
+
+def _least_slope(part: Part, material: Material, decode: bool) -> float:
+    """Return the smallest m of a part over both lobes; 0 if the roughness map is not decoded."""
+    m, texture = material.m, material.roughness_map
+    if texture is not None and coordinates(part, material, "roughness_map") is not None:
+        packed = material.property_map
+        image = _preview(packed or texture, _MAP, decode)
+        if image is None:
+            return 0.0
+        m = (material.roughness_factor * image[..., 1 if packed else 0].min() / 255.0) ** 2
+    return float(material.with_second(m, m)[0])
+
+
+def too_clear(mesh: Mesh, threshold: float) -> str | None:
+    """Return a hint if data images lack a part, because its opacity is below a threshold
+    everywhere. Decodes the opacity maps of blended parts."""
+    names = [
+        part.name or "the part without a name"
+        for part, material in zip(mesh.parts, mesh.materials, strict=True)
+        if blends_only(material) and largest_opacity(part, material) < threshold
+    ]
+    if not names:
+        return None
+    return (
+        f"data images and landmarks omit parts of {mesh.name} whose opacity is below "
+        f"{threshold:g} everywhere: {clipped(', '.join(names), 200)}; give a lower "
+        "--alpha-threshold to include them"
+    )
+
+
+def millimetres_of(mesh: Mesh) -> float | None:
+    """Return the probable length of a mesh unit in mm: a usual unit near the length with which the
+    head is 230 mm high, otherwise that length. None for a mesh without height, and for a length
+    that the mesh cannot have."""
+    height = _head(mesh)
+    if not height > 0.0:
+        return None
+    length = HEAD / height
+    if length not in range_of(Geometry, "millimetres"):
+        return None
+    usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
+    return usual if 1.0 / _NEAR < length / usual < _NEAR else float(f"{length:.2g}")
+
+
+SCALE = "scale the mesh to mm"  # remedy for a mesh without a probable length of its unit
+
+
+def option(length: float) -> str:
+    """Return the option that sets the length of a mesh unit in mm."""
+    return f"--millimetres {length:g}" + (f" ({_UNITS[length]})" if length in _UNITS else "")
+
+
+def wrong_unit(mesh: Mesh) -> str | None:
+    """Return a hint if the mesh has a unit with which it cannot be a head or a person."""
+    if mesh.millimetres is None or _RADII[0] <= mesh.radius * mesh.millimetres <= _RADII[1]:
+        return None
+    height = float(f"{_head(mesh) * mesh.millimetres:.3g}")
+    if _HEADS[0] <= height <= _HEADS[1]:
+        return None
+    length = millimetres_of(mesh)
+    return (
+        f"the head of {mesh.name} is {height:g} mm high if its unit is {mesh.millimetres:g} mm: "
+        f"{SCALE if length is None else f'give {option(length)}'}"
+    )
+
+
+def _head(mesh: Mesh) -> float:
+    """Return the height of the head in mesh units."""
+    head = mesh.regions["head"]
+    assert head is not None
+    return 2.0 * head.height * mesh.radius
+
+
+def no_shadows(environment: bool) -> str:
+    """Return the hint that shadows are asked for in a scene without lights.
+
+    environment : whether the scene has an environment map
+    """
+    cause = "an environment map casts no shadows" if environment else "the scene has no lights"
+    return f"--shadows has no effect, because {cause}: give --occlusion or a --light"

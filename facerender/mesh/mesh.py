@@ -1,0 +1,569 @@
+"""Meshes: a geometry, its materials, and a pose. The package ``loading`` reads mesh files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError, check_type, each_of, parameters, shown, warn
+from facerender.material import Alpha, Material, changed, check_maps, without_effect
+from facerender.mesh.arrays import piece_of, unit_or
+from facerender.mesh.geometry import Geometry, MeshPose
+from facerender.mesh.part import Part, Region, Space
+from facerender.mesh.repair import Piece, clean, unique, used
+from facerender.mesh.setup import TriangleSetup
+from facerender.values.ranges import IntegerRange
+from facerender.values.vectors import rows_of
+
+if TYPE_CHECKING:
+    from facerender.mesh.rig import Clip
+
+Floats = NDArray[np.float64]
+
+TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A geometry with materials, in a pose. Meshes that :meth:`with_material`, :meth:`with_pose`
+    and :meth:`with_positions` return share the geometry, and a renderer uploads it once.
+
+    Attributes
+    ----------
+    geometry : the parts in the reference pose; name, radius, profile, millimetres and regions of
+        the mesh are those of the geometry
+    materials : one material for each part
+    pose : moved vertices, or None for the reference pose. Cameras frame the reference pose; see
+        :func:`facerender.tracked`
+    """
+
+    geometry: Geometry
+    materials: tuple[Material, ...]
+    pose: MeshPose | None = None
+
+    def __post_init__(self) -> None:
+        materials = each_of("materials", self.materials, Material, "several facerender.Material")
+        if not 0 < len(self.geometry.parts) == len(materials):
+            raise InputError(
+                f"{self.name} has {len(self.geometry.parts)} parts and {len(materials)} materials: "
+                "give at least one part, and one material for each"
+            )
+        object.__setattr__(self, "materials", materials)
+        check_maps(self.name, self.materials)
+
+    __getstate__ = parameters
+
+    def __repr__(self) -> str:
+        count = len(self.parts)
+        triangles = sum(len(part.faces) for part in self.parts)
+        parts = f"{count} part{'s' * (count > 1)}, {triangles} triangles"
+        return f"<Mesh {self.name!r}, {parts}, radius {self.radius:.4g}>"
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        parts: Sequence[Part],
+        materials: Sequence[Material],
+        millimetres: float | None = None,
+    ) -> Mesh:
+        """Return a mesh in the reference pose, in which ``double_sided`` of the materials is set.
+        Parts that share a material share the result, unless only one of them is closed."""
+        geometry = Geometry.of(name, parts, millimetres)
+        variants: dict[tuple[Material, bool], Material] = {}
+        sided = list(materials)
+        for i, material in enumerate(materials):
+            if material.double_sided is None:
+                key = material, geometry.closed[i]
+                if key not in variants:
+                    variants[key] = replace(material, double_sided=not geometry.closed[i])
+                sided[i] = variants[key]
+        return cls(geometry, tuple(sided))
+
+    @classmethod
+    def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
+        """Return a mesh of pieces that :func:`facerender.mesh.repair.clean` has repaired. A
+        piece without a name is numbered, unless it is the only one: the third is ``part3``."""
+        several = len(pieces) > 1
+        names = (piece.name or f"part{i}" * several for i, piece in enumerate(pieces, 1))
+        shared = {field.name for field in fields(Part)} & {field.name for field in fields(Piece)}
+        parts = []
+        for piece, part_name in zip(pieces, unique(names), strict=True):
+            values = {name: getattr(piece, name) for name in shared}
+            faces = np.ascontiguousarray(piece.faces, dtype=np.uint32)
+            parts.append(Part(**values | {"faces": faces, "name": part_name}))
+        return cls.of(name, parts, [piece.material for piece in pieces], millimetres)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        positions: ArrayLike,
+        faces: ArrayLike,
+        *,
+        uv: ArrayLike | None = None,
+        uv_faces: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
+        material: Material | None = None,
+        name: str = "arrays",
+        millimetres: float | None = None,
+    ) -> Mesh:
+        """Return a mesh of one part from copies of arrays or nested lists.
+
+        The mesh is repaired like a mesh from a file, with warnings: faces that cannot be drawn are
+        dropped, and faces are turned outwards.
+
+        Parameters
+        ----------
+        positions : (N, 3), y up
+        faces : (F, 3) vertex indices from 0, counter-clockwise seen from outside
+        uv : (N, 2), v upwards, one row for each vertex; or (M, 2) with uv_faces
+        uv_faces : (F, 3) indices of rows of uv for the corners of the faces, as in OBJ files; None
+            if uv has one row for each vertex
+        normals : (N, 3), vectors of any length; None to compute smooth normals
+        colors : (N, 3) or (N, 4): linear floats in [0, 1], or sRGB-encoded uint8 or uint16; alpha
+            is dropped
+        material : None for skin, or for a white material if colors are given
+        name : name of the mesh and of its part
+        millimetres : millimetres per unit; scattering needs it
+
+        Raises
+        ------
+        InputError : invalid shape, values that are not finite numbers, a face index out of range,
+            maps without texture coordinates
+        """
+        check_type("name of a mesh", name, str, "text")
+        piece = piece_of(positions, faces, uv, uv_faces, normals, colors, material)
+        piece.name = name
+        with np.errstate(all="ignore"):  # clean() drops faces that cause overflow
+            return cls.assembled(clean([piece], name), name, millimetres)
+
+    def select(self, parts: str | Iterable[str] = (), hide: str | Iterable[str] = ()) -> Mesh:
+        """Return a mesh of the named parts (default: all) without the hidden parts.
+
+        Bounds and camera framing refer to the remaining parts.
+
+        Parameters
+        ----------
+        parts, hide : part names, as several texts or one text with commas; ``*``, ``?`` and
+            ``[...]`` are wildcards as in file names
+
+        Raises
+        ------
+        InputError : no part matches a name, or no part remains
+        """
+        names, hidden = names_of("parts", parts), names_of("hide", hide)
+        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
+        remaining = sorted(chosen - {i for name in hidden for i in self.called(name)})
+        if not remaining:
+            raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
+        if len(remaining) == len(self.parts):
+            return self
+        stored = [self.geometry.parts[i] for i in remaining]
+        materials = [self.materials[i] for i in remaining]
+        mesh = Mesh.of(self.name, stored, materials, self.millimetres)
+        geometry = replace(mesh.geometry, rotation=self.geometry.rotation)
+        posed = tuple(self.parts[i] for i in remaining)
+        pose = self.pose and MeshPose(geometry, posed, geometry.bounds)
+        return replace(mesh, geometry=geometry, pose=pose)
+
+    def called(self, name: str) -> list[int]:
+        """Return the indices of the parts that match a name."""
+        names = enumerate(part.name for part in self.parts)
+        matches = [i for i, other in names if other == name or fnmatchcase(other, name)]
+        if not matches:
+            raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
+        return matches
+
+    def _known(self) -> str:
+        if not any(part.name for part in self.parts):
+            return f"its {len(self.parts)} parts have no names"
+        return f"its parts are {', '.join(part.name for part in self.parts)}"
+
+    @property
+    def name(self) -> str:
+        """File name, for messages."""
+        return self.geometry.name
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts in the pose of the mesh."""
+        return (self.pose or self.geometry).parts
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest coordinates in the reference pose, (2, 3) float64."""
+        return (self.pose or self.geometry).bounds
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a vertex from the centre of the bounds in the reference pose."""
+        return self.geometry.radius
+
+    @property
+    def profile(self) -> Floats:
+        """Outline of the mesh; see :class:`Geometry`."""
+        return self.geometry.profile
+
+    @property
+    def millimetres(self) -> float | None:
+        """Millimetres per unit of mesh space; None if unknown."""
+        return self.geometry.millimetres
+
+    @property
+    def regions(self) -> Mapping[str, Region | None]:
+        """Regions that a camera may frame; see :attr:`Geometry.regions`."""
+        return self.geometry.regions
+
+    @property
+    def space(self) -> Space:
+        """The renderer's space."""
+        return (self.pose or self.geometry).space
+
+    @property
+    def token(self) -> object:
+        """A value that no mesh with other vertices has; see :attr:`Geometry.token`."""
+        return (self.pose or self.geometry).token
+
+    @property
+    def setups(self) -> list[TriangleSetup]:
+        """The triangles of each part as the GPU gets them."""
+        return (self.pose or self.geometry).setups
+
+    @cached_property
+    def single_sided(self) -> Mesh:
+        """The mesh without back faces."""
+        return self.with_material(double_sided=False)
+
+    @property
+    def skin(self) -> tuple[int, ...]:
+        """Indices of the parts that are skin: their ``Part.skin`` is true, and their materials have
+        no transmission. If no part is skin, the indices of all parts."""
+        pairs = enumerate(zip(self.parts, self.materials, strict=True))
+        indices = [i for i, (part, material) in pairs if part.skin and material.transmission == 0.0]
+        return tuple(indices or range(len(self.parts)))
+
+    @property
+    def center(self) -> Floats:
+        """Centre of the bounds, (3,) float64."""
+        return np.array(self.space.center)
+
+    def normalised(self, points: ArrayLike) -> Floats:
+        """Map points (..., 3) from mesh space to the renderer's space: centre at 0, radius 1."""
+        return self.space.normalised(points)
+
+    def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map points (..., 3), such as ``View.position``, from the renderer's space to mesh space.
+
+        ``Part.positions`` and ``GBuffer.position`` are in mesh space already."""
+        return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
+
+    def with_material(
+        self, parts: str | Iterable[str] = (), preset: str | None = None, **changes: Any
+    ) -> Mesh:
+        """Return a copy of the mesh in which ``changes`` replace fields of the materials. The copy
+        shares geometry and maps with this mesh.
+
+        A new ``m`` also removes the roughness maps. A new ``second_slope``, ``lobe_weight`` or
+        ``lobe_map`` that leaves a material with one lobe causes a warning, as does any other field
+        without effect, such as ``opacity`` without ``alpha``.
+
+        Parameters
+        ----------
+        parts : names of the parts whose materials change, as in :meth:`select`; default: all parts,
+            also eyes and hair; see :meth:`with_skin`
+        preset : name of a preset, whose fields apply before ``changes``; see docs/skin.md
+
+        Raises
+        ------
+        InputError : no part matches a name, the preset is unknown, or a value is outside its range
+        """
+        names = names_of("parts", parts)
+        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
+        table = changes if preset is None else {"preset": preset, **changes}
+        return self._changed(chosen, table)
+
+    def with_skin(self, **changes: Any) -> Mesh:
+        """Return a copy of the mesh in which ``changes`` replace fields of the skin's materials;
+        see :attr:`skin` and :meth:`with_material`."""
+        return self._changed(self.skin, changes)
+
+    def with_positions(self, positions: Any, normals: Any = None) -> Mesh:
+        """Return the mesh in another pose: moved vertices, with the same triangles, texture
+        coordinates and materials.
+
+        A renderer only updates its vertex buffers. Cameras frame the reference pose, which is the
+        mesh of the first call, so that the image stays while the face moves. See
+        :func:`facerender.tracked`.
+
+        Parameters
+        ----------
+        positions : (N, 3), a row for each vertex of the file or arrays from which the mesh was
+            made, or for each vertex of all parts in order. Or an array for each part, as a list, or
+            as a mapping by part name; parts without an array (None) stay as they are. In the axes
+            of the file: :attr:`rotation` is applied
+        normals : like positions, vectors of any length. None to compute them: area-weighted means
+            of face normals, also across texture seams and parts. Creases of the reference pose
+            remain creases
+
+        Raises
+        ------
+        InputError : a shape is wrong, values are not finite numbers, no part has a name, or a
+            vertex is more than 1e6 mesh radii from the centre
+
+        Warns
+        -----
+        FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
+        """
+        places = _rows_of_parts(self, "positions", positions)
+        part_normals = _rows_of_parts(self, "normals", normals)
+        with np.errstate(all="ignore"):  # MeshPose refuses positions that cause overflow
+            if (rotation := self.geometry.rotation) is not None:
+                places, part_normals = (
+                    [None if row is None else row @ rotation.T for row in rows]
+                    for rows in (places, part_normals)
+                )
+            return moved(self, places, part_normals)
+
+    def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
+        updates = {i: changed(self.materials[i], changes) for i in chosen}
+        unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
+        asked = [key for key, value in unused.items() if changes.get(key, value) != value]
+        if asked and not any(material.two_lobes for material in updates.values()):
+            warn_of_one_lobe(self.name, asked[0])
+        for fault in without_effect(
+            changes, [self.materials[i] for i in updates], [*updates.values()]
+        ):
+            warn(f"{fault}: give both for a part of {self.name}")
+        materials = tuple(updates.get(i, material) for i, material in enumerate(self.materials))
+        return replace(self, materials=materials)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the morph targets of a glTF file: ``shape1``, ``shape2``... if it has none."""
+        return self.geometry.shapes
+
+    @property
+    def clips(self) -> dict[str, float]:
+        """Lengths in seconds of the animations of a glTF file, keyed by name: ``clip1``,
+        ``clip2``... if they have none. Damaged animations are left out."""
+        return {clip.name: clip.duration for clip in clips_of(self.parts) if not clip.fault}
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints of a glTF file's skins, parents first: ``joint1``, ``joint2``... if
+        they have none."""
+        skeletons = (part.rig.skeleton for part in self.parts if part.rig)
+        return next((tuple(dict(skeleton.joints)) for skeleton in skeletons), ())
+
+    def with_pose(
+        self,
+        weights: Mapping[str, float] | None = None,
+        *,
+        joints: Mapping[str, Sequence[float]] | None = None,
+        clip: str | None = None,
+        time: float | None = None,
+    ) -> Mesh:
+        """Return a copy of the mesh in another pose. Triangles, materials and camera framing do
+        not change. Every pose starts from the pose in the file, also if this mesh has another one.
+
+        Parameters
+        ----------
+        weights : weights in [-100, 100] of morph targets, keyed by a name of :attr:`shapes`. They
+            override the weights of the clip and of the file, in all parts with this shape
+        joints : angles x, y, z in degrees, in [-3600, 3600], keyed by a name of :attr:`joints`. The
+            joint, with all that is below it, rotates about its position in the clip or file: about
+            the mesh's axis x, then y, then z, whatever the local axes of the joint. The rotation of
+            a joint carries along the axes of the joints below it; a clip does not
+        clip : name of an animation, see :attr:`clips`; None: the first one if ``time`` is given,
+            otherwise the pose in the file
+        time : time in seconds, from 0 to the length of the clip; None: 0
+
+        Raises
+        ------
+        InputError : the mesh has no shapes, clips or joints, a name is unknown, a value is outside
+            its range, a clip or shape is damaged, or a vertex moves too far
+
+        Warns
+        -----
+        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
+            the mesh has baked occlusion, see :meth:`with_positions`
+        """
+        from facerender.mesh.pose import posed  # only for poses: importing it takes 5 ms
+
+        poses = posed(self.geometry, weights, joints, clip, time)
+        return moved(replace(self, pose=None), *poses)
+
+
+def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
+    """Return the clips of a mesh's file, also the damaged ones."""
+    return next((part.rig.skeleton.clips for part in parts if part.rig), ())
+
+
+def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
+    """Return a part's texture coordinates for the named map. None means that the part has none;
+    the map is then ignored."""
+    return part.uv2 if material.by_second(name) else part.uv
+
+
+def drawn_alpha(part: Part, material: Material) -> Alpha:
+    """Return the alpha mode with which a part is drawn: "blend" if it is thin and
+    clear, otherwise "opaque" if its opacity has no effect. Decodes the opacity map if necessary."""
+    if material.thin:
+        return "blend"
+    if material.opacity_map is not None and coordinates(part, material, "opacity_map") is None:
+        material = replace(material, opacity_map=None)
+    return "opaque" if material.solid else material.alpha
+
+
+def blends_only(material: Material) -> bool:
+    """Return whether a material is blended and transmits no light."""
+    return material.alpha == "blend" and not material.transmission
+
+
+def largest_opacity(part: Part, material: Material) -> float:
+    """Return the largest opacity of a part. Decodes the opacity map if necessary."""
+    texture = material.opacity_map
+    if texture is None or coordinates(part, material, "opacity_map") is None:
+        return material.opacity
+    return material.opacity * float(texture.ends()[1, 0]) / 255.0
+
+
+def base_slope(part: Part, material: Material) -> float:
+    """Return m of a part's first lobe, or the factor that maps squared roughness texels to m."""
+    mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None
+    return material.roughness_factor**2 if mapped else material.m
+
+
+def slope_range(part: Part, material: Material) -> tuple[float, float]:
+    """Return the smallest and largest m of a part over all lobes. A roughness map without texture
+    coordinates is ignored."""
+    if coordinates(part, material, "roughness_map") is None:
+        return material.with_second(material.m, material.m)
+    return material.slopes
+
+
+def warn_of_one_lobe(name: str, field: str) -> None:
+    """Warn that a field of the second lobe has no effect on the mesh of this name."""
+    warn(
+        f"{field} has no effect on {name}, because a second lobe needs a second_slope other than 1 "
+        "and a lobe_weight below 1: give both, such as 0.333 and 0.85"
+    )
+
+
+def names_of(option: str, names: Any) -> tuple[str, ...]:
+    """Return part names from one text with commas or from several texts. Raises InputError for a
+    value that is not text."""
+    names = names.split(",") if isinstance(names, str) else names
+    texts = each_of(option, names, str, "names of parts")
+    return tuple(name for text in texts if (name := text.strip()))
+
+
+def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
+    """Return the rows (N, 3) of each part; None for a part without rows. For the accepted values
+    and the errors see :meth:`Mesh.with_positions`."""
+    parts = mesh.parts
+    if values is None:
+        return [None] * len(parts)
+    if isinstance(values, Mapping):
+        by_index = {i: array for key, array in values.items() for i in mesh.called(str(key))}
+        values = [by_index.get(i) for i in range(len(parts))]
+    if isinstance(values, list | tuple) and all(
+        array is None or np.ndim(array) == 2 for array in values
+    ):
+        if len(values) != len(parts):
+            remedy = f"give {len(parts)}, one for each part of {mesh.name}"
+            raise InputError(f"{name} has {len(values)} arrays: {remedy}")
+        return [
+            None if array is None else _of_part(f"{name} of {part.name or mesh.name}", array, part)
+            for array, part in zip(values, parts, strict=True)
+        ]
+    rows: Floats = rows_of(name, values, (3,))
+    counts = [len(part.positions) for part in parts]
+    sources = {part.source_count for part in parts if part.sources is not None}
+    if len(rows) in sources and len(sources) == 1:
+        return [
+            rows[:count] if part.sources is None else rows[part.sources]
+            for part, count in zip(parts, counts, strict=True)
+        ]
+    if len(rows) != sum(counts):
+        expected = " or ".join(map(str, dict.fromkeys((*sources, sum(counts)))))
+        remedy = f"give {expected}, one for each vertex of {mesh.name}"
+        raise InputError(f"{name} has {len(rows)} rows: {remedy}")
+    return list(np.split(rows, np.cumsum(counts)[:-1]))
+
+
+def _of_part(name: str, array: Any, part: Part) -> NDArray[np.float64]:
+    rows: Floats = rows_of(name, array, (3,))
+    if part.sources is not None and len(rows) == part.source_count:
+        return np.asarray(rows[part.sources])
+    if len(rows) != (count := len(part.positions)):
+        raise InputError(f"{name} has {len(rows)} rows: give {count}, one for each vertex")
+    return rows
+
+
+def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floats | None]) -> Mesh:
+    """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
+
+    Parameters
+    ----------
+    positions : finite positions (N, 3) of each part; None for a part that stays as it is
+    normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
+        replaced by the normal of the reference pose
+    """
+    geometry = mesh.geometry
+    if any(part.occlusion is not None for part in geometry.parts):
+        warn(
+            f"the baked occlusion of {mesh.name} remains that of the reference pose: bake it "
+            "for each pose with facerender.with_occlusion, or leave it out"
+        )
+    pairs = zip(mesh.parts, positions, strict=True)
+    filled = [part.positions if rows is None else rows for part, rows in pairs]
+    if any(rows is not None and n is None for rows, n in zip(positions, normals, strict=True)):
+        sums = geometry.corners.normal_sums(filled)
+    parts = [*mesh.parts]
+    for i, stored in enumerate(geometry.parts):
+        normal = normals[i]
+        if positions[i] is not None or normal is not None:
+            mask = stored.drawn
+            rows = filled[i] if mask is None else np.where(mask, filled[i], mesh.center)
+            unit_normals = unit_or(sums[i] if normal is None else normal, stored.normals)
+            parts[i] = replace(stored, positions=rows, normals=unit_normals)
+    return _in_pose(mesh, tuple(parts), mesh.bounds)
+
+
+def _in_pose(mesh: Mesh, parts: tuple[Part, ...], bounds: Floats) -> Mesh:
+    pose = MeshPose(mesh.geometry, parts, bounds)
+    _ = pose.space  # refuses vertices that are too far away
+    return replace(mesh, pose=pose)
+
+
+def tracked(mesh: Mesh) -> Mesh:
+    """Return a posed mesh with a camera framing that follows the head.
+
+    Orbiting cameras move by the median displacement of the head's vertices from the reference pose.
+    If no head is found, all vertices count. A mesh in the reference pose is returned unchanged.
+    """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+    geometry = mesh.geometry
+    if mesh.pose is None:
+        return mesh
+    head = geometry.regions["head"]
+    assert head is not None
+    of_head, steps = [], []
+    for part, stored in zip(mesh.parts, geometry.parts, strict=True):
+        mask = used(stored.positions, stored.faces)
+        offsets = np.abs(geometry.space.normalised(stored.positions[mask]) - head.center)
+        across = np.hypot(offsets[:, 0], offsets[:, 2])
+        of_head.append((across <= head.radius) & (offsets[:, 1] <= head.height))
+        steps.append((part.positions - stored.positions)[mask])
+    step, inside = np.concatenate(steps), np.concatenate(of_head)
+    step = np.median(step[inside] if inside.any() else step, axis=0)
+    return _in_pose(mesh, mesh.parts, geometry.bounds + step)

@@ -1,0 +1,162 @@
+"""Ambient occlusion at vertices, for meshes without occlusion maps. The package embreex traces the
+rays with Embree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender import __version__
+from facerender.errors import InputError, check_switch, check_type, warn
+from facerender.mesh.mesh import Mesh, coordinates, drawn_alpha
+from facerender.mesh.part import Part
+from facerender.system import cache as disk_cache
+from facerender.system.files import digest_of
+
+Floats = NDArray[np.float32]
+Numbers = NDArray[np.int64]
+
+DIRECTIONS = 512  # ray directions on the whole sphere; half of them are on a vertex's outer side
+# Distance of ray origins from the surface, in mesh radii; float32 resolves 1e-7 mesh radii.
+_OFFSET = 1e-4
+_AT_ONCE = 1 << 16  # number of rays that are traced at once
+
+
+def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
+    """Return the mesh with ambient occlusion baked at vertices of parts without an occlusion map.
+
+    The occlusion is the fraction of uniform ambient light that reaches a vertex. It dims ambient
+    light and environment maps.
+
+    All vertices use the same 512 ray directions over the whole sphere. Only rays on the outer side
+    of the surface count, weighted by the cosine between ray and normal. The result is as accurate
+    as with 256 cosine-distributed rays, but deterministic and without noise between neighbouring
+    vertices. Vertices with equal position and normal, for example at seams of texture coordinates,
+    share one value. Opaque parts block rays from both sides. Parts that are not opaque, or have
+    transmission, do not block rays and get no occlusion.
+
+    Parameters
+    ----------
+    mesh : from :func:`facerender.load_mesh`; :func:`facerender.simplified` keeps baked occlusion
+    cache : whether to read and write baked occlusion in ``~/.cache/facerender``
+
+    Raises
+    ------
+    InputError : embreex is not installed
+
+    Warns
+    -----
+    FacerenderWarning : every part has an occlusion map or is not opaque; the mesh is returned
+        unchanged
+    """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+    check_switch("cache", cache)
+    pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
+    solid = [drawn_alpha(*pair) == "opaque" and not pair[1].transmission for pair in pairs]
+    bare = [
+        is_solid
+        and (material.occlusion_map is None or coordinates(part, material, "occlusion_map") is None)
+        for is_solid, (part, material) in zip(solid, pairs, strict=True)
+    ]
+    if not any(bare):
+        warn(f"{mesh.name} has occlusion maps for all opaque parts: no occlusion is baked")
+        return mesh
+    rows = [np.hstack([mesh.normalised(part.positions), part.normals]) for part in mesh.parts]
+    starts = np.cumsum([0, *map(len, rows)])
+    all_faces = zip(mesh.parts, starts[:-1], solid, strict=True)
+    faces = [part.faces + start for part, start, is_solid in all_faces if is_solid]
+    occlusions = np.split(_values(np.concatenate(rows), np.concatenate(faces), cache), starts[1:-1])
+    baked = [values if lacks else None for values, lacks in zip(occlusions, bare, strict=True)]
+
+    def with_baked(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+        pairs = zip(parts, baked, strict=True)
+        return tuple(replace(part, occlusion=values) for part, values in pairs)
+
+    geometry = replace(mesh.geometry, parts=with_baked(mesh.geometry.parts))
+    pose = mesh.pose and replace(mesh.pose, geometry=geometry, parts=with_baked(mesh.parts))
+    return Mesh(geometry, mesh.materials, pose)
+
+
+def _values(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], cache: bool
+) -> NDArray[np.float64]:
+    """Return the occlusion of vertices, given as rows (N, 6) of position and normal. Vertices that
+    no face uses get 1. If ``cache`` is true, results are read from and written to the disk cache.
+    """
+    facts = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
+    name = digest_of(facts, vertices.data, faces.data) if cache else ""
+    if cache and (content := disk_cache.read("occlusion", name)) is not None:
+        return np.frombuffer(content)
+    used, corners = np.unique(faces, return_inverse=True)
+    rows = vertices[used].astype(np.float32)
+    different, numbers = np.unique(rows, axis=0, return_inverse=True)
+    corners, numbers = corners.reshape(-1, 3), numbers.reshape(-1)
+    occlusion = np.ones(len(vertices))
+    occlusion[used] = _open_fraction(rows[:, :3], corners, different, numbers[corners])[numbers]
+    if cache:
+        disk_cache.write("occlusion", name, [occlusion.data])
+    return occlusion
+
+
+def _open_fraction(
+    positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
+) -> NDArray[np.float64]:
+    """Return the fraction of ambient light that reaches each vertex, in [0, 1].
+
+    positions, faces : triangles that block the light
+    vertices : rows (N, 6) of position and normal
+    corners : (F, 3), the index into ``vertices`` for each corner of ``faces``
+    """
+    try:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError:
+        need = "baking occlusion needs the package embreex"
+        raise InputError(f"{need}; pip install 'facerender[rays]'") from None
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
+    offsets = _off_surface(positions, faces, vertices, corners)
+    starts = vertices[:, :3] + np.float32(_OFFSET) * offsets
+    fractions = []
+    for first in range(0, len(vertices), _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        origins, normals = starts[rows], vertices[rows, 3:]
+        through, total = np.zeros((2, len(origins)))
+        for direction in _directions():
+            cosines = normals @ direction
+            above = cosines > 0.0
+            towards = np.tile(direction, (int(above.sum()), 1))
+            missed = scene.run(origins[above], towards, query="OCCLUDED") < 0
+            through[above] += cosines[above] * missed
+            total[above] += cosines[above]
+        fractions.append(through / total)
+    return np.concatenate(fractions)
+
+
+def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:
+    """Return the directions in which ray origins are offset from vertices.
+
+    A direction is the normal plus a component towards the middle of the vertex's faces. Without
+    this component, a ray at a sharp edge could start in the plane of the face behind the edge.
+    """
+    sums, lengths = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    middles = positions[faces].mean(axis=1)
+    for vertex, face in zip(corners.T, faces.T, strict=True):
+        inwards = middles - positions[face]
+        np.add.at(sums, vertex, inwards)
+        np.add.at(lengths, vertex, np.linalg.norm(inwards, axis=1))
+    normals = vertices[:, 3:]
+    sums -= normals * np.einsum("ij,ij->i", normals, sums)[:, None]
+    return (normals + sums / np.maximum(lengths, 1e-30)[:, None]).astype(np.float32)
+
+
+def _directions() -> Floats:
+    """Return unit vectors (DIRECTIONS, 3), evenly distributed on a golden-ratio spiral."""
+    numbers = np.arange(DIRECTIONS) + 0.5
+    heights = 1.0 - 2.0 * numbers / DIRECTIONS
+    angles = numbers * (np.pi * (3.0 - np.sqrt(5.0)))
+    radii = np.sqrt(1.0 - heights**2)
+    spiral = np.stack([radii * np.cos(angles), heights, radii * np.sin(angles)], axis=1)
+    return spiral.astype(np.float32)

@@ -1,0 +1,447 @@
+"""Rigs: the data that move the vertices of a part (morph targets, skins, nodes, animation clips),
+and poses: their checked weights, clip and time, evaluated in float64. No files are read here.
+
+Reference: Khronos (2021), glTF 2.0, sections 3.5 (nodes), 3.7.2.1 (morph targets), 3.7.3 (skins),
+3.11 and appendix C (animations)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.values.vectors import (
+    rotation_of,
+    transformed,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+Float = NDArray[np.float64]
+Moves = Mapping[int, Mapping[str, Sequence[float]]]
+Path = Literal["translation", "rotation", "scale", "weights"]
+Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
+
+_AT_ONCE = 1 << 13  # vertices skinned at a time, so that their matrices stay in the CPU's cache
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Node:
+    """A node of a scene in its stored pose.
+
+    number : index of the node in the file
+    parent : number of the parent; None for a root
+    matrix, translation, rotation, scale : arguments of :func:`local_matrix`
+    """
+
+    number: int
+    parent: int | None = None
+    matrix: Sequence[float] | None = None
+    translation: Sequence[float] | None = None
+    rotation: Sequence[float] | None = None
+    scale: Sequence[float] | None = None
+
+    def local(self, moves: Mapping[str, Sequence[float]]) -> Float:
+        """Return the local matrix (4, 4).
+
+        moves : values that replace the stored translation, rotation or scale
+        """
+        keys = ("matrix", "translation", "rotation", "scale")
+        return local_matrix(*(moves.get(key, getattr(self, key)) for key in keys))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Track:
+    """Keys of one property of a node.
+
+    node : number of the node
+    path : name of the property
+    times : (K,) float64, in seconds, in increasing order
+    values : (K, W); (K, 3, W) with in-tangent, value and out-tangent for a cubic spline
+    interpolation : "LINEAR", "STEP" or "CUBICSPLINE"
+    """
+
+    node: int
+    path: Path
+    times: Float
+    values: NDArray[Any]
+    interpolation: Interpolation = "LINEAR"
+
+    def at(self, time: float) -> list[float]:
+        """Return the value at a time; before the first and after the last key the value is
+        constant."""
+        next_key = int(np.searchsorted(self.times, time, "right"))
+        first, last = max(next_key - 1, 0), min(next_key, len(self.times) - 1)
+        cubic = self.interpolation == "CUBICSPLINE"
+        keys = ((i, 1) if cubic else i for i in (first, last))
+        a, b = (np.asarray(self.values[key], dtype=np.float64) for key in keys)
+        if first == last or self.interpolation == "STEP":
+            mixed = a
+        else:
+            length = float(self.times[last] - self.times[first])
+            u = (time - float(self.times[first])) / length
+            if cubic:
+                leaving = length * self.values[first, 2].astype(np.float64)
+                arriving = length * self.values[last, 0].astype(np.float64)
+                mixed = (2 * u**3 - 3 * u**2 + 1) * a + (u**3 - 2 * u**2 + u) * leaving
+                mixed += (3 * u**2 - 2 * u**3) * b + (u**3 - u**2) * arriving
+            elif self.path == "rotation":
+                return _slerp(a.tolist(), b.tolist(), u)
+            else:
+                mixed = (1.0 - u) * a + u * b
+        value: list[float] = mixed.tolist()
+        return _unit(value) if self.path == "rotation" else value
+
+
+def _unit(quaternion: list[float]) -> list[float]:
+    length = math.hypot(*quaternion)
+    return [component / length for component in quaternion] if length > 0.0 else quaternion
+
+
+def _slerp(a: list[float], b: list[float], u: float) -> list[float]:
+    """Interpolate between two quaternions of any length along the shorter arc (Shoemake 1985)."""
+    a, b = _unit(a), _unit(b)
+    if sum(x * y for x, y in zip(a, b, strict=True)) < 0.0:
+        b = [-component for component in b]
+    # atan2 is accurate where the arc cosine of the product is not: for nearly equal quaternions.
+    arc = 2.0 * math.atan2(math.dist(a, b), math.hypot(*(x + y for x, y in zip(a, b, strict=True))))
+    if math.sin(arc) < 1e-12:
+        first, second = 1.0 - u, u
+    else:
+        first, second = (math.sin(fraction * arc) / math.sin(arc) for fraction in (1.0 - u, u))
+    return _unit([first * x + second * y for x, y in zip(a, b, strict=True)])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Clip:
+    """An animation.
+
+    name : name from the file, unique among the clips of the file
+    tracks : tracks of different properties
+    fault : description of the damage if the clip is damaged, which then has no tracks
+    ignored : name of the extension that the clip needs and this package ignores, or ""
+    """
+
+    name: str
+    tracks: tuple[Track, ...] = ()
+    fault: str = ""
+    ignored: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Time of the last key in seconds."""
+        return max((float(track.times[-1]) for track in self.tracks), default=0.0)
+
+    def at(self, time: float) -> dict[int, dict[str, Sequence[float]]]:
+        """Return the values at a time, keyed by the node's number and the property."""
+        values: dict[int, dict[str, Sequence[float]]] = {}
+        for track in self.tracks:
+            values.setdefault(track.node, {})[track.path] = track.at(time)
+        return values
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Skeleton:
+    """The nodes of a file's scene, parents first, the clips of the file, and the name and node of
+    each joint of its skins.
+
+    root : (4, 4), transform of the scene; None: no transform
+    """
+
+    nodes: tuple[Node, ...]
+    clips: tuple[Clip, ...] = ()
+    joints: tuple[tuple[str, int], ...] = ()
+    root: Float | None = None
+
+    def worlds(self, moves: Moves) -> dict[int, Float]:
+        """Return the world matrix (4, 4) of each node, keyed by its number.
+
+        moves : values that replace stored transforms, as returned by :meth:`Clip.at`, and "angles",
+            see :meth:`Mesh.with_pose`
+        """
+        worlds: dict[int, Float] = {}
+        changes: dict[int | None, Float] = {}  # transforms in mesh space that follow from angles
+        for node in self.nodes:
+            node_moves = moves.get(node.number, {})
+            local = node.local(node_moves) if node_moves else self._locals[node.number]
+            parent = self.root if node.parent is None else worlds[node.parent]
+            world = local if parent is None else parent @ local
+            worlds[node.number] = world
+            if node.parent in changes:
+                changes[node.number] = changes[node.parent]
+            if "angles" in node_moves:
+                change = np.eye(4)
+                change[:3, :3] = rotation_of(node_moves["angles"])
+                change[:3, 3] = world[:3, 3] - change[:3, :3] @ world[:3, 3]
+                changes[node.number] = changes.get(node.parent, np.eye(4)) @ change
+        return {n: changes[n] @ world if n in changes else world for n, world in worlds.items()}
+
+    @cached_property
+    def _locals(self) -> dict[int, Float]:
+        return {node.number: node.local({}) for node in self.nodes}
+
+    def below(self, numbers: Iterable[int]) -> set[int]:
+        """Return the numbers of the given nodes and of all nodes below them."""
+        subtree = set(numbers)
+        for node in self.nodes:
+            if node.parent in subtree:
+                subtree.add(node.number)
+        return subtree
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Shape:
+    """A morph target of a part. Vertices that do not move are left out.
+
+    name : name from the file, or shape1, shape2...
+    rows, moves : indices (M,) of the vertices that move, and their displacements (M, 3)
+    normal_rows, normal_moves : the same for the normals; None if the file has none for this target
+    fault : description of the damage if the target is damaged, which then moves nothing
+    """
+
+    name: str
+    rows: NDArray[Any] | None = None
+    moves: NDArray[Any] | None = None
+    normal_rows: NDArray[Any] | None = None
+    normal_moves: NDArray[Any] | None = None
+    fault: str = ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Skin:
+    """The joints that move a part.
+
+    joints : numbers of the nodes
+    inverse : (J, 4, 4), inverse bind matrices; None: unit matrices
+    indices, fractions : (K, N), K joints of each vertex as indices into ``joints``, and weights,
+        which add up to 1
+    """
+
+    joints: tuple[int, ...]
+    inverse: Float | None
+    indices: NDArray[Any]
+    fractions: Float
+
+    @classmethod
+    def of(
+        cls,
+        joints: tuple[int, ...],
+        inverse: Float | None,
+        indices: NDArray[Any],
+        weights: NDArray[Any],
+    ) -> Skin:
+        """Return a skin of the indices and weights (N, K) of a file. Vertices without weights
+        follow their first joint. Raises ValueError if a joint index is out of range."""
+        if indices.size and indices.max() >= len(joints):
+            raise ValueError(f"a vertex uses joint {indices.max()}, the skin has {len(joints)}")
+        fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
+        fractions[:, 0] += fractions.sum(axis=1) == 0.0
+        fractions /= fractions.sum(axis=1, keepdims=True)
+        columns = indices.T.astype(np.uint16 if len(joints) < 1 << 16 else np.uint32, order="C")
+        return cls(joints, inverse, columns, np.ascontiguousarray(fractions.T))
+
+    def matrices(self, worlds: Mapping[int, Float]) -> Float:
+        """Return the matrices (J, 4, 4) that transform column vectors from mesh space to scene
+        space."""
+        matrices = np.stack([worlds[joint] for joint in self.joints])
+        return matrices if self.inverse is None else matrices @ self.inverse
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig:
+    """The data that move the vertices of a part.
+
+    skeleton : nodes and clips, shared by the parts of a file
+    node : number of the node whose mesh the part belongs to
+    positions : (N, 3), in the node's space, before morph targets
+    normals : (N, 3), as the positions, vectors of any length; None until the file's reader computes
+        missing normals, see :meth:`with_normals`
+    weights : stored weights of the shapes; missing weights are 0
+    shapes : morph targets
+    skin : None without a skin
+    placed : whether the node places the part; false with a skin
+    offset : (4, 4), transform of an instance within the node's space; None: no transform
+    sign : 1, or -1 if the normals have to be reversed, because the file's faces are inside out
+    """
+
+    skeleton: Skeleton
+    node: int
+    positions: NDArray[Any]
+    normals: NDArray[Any] | None
+    weights: tuple[float, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+    skin: Skin | None = None
+    placed: bool = True
+    offset: Float | None = None
+    sign: float = 1.0
+
+    @property
+    def stored_weights(self) -> list[float]:
+        """A weight for each shape."""
+        return [*self.weights, *[0.0] * len(self.shapes)][: len(self.shapes)]
+
+    def lagging(self, weights: Sequence[float]) -> list[float]:
+        """Return weights in which the shapes without own normals have their stored weights."""
+        rows = zip(self.shapes, self.stored_weights, weights, strict=True)
+        return [stored if shape.normal_rows is None else weight for shape, stored, weight in rows]
+
+    def posed(
+        self, worlds: Mapping[int, Float], weights: Sequence[float]
+    ) -> tuple[Float, Float | None]:
+        """Return positions (N, 3) and normals (N, 3) in mesh space. The normals have any length;
+        they are None if the part has none or a matrix is singular.
+
+        Parameters
+        ----------
+        worlds : world matrices of the nodes, see :meth:`Skeleton.worlds`
+        weights : a weight for each shape
+        """
+        places, normals = morphed(self.positions, self.normals, self.shapes, weights)
+        if self.skin is not None:
+            places, normals, _ = skinned(places, normals, self.skin, worlds)
+        else:
+            places, normals, _ = transformed(places, normals, self._matrix(worlds))
+        return places, None if normals is None else self.sign * normals
+
+    def _matrix(self, worlds: Mapping[int, Float]) -> Float:
+        if not self.placed:
+            return np.eye(4) if self.skeleton.root is None else self.skeleton.root
+        world = worlds[self.node]
+        return world if self.offset is None else world @ self.offset
+
+    def with_normals(self, normals: Float) -> Rig:
+        """Return a rig with normals that :meth:`posed` maps to the given ones in the stored pose.
+        The normals of the shapes are dropped.
+
+        normals : (N, 3), in mesh space
+        """
+        worlds = self.skeleton.worlds({})
+        if self.skin is None:
+            node_normals = normals @ self._matrix(worlds)[:3, :3]
+        else:
+            node_normals = np.empty_like(normals)
+            for rows, blend in _blended(self.skin, worlds):
+                a, b, c, _, d, e, f, _, g, h, i, _ = blend
+                x, y, z = normals[rows].T
+                node_normals[rows] = np.stack(
+                    [a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z], axis=1
+                )
+        shapes = tuple(replace(s, normal_rows=None, normal_moves=None) for s in self.shapes)
+        return replace(self, normals=node_normals, shapes=shapes)
+
+
+def local_matrix(
+    matrix: Sequence[float] | None = None,
+    translation: Sequence[float] | NDArray[Any] | None = None,
+    rotation: Sequence[float] | NDArray[Any] | None = None,
+    scale: Sequence[float] | NDArray[Any] | None = None,
+) -> Float:
+    """Return the local matrix of a node, (4, 4), for column vectors.
+
+    Parameters
+    ----------
+    matrix : 16 numbers in column-major order, applied after the other transforms
+    rotation : quaternion x, y, z, w of any length
+    """
+    local = np.eye(4)
+    if rotation is not None:
+        local[:3, :3] = _rotation(rotation)
+    if scale is not None:
+        local[:3, :3] *= np.asarray(scale, dtype=np.float64)
+    if translation is not None:
+        local[:3, 3] = translation
+    if matrix is None:
+        return local
+    return np.asarray(np.array(matrix, dtype=np.float64).reshape(4, 4).T @ local)
+
+
+def _rotation(quaternion: Sequence[float] | NDArray[Any]) -> list[list[float]]:
+    x, y, z, w = (float(component) for component in quaternion)
+    length = math.hypot(x, y, z, w)
+    if not 1e-12 < length < math.inf:
+        return [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def morphed(
+    positions: NDArray[Any],
+    normals: NDArray[Any] | None,
+    shapes: Sequence[Shape],
+    weights: Sequence[float],
+) -> tuple[Float, NDArray[Any] | None]:
+    """Return positions (N, 3) and normals (N, 3) with weighted morph targets added; the normals
+    have any length. The arguments do not change. Raises ValueError if a target whose weight is not
+    0 is damaged."""
+    active = [(s, w) for s, w in zip(shapes, weights, strict=False) if w]
+    places = np.array(positions, dtype=np.float64)
+    if normals is not None and any(shape.normal_rows is not None for shape, _ in active):
+        normals = np.array(normals, dtype=np.float64)
+    for shape, weight in active:
+        if shape.fault:
+            raise ValueError(shape.fault)
+        _add(places, shape.rows, shape.moves, weight)
+        if normals is not None:
+            _add(normals, shape.normal_rows, shape.normal_moves, weight)
+    return places, normals
+
+
+def _add(
+    vectors: NDArray[Any], rows: NDArray[Any] | None, moves: NDArray[Any] | None, weight: float
+) -> None:
+    if rows is None or moves is None:
+        return
+    step = np.multiply(moves, weight, dtype=np.float64)
+    if len(rows) == len(vectors):
+        vectors += step
+    else:
+        vectors[rows] += step
+
+
+def skinned(
+    positions: Float, normals: NDArray[Any] | None, skin: Skin, worlds: Mapping[int, Float]
+) -> tuple[Float, Float | None, bool]:
+    """Return skinned positions and normals, and whether skinning mirrors most vertices. The
+    normals have any length, and the direction of the inverse transpose."""
+    moved = np.empty((len(positions), 3))
+    turned = None if normals is None else np.empty((len(positions), 3))
+    mirrored = 0
+    for rows, (a, b, c, x, d, e, f, y, g, h, i, z) in _blended(skin, worlds):
+        p, q, r = np.asarray(positions[rows], dtype=np.float64).T
+        out = moved[rows]
+        out[:, 0] = a * p + b * q + c * r + x
+        out[:, 1] = d * p + e * q + f * r + y
+        out[:, 2] = g * p + h * q + i * r + z
+        k, l, m = e * i - f * h, f * g - d * i, d * h - e * g
+        sign = np.sign(a * k + b * l + c * m)
+        mirrored += int((sign < 0.0).sum())
+        if turned is not None and normals is not None:
+            p, q, r = np.asarray(normals[rows], dtype=np.float64).T * sign
+            out = turned[rows]
+            out[:, 0] = k * p + l * q + m * r
+            out[:, 1] = (h * c - i * b) * p + (i * a - g * c) * q + (g * b - h * a) * r
+            out[:, 2] = (b * f - c * e) * p + (c * d - a * f) * q + (a * e - b * d) * r
+    return moved, turned, 2 * mirrored > len(positions)
+
+
+def _blended(skin: Skin, worlds: Mapping[int, Float]) -> Iterable[tuple[slice, Float]]:
+    """Yield slices of the vertices with the first three rows of their blended matrices, (12, n)."""
+    matrices = np.ascontiguousarray(skin.matrices(worlds)[:, :3].reshape(-1, 12).T)
+    for start in range(0, skin.indices.shape[1], _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        blend = np.zeros((12, skin.indices[0, rows].size))
+        for joints, fractions in zip(skin.indices[:, rows], skin.fractions[:, rows], strict=True):
+            if fractions.any():
+                blend += matrices.take(joints, axis=1) * fractions
+        yield rows, blend

@@ -1,0 +1,92 @@
+"""The triangles of a part as the GPU gets them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.mesh.arrays import face_normals
+from facerender.mesh.part import Part, Space
+
+Floats = NDArray[np.float64]
+
+_EDGE_ON = 0.01  # sine of the angle between view ray and triangle
+
+
+class Area(NamedTuple):
+    """A rectangle of an image: left column, lowest row, width and height in pixels."""
+
+    left: int = 0
+    low: int = 0
+    width: int = 0
+    height: int = 0
+
+    @property
+    def empty(self) -> bool:
+        return not (self.width and self.height)
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleSetup:
+    """The triangles of a part in the renderer's space, as the GPU gets them.
+
+    vertices : (N, 6) float32, vertex positions in the renderer's space, and normals
+    faces : (F, 3) uint32, indices of vertices
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+    @classmethod
+    def of(cls, part: Part, space: Space) -> TriangleSetup:
+        """Return the triangle setup of a part of a mesh."""
+        vertices = np.empty((len(part.positions), 6), dtype=np.float32)
+        vertices[:, :3], vertices[:, 3:] = space.normalised(part.positions), part.normals
+        return cls(vertices, np.asarray(part.faces, dtype=np.uint32))
+
+    @property
+    def positions(self) -> NDArray[np.float32]:
+        """Vertex positions in the renderer's space, (N, 3)."""
+        return self.vertices[:, :3]
+
+    @cached_property
+    def bounds(self) -> NDArray[np.floating[Any]]:
+        """Corners of the vertices' bounding box, homogeneous, (8, 4)."""
+        columns = np.ascontiguousarray(self.positions.T)
+        sides = zip(columns.min(axis=1), columns.max(axis=1), strict=True)
+        return np.stack(np.meshgrid(*sides, [1.0]), axis=-1).reshape(-1, 4)
+
+    @cached_property
+    def planes(self) -> NDArray[np.float32]:
+        """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
+        columns, faces = (np.ascontiguousarray(array.T) for array in (self.positions, self.faces))
+        corners, normals = map(np.stack, face_normals([*columns], faces))
+        normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
+        return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
+
+    def facing(self, camera: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the indices of the triangles that can face a camera at the given position (3,).
+
+        Triangles that are seen edge-on are included, because a driver rounds positions to fractions
+        of a pixel before it decides which triangles are back faces.
+        """
+        edge_on = _EDGE_ON * (1.0 + np.linalg.norm(camera))
+        return np.flatnonzero(np.append(camera, 1.0).astype(np.float32) @ self.planes > -edge_on)
+
+    def area(self, view: Floats, size: tuple[int, int]) -> Area:
+        """Return the bounds of the part in an image; empty if the part is outside the image.
+
+        view : matrix of the image's :class:`View`
+        size : width and height of the image
+        """
+        clip = self.bounds @ view
+        if clip[:, 3].min() <= 0.0:
+            return Area(0, 0, *size)
+        corners = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
+        start = np.clip(np.floor(corners.min(axis=0)), 0, size).astype(int)
+        end = np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(int)
+        return Area(*start.tolist(), *(end - start).tolist())

@@ -1,0 +1,363 @@
+"""Environment maps: a panorama, its octahedral mip levels and irradiance coefficients for shading,
+and a procedural studio panorama. Files are .hdr, .exr or NumPy."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, check_type, clipped, near, shown
+from facerender.images.files import MAX_BYTES, check_pixels, png_bytes, read_image
+from facerender.images.image import encode_srgb8
+from facerender.system.files import read_file, suffix_of
+from facerender.values.ranges import Range, check_fields, ranged
+from facerender.values.vectors import AZIMUTHS, MOST_RADIANCE, direction_to
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+SIDE = 256  # side of the octahedral map's first mip level, in texels; 4 texels in the last level
+LEVELS = 7
+_INSIDE = 4  # each texel of the octahedral map averages 4 x 4 samples of the panorama
+_SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
+STUDIO = "studio"  # name of the procedural environment map
+
+
+@dataclass(frozen=True, eq=False)
+class Panorama:
+    """Radiance from every direction, as a latitude-longitude image.
+
+    Parameters
+    ----------
+    name : file or "studio", for messages and scene files
+    radiance : (H, 2 H, 3), linear RGB. The top row is the direction straight up. The middle column
+        is +z, the direction in which the face looks. Columns left of the middle have x > 0
+
+    Raises
+    ------
+    InputError : invalid shape, or a radiance that is not a number in [0, 1e9]
+    """
+
+    name: str
+    radiance: Float32
+
+    def __post_init__(self) -> None:
+        check_type("name of a panorama", self.name, str, "text")
+        try:
+            radiance = np.asarray(self.radiance, dtype=np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(
+                f"environment {self.name} has radiance {shown(self.radiance)}: give an array "
+                "of numbers"
+            ) from None
+        if radiance.ndim != 3 or radiance.shape[1:] != (2 * len(radiance), 3) or len(radiance) < 2:
+            shape = " x ".join(map(str, radiance.shape[1::-1] + radiance.shape[2:]))
+            remedy = "give an RGB image, twice as wide as high"
+            raise InputError(f"environment {self.name} has {shape} values: {remedy}")
+        inside = (radiance >= 0.0) & (radiance <= MOST_RADIANCE)
+        if not inside.all():
+            row, column, _ = np.unravel_index(int(inside.argmin()), radiance.shape)
+            worst = radiance[row, column].tolist()
+            raise InputError(
+                f"environment {self.name} has radiance {worst} in column {column} of row {row}:"
+                f" give numbers in [0, {MOST_RADIANCE:g}]"
+            )
+        object.__setattr__(self, "radiance", radiance)
+
+    def __repr__(self) -> str:
+        height, width = self.radiance.shape[:2]
+        return f"<Panorama {clipped(self.name)!r}, {width} x {height}>"
+
+    def _repr_png_(self) -> bytes:
+        return Environment(self)._repr_png_()
+
+    @cached_property
+    def coefficients(self) -> Float:
+        """Irradiance for each normal, as nine RGB coefficients of spherical harmonics, (9, 3)."""
+        from facerender.terms.environment import harmonics
+
+        radiance, directions, solid_angle = self._resampled
+        weights = harmonics(directions) * solid_angle[..., None]
+        received = np.tensordot(weights, radiance, ((0, 1), (0, 1)))
+        return np.array([16, 32, 32, 32, 60, 60, 5, 60, 15])[:, None] / 64.0 * received
+
+    @cached_property
+    def map(self) -> Float32:
+        """Mip levels of the octahedral map side by side, (SIDE + 2, W, 3). Each level has half the
+        side of the previous level, and a border of one texel for filtering at its edges."""
+        level, solid_angle = self._octahedron()
+        levels = [_bordered(level)]
+        for _ in range(LEVELS - 1):
+            light, solid_angle = _blocks(level * solid_angle), _blocks(solid_angle)
+            level = light / solid_angle
+            levels.append(_bordered(level))
+        padded = [np.pad(mip, ((0, SIDE + 2 - len(mip)), (0, 0), (0, 0))) for mip in levels]
+        return np.concatenate(padded, axis=1, dtype=np.float32, casting="same_kind")
+
+    @cached_property
+    def _resampled(self) -> tuple[Float, Float, Float]:
+        """Radiance reduced to at most 2 SIDE rows, with direction and solid angle of each pixel."""
+        height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
+        edges, target_edges = (-np.cos(np.pi * np.arange(n + 1) / n) for n in (height, rows))
+        radiance = _means(self.radiance, edges, target_edges).swapaxes(0, 1)
+        columns = np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1)
+        radiance = _means(radiance, *columns).swapaxes(0, 1)
+        return radiance, _directions(rows), np.diff(target_edges)[:, None] * (np.pi / rows)
+
+    def _octahedron(self) -> tuple[Float, Float]:
+        """Return the first mip level (SIDE, SIDE, 3) of the map, and each texel's solid angle."""
+        radiance = np.pad(self._resampled[0], ((1, 1), (0, 0), (0, 0)), "edge")
+        rows = len(radiance) - 2
+        radiance = np.pad(radiance, ((0, 0), (1, 1), (0, 0)), "wrap")
+        total, weights = np.zeros((SIDE, SIDE, 3)), np.zeros((SIDE, SIDE, 1))
+        for i, j in np.ndindex(_INSIDE, _INSIDE):
+            z, x = (2.0 * (np.arange(SIDE) + (k + 0.5) / _INSIDE) / SIDE - 1.0 for k in (i, j))
+            x, y, z, length = _unfolded(x, z[:, None])
+            row = np.arccos(y) / np.pi * rows + 0.5
+            column = (0.5 - np.arctan2(x, z) / (2.0 * np.pi)) * 2 * rows + 0.5
+            weight = length[..., None] ** -3
+            total += weight * _between(radiance, row, column)
+            weights += weight
+        return total / weights, weights * (2.0 / (SIDE * _INSIDE)) ** 2
+
+
+@dataclass(frozen=True)
+class Environment:
+    """An environment map with its rotation and scale.
+
+    Parameters
+    ----------
+    panorama : image of the radiance
+    rotation : rotation about the vertical axis in degrees; added to the panorama's azimuths
+    scale : factor on the radiance; a uniform radiance of 1 shows a white diffuse surface as 1
+
+    Raises
+    ------
+    InputError : a value outside its range
+    """
+
+    panorama: Panorama
+    rotation: float = ranged(AZIMUTHS, 0.0)
+    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
+
+    def __post_init__(self) -> None:
+        check_type("panorama", self.panorama, Panorama, "a facerender.Panorama")
+        check_fields(self, "environment ")
+
+    @property
+    def turn(self) -> Float:
+        """Rotation matrix (3, 3) from directions in mesh space to directions in the panorama."""
+        cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
+        return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+
+    def _repr_png_(self) -> bytes:
+        """Return the rotated and scaled panorama as PNG of about 512 columns, for notebooks. The
+        middle column is +z, the direction in which the face looks."""
+        radiance = self.panorama.radiance
+        step = max(radiance.shape[1] // 512, 1)
+        columns = round(self.rotation / 360.0 * radiance.shape[1])  # azimuths increase to the left
+        turned = np.roll(radiance, -columns, axis=1)[::step, ::step]
+        return png_bytes(encode_srgb8(turned * np.float32(self.scale)), {})
+
+
+@lru_cache(maxsize=1)
+def studio() -> Panorama:
+    """Return the panorama of a dim room with three lights. For a camera in front of the face, a
+    large soft box is at the upper left, a strip light at the right, a rim light behind the face.
+    """
+    directions = _directions(128)
+    room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
+    for azimuth, elevation, width, height, color in (
+        (-48.0, 38.0, 0.45, 0.6, (4.4, 4.2, 3.9)),
+        (70.0, 8.0, 0.22, 0.9, (1.2, 1.3, 1.4)),
+        (145.0, 30.0, 0.2, 0.7, (3.2, 3.3, 3.6)),
+    ):
+        center = direction_to(azimuth, elevation)
+        right = np.cross([0.0, 1.0, 0.0], center)
+        right /= np.linalg.norm(right)
+        depth = directions @ center
+        box = (depth > 0.0).astype(np.float64)
+        for axis, half in ((right, width), (np.cross(center, right), height)):
+            offset = directions @ axis / np.maximum(depth, 1e-3)
+            box *= np.clip((half - np.abs(offset)) / 0.08 + 0.5, 0.0, 1.0)
+        room = room + box[..., None] * color
+    return Panorama("studio", room.astype(np.float32))
+
+
+def _directions(rows: int) -> Float:
+    """Return the directions of a panorama's pixels, (rows, 2 rows, 3)."""
+    elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
+    azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
+    across, up = np.cos(elevation), np.sin(elevation) + 0.0 * azimuth
+    return np.stack([across * np.sin(azimuth), up, across * np.cos(azimuth)], axis=-1)
+
+
+def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
+    """Convert points x, z in [-1, 1] on an octahedral map to unit directions x, y, z. Also return
+    the distance from the octahedron's centre to its surface in each direction."""
+    y = 1.0 - np.abs(x) - np.abs(z)
+    folded = y < 0.0
+    x, z = (
+        np.where(folded, (1.0 - np.abs(across)) * np.where(along >= 0.0, 1.0, -1.0), along)
+        for along, across in ((x, z), (z, x))
+    )
+    length = np.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length, length
+
+
+def _means(values: NDArray[np.floating], edges: Float, target_edges: Float) -> Float:
+    """Return, for each interval [target_edges[j], target_edges[j + 1]], the mean of the rows of
+    ``values``. Row i spans the interval [edges[i], edges[i + 1]]."""
+    if len(target_edges) == len(edges):
+        return values.astype(np.float64)
+    means = np.empty((len(target_edges) - 1, *values.shape[1:]))
+    for i, (low, high) in enumerate(pairwise(target_edges)):
+        first, last = np.searchsorted(edges, low, "right") - 1, np.searchsorted(edges, high)
+        shares = np.diff(np.clip(edges[first : last + 1], low, high)) / (high - low)
+        means[i] = np.tensordot(shares, values[first:last], 1)
+    return means
+
+
+def _between(texels: Float, row: Float, column: Float) -> Float:
+    i, j = np.floor(row).astype(int), np.floor(column).astype(int)
+    down, right = (row - i)[..., None], (column - j)[..., None]
+    upper = (1.0 - right) * texels[i, j] + right * texels[i, j + 1]
+    lower = (1.0 - right) * texels[i + 1, j] + right * texels[i + 1, j + 1]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def _blocks(texels: Float) -> Float:
+    """Return the sum of each block of 2 x 2 texels."""
+    half = len(texels) // 2
+    return np.asarray(texels.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
+
+
+def _bordered(level: Float) -> Float:
+    """Add a border of one texel to a mip level: copies of its edges in reverse order. On the sphere
+    the two halves of each edge of an octahedral map coincide."""
+    beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
+    return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])
+
+
+@dataclass(frozen=True)
+class EnvironmentFile:
+    """Path, rotation and scale of an environment map.
+
+    Parameters
+    ----------
+    file : path of a .hdr, .exr, .npy or .npz, or "studio" for the procedural environment map
+    rotation : rotation about the vertical axis in degrees; added to the map's azimuths
+    scale : factor on the radiance
+    """
+
+    file: str
+    rotation: float = ranged(AZIMUTHS, 0.0)
+    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
+            raise InputError(f"environment file = {shown(self.file)}: give a path, or {STUDIO}")
+        object.__setattr__(self, "file", os.fspath(self.file))
+        check_fields(self, "environment ")
+
+
+def parse_environment(text: str) -> EnvironmentFile:
+    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
+    text has another form, or a value is outside its range."""
+    file, *words = text.split(",")
+    numbers: list[float] | None = None
+    with suppress(ValueError):
+        numbers = [*map(float, words)]
+    if numbers is None or len(numbers) > 2:
+        raise InputError(
+            f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
+            "and ROTATION is in degrees"
+        )
+    return EnvironmentFile(file, *numbers)
+
+
+def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:
+    """Return the file of an environment map, given as an :class:`EnvironmentFile`, as a path, or as
+    a text that :func:`parse_environment` parses. Raises InputError for a value of another type, and
+    the errors of :func:`parse_environment`."""
+    if isinstance(value, str):
+        return parse_environment(value)
+    if isinstance(value, os.PathLike):
+        return EnvironmentFile(os.fspath(value))
+    remedy = f"a path, {STUDIO}, or a facerender.EnvironmentFile"
+    check_type("environment", value, EnvironmentFile, remedy)
+    return value
+
+
+def wanted(file: str) -> str:
+    """Return the description of the expected file for messages, first a name like ``file``."""
+    maps = f"an environment map ({', '.join(_SUFFIXES)})"
+    return f"{STUDIO}, or {maps}" if near(file, [STUDIO]) else f"{maps}, or {STUDIO}"
+
+
+EnvironmentSource: TypeAlias = "Environment | EnvironmentFile | str | os.PathLike[str]"
+
+
+def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environment:
+    """Load an environment map. The panoramas of the two files used last are cached, with all data
+    derived from these panoramas. All environments loaded from one file share its panorama.
+
+    file : a path, "studio", a text such as "room.hdr,ROTATION,SCALE", or an
+        :class:`EnvironmentFile`
+
+    Raises
+    ------
+    InputError : the file is missing, damaged, or of an unknown format or shape; a radiance is not a
+        number in [0, 1e9]; OpenImageIO (.hdr) or OpenEXR (.exr) is not installed
+    """
+    file = environment_file(file)
+    panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
+    return Environment(panorama, file.rotation, file.scale)
+
+
+def _state(path: str) -> tuple[int, int]:
+    """Return a file's modification time in ns and its size in bytes, to detect a change."""
+    try:
+        status = Path(path).stat()
+    except (OSError, ValueError):
+        return 0, 0  # reading the file reports the error
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(2)
+def _panorama(file: str, written: int, size: int) -> Panorama:
+    path, description = Path(file), wanted(file)
+    if suffix_of(path, _SUFFIXES, "environment", description, MAX_BYTES) == ".hdr":
+        return Panorama(file, _read_hdr(read_file(path, description, MAX_BYTES), path))
+    picture = read_image(path)
+    if picture.encoding != "linear":
+        raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
+    return Panorama(file, picture.color)
+
+
+def _read_hdr(content: bytes, path: Path) -> NDArray[np.float32]:
+    try:
+        import OpenImageIO as oiio
+    except ImportError:
+        raise InputError(
+            f"{path}: .hdr needs the package OpenImageIO; pip install 'facerender[hdr]'"
+        ) from None
+    file, why = None, "it does not start like a Radiance file"
+    if content.startswith(b"#?"):  # otherwise OpenImageIO would try other formats
+        file, why = oiio.ImageInput.open(str(path)), oiio.geterror()
+    if file:
+        spec = file.spec()
+        check_pixels(str(path), spec.width, spec.height, 4 * spec.nchannels, len(content))
+        if (pixels := file.read_image(oiio.FLOAT)) is not None:
+            return np.asarray(pixels, dtype=np.float32)
+        why = file.geterror()
+    why = clipped(why) or "damaged"
+    raise InputError(f"OpenImageIO cannot read {path} ({why}); write the file again")

@@ -1,0 +1,64 @@
+"""Selection of a scene's subsurface scattering profiles for an image size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from facerender.errors import InputError
+from facerender.mesh.hints import HEAD, SCALE, emit, millimetres_of, option, wrong_unit
+from facerender.scene.scene import Scene
+from facerender.scene.view import target_of, view_of
+from facerender.terms.transport import Gaussians, wide_gaussians
+
+
+@dataclass(frozen=True)
+class Scattering:
+    """Scattering profiles of the parts of a scene.
+
+    profiles : distinct profiles of the parts, without Gaussians narrower than half a pixel
+    numbers : for each part the index of its profile, counted from 1; -1 for no scattering
+    millimetres : millimetres per unit of the renderer's space
+    pixels : height in pixels of an object with height 1 at depth 1, both in the renderer's
+        space
+    """
+
+    profiles: tuple[Gaussians, ...]
+    numbers: tuple[int, ...]
+    millimetres: float
+    pixels: float
+
+
+def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
+    """Return the scattering profiles of a scene for an image size.
+
+    Return None if nothing scatters over more than half a pixel at the camera target's distance.
+    Raises InputError if the size of the mesh in millimetres is unknown.
+    """
+    mesh = scene.mesh
+    profiles_of_parts = [m.scattering if m.diffuse_weight > 0.0 else None for m in mesh.materials]
+    if not any(profiles_of_parts):
+        return None
+    if mesh.millimetres is None:
+        remedy = f"{SCALE}, and give {option(1.0)}"
+        if (length := millimetres_of(mesh)) is not None:
+            remedy = f"give {option(length)} for a head of {HEAD:g} mm "
+            remedy += f"(load_mesh(..., millimetres={length:g}))"
+        cause = f"scattering needs the size of {mesh.name}, which does not specify its unit"
+        raise InputError(f"{cause}: {remedy}")
+    emit(mesh, wrong_unit, wrong_unit(mesh))
+    millimetres = mesh.radius * mesh.millimetres
+    camera, view = scene.camera, view_of(scene, size[0] / size[1])
+    distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))
+    pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)
+    if camera.intrinsics is not None:
+        pixels = float(view.intrinsics(size)[1, 1])
+    pixel = millimetres * distance / pixels
+    wide = [wide_gaussians(profile, pixel) if profile else () for profile in profiles_of_parts]
+    profiles = tuple(dict.fromkeys(filter(None, wide)))
+    if not profiles:
+        return None
+    numbers = tuple(profiles.index(profile) + 1 if profile else -1 for profile in wide)
+    return Scattering(profiles, numbers, millimetres, pixels)

@@ -1,0 +1,407 @@
+"""Views: position and projection of a scene's camera in the renderer's space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, check_range, check_type
+from facerender.mesh.mesh import Mesh, largest_opacity
+from facerender.mesh.part import Part, Region
+from facerender.scene.camera import Camera, Frame, distort
+from facerender.scene.scene import Scene
+from facerender.values.ranges import range_of
+from facerender.values.vectors import check_array, direction_to, within_reach
+
+FRAMING_MARGIN = 1.04
+_SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are rounded
+SIZES = range_of(Camera, "size")
+# Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
+_UNSEEN = 2e-4
+_CELLS = 64  # cells along each side of a part in the image, in which vertices hide others
+_BEHIND = 0.03  # distance from which a vertex counts as behind another, in radii of the mesh
+_XYW = [0, 1, 3]  # indices of clip x, y and w
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera in the renderer's space, where the mesh's bounding sphere is the unit sphere.
+
+    Attributes
+    ----------
+    position : (3,) float64
+    forward : (3,) float64, unit vector of the viewing direction
+    matrix : (4, 4) float64, view matrix times projection matrix, for row vectors. Clip y = -1 is
+        the top of the image, so that a framebuffer has its rows from the top down
+    distortion : lens distortion (see :class:`Camera`), which the matrix leaves out; None for none
+    """
+
+    position: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+    distortion: tuple[float, ...] | None = None
+
+    def __repr__(self) -> str:
+        vectors = self.position, self.forward
+        start, direction = (", ".join(f"{value:.4g}" for value in vector) for vector in vectors)
+        return f"<View from ({start}) along ({direction})>"
+
+    def project(
+        self, mesh: Mesh, points: NDArray[np.float64], size: int | tuple[int, int]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Project points of mesh space to pixels, with the lens distortion, in float64.
+
+        Parameters
+        ----------
+        mesh : the scene's mesh, or one with the same bounds
+        points : (N, 3), in mesh units
+        size : width and height of the image
+
+        Returns
+        -------
+        pixels : (N, 2), x to the right and y down; the image's top left corner is (0, 0), its first
+            pixel's centre (0.5, 0.5). NaN at depths of 0 or less, and where the distortion folds
+        depth : (N,), distance from the camera along the viewing direction, in mesh units
+        """
+        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+        size = SIZES.check("size", size)
+        points = np.asarray(points)
+        check_array("points", points, 3)
+        clip = self._clip(mesh, points)
+        depth = clip[:, 2]
+        with np.errstate(all="ignore"):
+            flat = np.where(depth[:, None] > 0.0, clip[:, :2] / depth[:, None], np.nan)
+        if self.distortion is not None:
+            lens = self._lens
+            focal, middle = lens[[0, 1], [0, 1]], lens[:2, 2]
+            flat = distort((flat - middle) / focal, self.distortion) * focal + middle
+        return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
+
+    def _clip(self, mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return clip x, y and w, (N, 3), of points (N, 3) of mesh space."""
+        rows = np.column_stack([mesh.normalised(points), np.ones(len(points))])
+        return np.asarray(rows @ self.matrix[:, _XYW])
+
+    def shifted(self, pixels: tuple[float, float], size: int | tuple[int, int]) -> View:
+        """Return the view with its image moved right by x pixels and down by y pixels.
+
+        pixels : x and y
+        size : width and height of the image
+        """
+        move = np.eye(4)
+        move[3, :2] = 2.0 * np.asarray(pixels) / size
+        return replace(self, matrix=self.matrix @ move)
+
+    def intrinsics(self, size: int | tuple[int, int]) -> NDArray[np.float64]:
+        """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.
+
+        Pixel x points right, y down. The image's top left corner is (0, 0); its first pixel's
+        centre is (0.5, 0.5). Values are rounded to 1e-9 pixels, so that a central principal point
+        is exact. See :meth:`extrinsics` for camera space.
+        """
+        width, height = np.divide(SIZES.check("size", size), 2.0)
+        pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
+        return np.round(pixels @ self._lens, 9)
+
+    def extrinsics(self, mesh: Mesh) -> NDArray[np.float64]:
+        """Return the matrix [R|t], (3, 4), that maps mesh space to camera space.
+
+        Camera space has the camera at 0, x to the right, y down, z forward, and mesh units.
+
+        mesh : the scene's mesh, or one with the same bounds
+        """
+        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+        pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
+        pose[:, 3] = mesh.radius * pose[:, 3] - pose[:, :3] @ mesh.center
+        return pose
+
+    @property
+    def _lens(self) -> NDArray[np.float64]:
+        """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x is a
+        multiple of camera-space x plus a multiple of the depth; for clip y, y replaces x."""
+        x, y, w = self.matrix[:3, _XYW].T
+        lens = np.eye(3)
+        for row, axis in enumerate((x, y)):
+            lens[row, 2] = axis @ w
+            lens[row, row] = np.linalg.norm(axis - lens[row, 2] * w)
+        return lens
+
+
+def sample_grid(count: int) -> NDArray[np.float64]:
+    """Return evenly distributed sample positions in a pixel, (count, 2) in [-0.5, 0.5].
+
+    These are Hammersley points; see Niederreiter (1992), "Random number generation and quasi-Monte
+    Carlo methods", section 3.1.
+    """
+    index = np.arange(count)
+    turned, digit = np.full(count, 0.5 / count), 0.5
+    for bit in range(int(count - 1).bit_length()):
+        turned += digit * (index >> bit & 1)
+        digit /= 2.0
+    return np.stack([(index + 0.5) / count, turned], axis=-1) - 0.5
+
+
+def view_of(scene: Scene, aspect: float) -> View:
+    """Return the view of a scene's camera for images of the given aspect ratio, width / height.
+
+    Raises
+    ------
+    InputError : the camera is at its target, the camera or its target is more than 1e6 mesh radii
+        from the mesh's centre, or the camera's intrinsics are for another aspect ratio
+    """
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_range("aspect", aspect, 1e-6, 1e6)
+    mesh, camera = scene.mesh, scene.camera
+    if camera.extrinsics is not None:
+        return _placed(mesh, camera, aspect)
+    target = target_of(mesh, camera)
+    if camera.position is None:
+        framed = region_of(mesh, camera.frame) or mesh
+        distance = _framing_distance(framed.profile, camera.elevation, camera.fov, aspect)
+        distance /= camera.zoom
+        eye = target + distance * direction_to(camera.azimuth, camera.elevation)
+    else:
+        eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
+    gaze = target - eye
+    distance = float(np.linalg.norm(gaze))
+    if distance < 1e-6:
+        raise InputError(f"camera position {camera.position} is at its target; move one of them")
+    forward = gaze / distance
+    up = np.array([0.0, 1.0, 0.0])
+    if abs(forward[1]) > 0.9999:  # from above, the image's top shows the back of the head
+        up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
+    elif camera.position is not None and camera.azimuth:
+        raise InputError(
+            f"camera azimuth = {camera.azimuth:g} and position exclude each other, unless the "
+            "camera looks straight up or down: leave one out"
+        )
+    lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
+    return View(eye, forward, _look(eye, target, up) @ lens)
+
+
+def shifted(scene: Scene, x: float, y: float, size: int | tuple[int, int]) -> Scene:
+    """Return the scene with its image, of the given size, moved x pixels right and y pixels down.
+
+    Raises
+    ------
+    InputError : an invalid size, x or y outside [-1e6, 1e6], or an error of :func:`view_of`
+    """
+    width, height = size = SIZES.check("size", size)
+    for name, value in (("x", x), ("y", y)):
+        check_range(name, value, -1e6, 1e6)
+    view = view_of(scene, width / height).shifted((x, y), size)
+    pose, lens = view.extrinsics(scene.mesh).tolist(), view.intrinsics(size).tolist()
+    camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion)
+    return replace(scene, camera=camera)
+
+
+def region_of(mesh: Mesh, frame: Frame) -> Region | None:
+    """Return the region of a mesh that a camera frames; None for the whole mesh."""
+    return None if frame == "all" else mesh.regions[frame]
+
+
+def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
+    """Return the target (3,) of a camera without extrinsics, in the renderer's space."""
+    if camera.target is not None:
+        return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
+    region = region_of(mesh, camera.frame)
+    return np.zeros(3) if region is None else region.center
+
+
+def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
+    """Return the view of a camera with extrinsics and, optionally, intrinsics."""
+    pose = np.array(camera.extrinsics)
+    left, _, right = np.linalg.svd(pose[:, :3])
+    turn = left @ right  # the nearest rotation, because R may be rounded
+    eye = within_reach("position in camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
+    forward = turn[2]
+    lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
+    if camera.intrinsics is not None and camera.size is not None:
+        width, height = camera.size
+        if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
+            raise InputError(
+                f"camera intrinsics are for images of {width} x {height} pixels: give a size with "
+                "this aspect ratio"
+            )
+        k = np.array(camera.intrinsics)
+        lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
+        lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
+    return View(eye, forward, _look(eye, eye + forward, -turn[1]) @ lens, camera.distortion)
+
+
+def _look(
+    position: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the matrix from the renderer's space to camera space, for row vectors."""
+    forward = target - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    look = np.eye(4)
+    look[:3, :3] = np.stack([right, np.cross(right, forward), -forward], axis=1)
+    look[3, :3] = -position @ look[:3, :3]
+    return look
+
+
+def _projection(fov: float, aspect: float, depth: float, reach: float) -> NDArray[np.float64]:
+    """Return the matrix from camera space to clip space, with y down, for row vectors. The sphere
+    around all vertices lies between the near plane and the far plane. Source: OpenGL 2.1,
+    gluPerspective.
+
+    depth, reach : depth of the mesh's centre, and radius of the sphere; see :class:`Space`
+    """
+    far = max(depth + reach, 0.02)
+    near = max(depth - reach, far * 1e-3)
+    tangent = math.tan(math.radians(fov) / 2.0)
+    lens = np.zeros((4, 4))
+    lens[0, 0], lens[1, 1] = 1.0 / (tangent * aspect), -1.0 / tangent
+    lens[2, 2:] = (far + near) / (near - far), -1.0
+    lens[3, 2] = 2.0 * far * near / (near - far)
+    return lens
+
+
+def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
+    """Return the reason why an image of the given size shows nothing of the mesh, and a remedy.
+
+    threshold : smallest opacity of blended parts in a data image; None for other images
+    """
+    width, height = size
+    view = view_of(scene, width / height)
+    places = np.concatenate([part.positions for part in scene.mesh.parts])
+    pixels, depth = view.project(scene.mesh, places, (width, height))
+    if not (depth > 0.0).any():
+        return "all of it lies behind the camera; turn the camera, or move it back"
+    pixels = pixels[np.isfinite(pixels).all(axis=-1)]
+    if not len(pixels):
+        return "all of it lies beyond the reach of the lens distortion; turn the camera"
+    x, y = (2.0 * pixels / size - 1.0).T
+    extent = float(np.ptp(pixels, axis=0).max())
+    if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
+        if extent < 2.0:
+            return f"it is {extent:.2g} pixels large; move the camera nearer, or zoom in"
+        indices = range(len(scene.mesh.parts))
+        causes = [_not_drawn(scene.mesh, i, view, threshold) for i in indices]
+        if all(causes):
+            return "; ".join(dict.fromkeys(causes))
+        return (
+            f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
+            "pixel; frame more of the mesh, or give more pixels"
+        )
+    outside = x.max() < -1.0, x.min() > 1.0, y.max() < -1.0, y.min() > 1.0
+    ways = compress(("left of", "right of", "above", "below"), outside)
+    return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
+
+
+def _not_drawn(mesh: Mesh, number: int, view: View, threshold: float | None) -> str:
+    """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn. For
+    ``threshold`` see :func:`hidden`."""
+    part, material = mesh.parts[number], mesh.materials[number]
+    name = part.name or "it"
+    if material.double_sided is False:
+        a, b, c = np.moveaxis(mesh.normalised(part.positions)[part.faces], 1, 0)
+        if not (np.einsum("ij,ij->i", np.cross(b - a, c - a), view.position - a) > 0.0).any():
+            return f"{name} shows only back faces; give --double-sided, or turn the camera"
+    if threshold is not None and material.thin:
+        return f"{name} transmits light, and data images omit such parts; draw the image itself"
+    opacity = largest_opacity(part, material)
+    limits = {"blend": threshold or 1e-9, "mask": material.alpha_cutoff, "opaque": 0.0}
+    if opacity >= limits[material.alpha]:
+        return ""
+    option = "a lower --alpha-threshold" if threshold and material.alpha == "blend" else ""
+    option = option or f"--part '{part.name or '*'},alpha=opaque'"
+    return f"the opacity of {name} is at most {opacity:.2g}; give {option}"
+
+
+def levels_to_spare(
+    mesh: Mesh,
+    part: Part,
+    uv: NDArray[np.float64],
+    texels: tuple[int, int],
+    view: View,
+    size: tuple[int, int],
+    anisotropy: float = 1.0,
+) -> int:
+    """Return how many of a map's finest mip levels are not read for an image of the given view.
+
+    A triangle reads the level log2(t), where t is the number of texels along the longer axis of a
+    pixel's footprint (OpenGL 3.3, section 3.8.11). Anisotropic filtering divides t by the
+    anisotropy (EXT_texture_filter_anisotropic). Triangles that the part itself hides, such as the
+    inside of a closed mouth, do not count.
+
+    Parameters
+    ----------
+    part, uv : part of the mesh, and its texture coordinates
+    texels : width and height of the map
+    size : width and height of the image
+    anisotropy : degree of anisotropic filtering, at least 1 (isotropic)
+    """
+    x, y, w = view._clip(mesh, part.positions).T
+    in_front = w[part.faces] > 1e-6
+    crossing = in_front.any(axis=1) & ~in_front.all(axis=1)
+    faces = part.faces[in_front.all(axis=1)]
+    half = np.divide(size, 2.0)
+    pixels = np.stack([x, y], axis=-1) / np.maximum(w, 1e-6)[:, None] * half
+    corners, coordinates = pixels[faces], (uv * texels)[faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    shown = np.clip(np.minimum(high, half) - np.maximum(low, -half), 0.0, None)
+    across, along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    double = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Estimates the visible fraction of a triangle by the visible fraction of its bounding box.
+        area = np.abs(double) * np.nan_to_num(np.prod(shown / (high - low), axis=1))
+        first, second = (coordinates[:, i] - coordinates[:, 0] for i in (1, 2))
+        by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
+        by_y = (second * across[:, :1] - first * along[:, :1]) / double[:, None]
+        read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
+    hidden = _hidden(pixels / half, w)[faces].all(axis=1)
+    visible = (area > 0.0) & np.isfinite(read) & ~hidden
+    if crossing.any() or not visible.any():
+        return 0
+    area, read = area[visible], read[visible]
+    order = np.argsort(read)
+    finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
+    limit = min(texels).bit_length() - 2  # the finest level that is left has at least 2 x 2 texels
+    return max(min(math.floor(math.log2(max(finest, 1.0))), limit), 0)
+
+
+def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which vertices are behind the others, in a grid of cells over their part of the image.
+
+    A vertex is hidden if it is behind the nearest vertices of its cell and of all eight cells
+    around it. A cell without vertices hides nothing.
+
+    places, depth : x and y from -1 to 1 in the image, and distance from the camera, per vertex
+    """
+    shown = np.clip(places, -1.0, 1.0)
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    cells = np.clip((places - low) / np.maximum(high - low, 1e-9) * _CELLS, -1.0, _CELLS)
+    indices = np.floor(cells).astype(np.int64) + 1
+    nearest = np.full((_CELLS + 2, _CELLS + 2), np.inf)
+    np.minimum.at(nearest, tuple(indices.T), np.where(depth > 0.0, depth, np.inf))
+    around = np.pad(nearest[1:-1, 1:-1], 2, constant_values=np.inf)
+    farthest = sliding_window_view(around, (3, 3)).max(axis=(2, 3))
+    return np.asarray(depth > farthest[tuple(indices.T)] + _BEHIND)
+
+
+def _framing_distance(
+    profile: NDArray[np.float64], elevation: float, fov: float, aspect: float
+) -> float:
+    """Return the camera distance at which a profile fits into the view at every azimuth.
+
+    The distance includes FRAMING_MARGIN. Relative to the orbiting camera, a vertex at height y and
+    distance r from the axis moves on a circle. top, bottom and side are the camera distances at
+    which the circle touches the top, bottom and side edges of the view.
+    """
+    r, y = profile.T
+    sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
+    vertical = math.tan(math.radians(fov) / 2.0)
+    horizontal = vertical * aspect
+    top = y * (sine + cosine / vertical) + r * abs(cosine - sine / vertical)
+    bottom = y * (sine - cosine / vertical) + r * abs(cosine + sine / vertical)
+    side = y * sine + r * math.hypot(1.0 / horizontal, cosine)
+    return FRAMING_MARGIN * float(max(top.max(), bottom.max(), side.max()))

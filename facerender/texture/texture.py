@@ -1,0 +1,587 @@
+"""Textures: images that background threads decode and reduce to mip levels. OpenGL is not used.
+
+A :class:`Texture` is an image, of which it reads all channels or one, and all mip levels or coarser
+ones, and a sampling. Textures of one image share its decoded texels."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, get_args
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError, check_path, check_switch, check_type, clipped, shown, warn
+from facerender.images.files import check_pixels, converted, in_srgb, open_image, png_bytes
+from facerender.images.image import linear_to_srgb
+from facerender.system.files import open_file
+from facerender.system.process import give_back
+from facerender.texture.mips import STRIP, Kind, Levels, as_rgb, data_chain, mip_chain, reduced_data
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Wrap = Literal["repeat", "clamp", "mirror"]
+Decode = Callable[[], "Image | NDArray[np.uint8]"]
+
+DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
+MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
+_MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
+_MOST_PACKED = 2  # packed textures that a map keeps; materials keep their packed textures, too
+LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
+
+
+class _Chains(dict[Kind, Future[Levels]]):
+    """Mip chains of textures that differ in sampling."""
+
+    ends: NDArray[np.uint8] | None = None  # see Texture.ends()
+
+
+class _Image:
+    """The image of textures that differ in sampling, channel and number of omitted mip levels."""
+
+    def __init__(self, decode: Decode, name: str, size: tuple[int, int] | None) -> None:
+        self.decode, self.name, self.size = decode, name, size
+        self.lock = threading.Lock()
+        self.texels: NDArray[np.uint8] | None = None
+        # Chains, textures, and textures packed of channels of this image
+        self.shared: WeakValueDictionary[Any, Any] = WeakValueDictionary()
+
+    def decoded(self) -> Image | NDArray[np.uint8]:
+        """Return the texels if they are cached, and otherwise the result of ``decode``."""
+        if (texels := self.texels) is not None:
+            return texels
+        image = self.decode()
+        return image if isinstance(image, np.ndarray) else _loaded(image, self.name)
+
+    def all_texels(self) -> NDArray[np.uint8]:
+        """Return the texels (H, W, 3), or (H, W) of a grey array, which are cached."""
+        with self.lock:
+            image = self.decoded()
+            if not isinstance(image, np.ndarray):
+                strips = _strips(image, self.name)
+                del image  # the strips keep it until the last one
+                image = np.concatenate([*strips])
+            self.texels, self.size = image, image.shape[1::-1]
+            return image
+
+    def changed(self, change: Callable[[Image], Image]) -> _Image:
+        """Return the result of a function of this image in its own mode, with row 0 on top."""
+
+        def decode() -> Image:
+            image = self.decode()
+            with _damaged(self.name):
+                if isinstance(image, np.ndarray):
+                    return change(_image_of(image[::-1]))
+                return change(_loaded(image, self.name))
+
+        return _Image(decode, self.name, self.size)
+
+
+class Texture:
+    """An image that is decoded once, when it is first needed.
+
+    Parameters
+    ----------
+    decode : function that returns a Pillow image of any mode, or texels (H, W, 3) or (H, W) of
+        uint8 with row 0 at the bottom; runs in a thread
+    name : name in messages: the file, or the map and its mesh file
+    size : width and height, if known
+    profile : ICC profile of the image, from :func:`profile_of`; :meth:`in_srgb` applies it
+
+    Attributes
+    ----------
+    wrap : wrap modes in u and v: "repeat", "clamp" or "mirror"
+    nearest : whether to sample the nearest texel of the nearest mip level, without interpolation
+    coarse : whether the finest mip levels of the image are omitted
+    """
+
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    nearest: bool = False
+    coarse: bool = False
+    _omitted: int = 0  # number of omitted finest levels
+    _channel: int | None = None  # the only channel of the image that this texture contains
+
+    def __init__(
+        self,
+        decode: Callable[[], Image | NDArray[np.uint8]],
+        name: str,
+        size: tuple[int, int] | None = None,
+        profile: bytes | None = None,
+    ) -> None:
+        check_type("name of a texture", name, str, "text")
+        check_type("decode", decode, Callable, "a function that returns a Pillow image")
+        check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
+        self.name, self.profile = name, profile
+        self._image = _Image(decode, name, size)
+        self._packed: deque[Texture] = deque(maxlen=_MOST_PACKED)
+        self._chains: _Chains = self._image.shared.setdefault((None, 0), _Chains())
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        """Pickle the decoded image instead of its source."""
+        return self.name, self.texels(), self.wrap, self.nearest, self.profile
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        name, texels, self.wrap, self.nearest, profile = state
+        Texture.__init__(self, lambda: texels, name, texels.shape[1::-1], profile)
+
+    def _with(self, **attributes: Any) -> Texture:
+        """Return a texture with other attributes. Textures of equal texels share mip chains."""
+        texture = Texture.__new__(Texture)
+        vars(texture).update(vars(self), **attributes)
+        key = texture._channel, texture._omitted
+        texture._chains = texture._image.shared.setdefault(key, _Chains())
+        return texture
+
+    def _variant(self, **attributes: Any) -> Texture:
+        """Return a texture with other attributes. A renderer uploads each texture once, so equal
+        calls return one object while it is in use."""
+        texture = self._with(**attributes)
+        key = texture.name, texture._channel, texture._omitted, texture.sampling
+        variant: Texture = texture._image.shared.setdefault(key, texture)
+        return variant
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> Texture:
+        """Return the texture of an image file. The file is decoded later.
+
+        Raises
+        ------
+        InputError : the file is missing or not an image
+        """
+        check_path("image file", path)
+        name = clipped(Path(path).name)
+
+        def decode() -> Image:
+            with open_file(path, "an image file") as file:
+                return _loaded(_opened(file, name), name)
+
+        with open_file(path, "an image file") as file:
+            if len(content := file.read(_MOST_KEPT + 1)) <= _MOST_KEPT:
+                return cls.of(content, name)
+            opened = _opened(file, name)
+            return cls(decode, name, opened.size, profile_of(opened))
+
+    @classmethod
+    def of(cls, content: bytes, name: str) -> Texture:
+        """Return a texture from the bytes of an image file. The bytes are decoded later.
+
+        Raises
+        ------
+        InputError : the content is not an image, or too large
+        """
+        opened = _opened(content, name)
+        return cls(lambda: _opened(content, name), name, opened.size, profile_of(opened))
+
+    @classmethod
+    def alpha_of(cls, content: bytes, name: str) -> Texture | None:
+        """Return an image file's alpha channel as a grey texture, or None if it has no alpha.
+        Raises the errors of :meth:`of`."""
+        if not _opened(content, name).has_transparency_data:
+            return None
+        return cls.of(content, name).changed(lambda image: image.convert("RGBA").getchannel("A"))
+
+    @classmethod
+    def from_array(cls, texels: ArrayLike, name: str = "an array") -> Texture:
+        """Return a texture from an array of texels, which are copied and converted to 8 bits.
+
+        The values are encoded as in an image file: sRGB for an albedo or emissive map, linear for
+        all other maps.
+
+        Parameters
+        ----------
+        texels : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), row 0 on top: uint8, uint16, or floats
+            in [0, 1]. Alpha is dropped; use ``from_array(texels[..., 3])`` as an opacity map.
+        name : name in messages
+
+        Raises
+        ------
+        InputError : invalid shape or type, values outside [0, 1], or too many texels
+        """
+        pixels = _bytes_of(texels, name)
+        check_pixels(name, pixels.shape[1], pixels.shape[0], 4, math.inf)
+        return cls(lambda: _image_of(pixels), name, pixels.shape[1::-1])
+
+    @classmethod
+    def from_image(cls, image: Image, name: str = "an image") -> Texture:
+        """Return a texture from a copy of a Pillow image of any mode.
+
+        Raises
+        ------
+        InputError : not a Pillow image, or one that cannot be decoded
+        """
+        from PIL import Image as images
+
+        check_type("image", image, images.Image, "a Pillow image")
+        copy = _loaded(image, name).copy()
+        return cls(lambda: copy, name, copy.size, profile_of(copy))
+
+    def __repr__(self) -> str:
+        size = ", {} x {}".format(*self.size) if self._image.size else ""
+        return f"<Texture {self.name!r}{size}>"
+
+    @classmethod
+    def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
+        """Return a texture of texels (H, W) or (H, W, 3), row 0 at the bottom, with mip chains."""
+        texture = cls(lambda: texels, name, texels.shape[1::-1])
+        for kind, chain in levels.items():
+            texture._chains[kind] = Future()
+            texture._chains[kind].set_result(chain)
+        return texture
+
+    def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
+        """Return a texture with other sampling, which shares this texture's decoded image.
+
+        wrap, nearest : see the attributes of :class:`Texture`
+
+        Raises
+        ------
+        InputError : unknown wrap mode
+        """
+        modes, is_pair = get_args(Wrap), isinstance(wrap, tuple | list) and len(wrap) == 2
+        if not is_pair or any(mode not in modes for mode in wrap):
+            raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(modes)}, for u and v")
+        check_switch("nearest", nearest)
+        return self._variant(wrap=(wrap[0], wrap[1]), nearest=nearest)
+
+    @property
+    def sampling(self) -> tuple[tuple[Wrap, Wrap], bool]:
+        """Wrap modes and filtering. Only maps with equal sampling can be packed in one texture."""
+        return self.wrap, self.nearest
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height. The size of an image file is available before decoding."""
+        width, height = self.decoded_size
+        return max(width >> self._omitted, 1), max(height >> self._omitted, 1)
+
+    @property
+    def decoded_size(self) -> tuple[int, int]:
+        """Width and height of the decoded image; for a coarse texture, of the full image."""
+        return self._image.size or self._image.all_texels().shape[1::-1]
+
+    # --- texels ----------------------------------------------------------------------------------
+
+    def texels(self) -> NDArray[np.uint8]:
+        """Return the image without alpha, (H, W, 3), or (H, W) for a channel. Row 0 is at the
+        bottom, as in OpenGL.
+
+        Raises
+        ------
+        InputError : the image is damaged, or too large for
+            :func:`facerender.images.files.check_pixels`
+        """
+        if self.coarse:
+            return reduced_data(self._strips(), self._omitted)
+        return _band(self._image.all_texels(), self._channel)
+
+    def rgb(self) -> Image:
+        """Return the image in mode RGB; see :meth:`texels`."""
+        return _image_of(np.ascontiguousarray(as_rgb(self.texels())))
+
+    def _strips(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield strips of the full image of a coarse texture. The image is not cached."""
+        with _decoding:
+            strips = _strips(self._image.decoded(), self._image.name, self._omitted)
+            yield from (_band(strip, self._channel) for strip in strips)
+            give_back()
+
+    def _repr_png_(self) -> bytes:
+        """Return the image as PNG of at most 512 pixels a side, which notebooks display."""
+        image = _image_of(as_rgb(self.texels())[::-1])
+        image.thumbnail((512, 512))
+        return png_bytes(np.asarray(image), {})
+
+    # --- textures made of this one ---------------------------------------------------------------
+
+    def channel(self, index: int, name: str) -> Texture:
+        """Return one channel of this texture as a grey texture with the same sampling."""
+        channel = index if self._channel is None else self._channel
+        return self._variant(name=name, profile=None, _channel=channel)
+
+    def coarser(self, levels: int) -> Texture:
+        """Return a texture of the same image without a number of the finest mip levels. To save
+        memory, the image is not cached, and large images are decoded one at a time."""
+        if not levels:
+            return self
+        return self._variant(coarse=True, _omitted=self._omitted + levels)
+
+    def changed(self, change: Callable[[Image], Image]) -> Texture:
+        """Return a texture with the result of a function of the image in its mode, row 0 on top."""
+        return self._with(_image=self._image.changed(change), profile=None)
+
+    def turned_green(self) -> Texture:
+        """Return this normal map, whose green points down, converted to green pointing up."""
+        return self.changed(with_green_turned)
+
+    def in_srgb(self) -> Texture:
+        """Return this texture in sRGB, converted from its ICC profile if it has one."""
+        if (profile := self.profile) is None:
+            return self
+        if not profile:
+            warn(f"{self.name} has an ICC profile that does not fit its channels: ignored")
+            self.profile = None
+            return self
+        image = self._image
+        converted = image.changed(lambda original: _srgb_of(original, profile, image.name))
+        return self._variant(_image=image.shared.setdefault("sRGB", converted), profile=None)
+
+    # --- mip levels ------------------------------------------------------------------------------
+
+    def levels(self, kind: Kind) -> Future[Levels]:
+        """Return the future of a mip chain. A thread computes each chain once.
+
+        - "color": sRGB-encoded uint8 (H, W, 4), averaged in linear light
+        - "linear-color": linear float16 (H, W, 4), averaged in linear light, for exact comparisons
+        - "normal": uint8 (H, W, 4), averaged as unit vectors. Alpha is the slope deviation within
+          a texel (``fr_slope_variance_map``), and 0 in the finest level.
+        - "data": uint8 (H, W, 3), averaged as stored, without sRGB decoding
+        """
+        with _starting:
+            if kind not in self._chains:
+                self._chains[kind] = _executor().submit(self._chain, kind)
+            return self._chains[kind]
+
+    def _chain(self, kind: Kind) -> Levels:
+        try:
+            if kind == "data":
+                levels = data_chain(as_rgb(self.texels()))
+            else:
+                strips = self._strips() if self.coarse else _strips(self.texels(), self.name)
+                levels = mip_chain(kind, strips, self.size[1], self._omitted)
+        except MemoryError:
+            lacking = "not enough memory for {} of {} x {} texels".format(self.name, *self.size)
+            raise InputError(f"{lacking}: make it smaller") from None
+        if kind != "linear-color" and self._channel is None and not self.coarse:
+            finest = levels[0][..., :3]  # replaces the image
+            with self._image.lock:
+                self._image.decode, self._image.texels = (lambda: finest), None
+        return levels
+
+    def forget(self) -> None:
+        """Drop the mip chains of a coarse texture. The chains are computed again on demand."""
+        if self.coarse:
+            if "data" in self._chains:
+                self.ends()
+            with _starting:
+                self._chains.clear()
+
+    def ends(self) -> NDArray[np.uint8]:
+        """Return the minimum and maximum of each channel over the image, (2, 3). Waits until
+        the mip chain "data" is computed."""
+        if self._chains.ends is None:
+            finest = self.levels("data").result()[0]
+            rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
+            low, high = (limit.reshape(-1, 3) for limit in (rows.min(axis=0), rows.max(axis=0)))
+            self._chains.ends = np.stack([low.min(axis=0), high.max(axis=0)])
+        return self._chains.ends
+
+    def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
+        """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
+        with at most ``side`` texels a side.
+
+        decode : whether to decode the image if no mip chain is computed yet; if not, and by
+            default, the result is then None
+
+        Raises
+        ------
+        InputError : the image is damaged or too large
+        """
+        with _starting:
+            computed = [chain for chain in self._chains.values() if chain.done()]
+        if computed:
+            levels = computed[0].result()
+            level = next((mip for mip in levels if max(mip.shape[:2]) <= side), levels[-1])
+            if level.dtype != np.uint8:
+                level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
+            return np.asarray(level[..., :3])
+        if not decode:
+            return None
+        spare = max(math.ceil(math.log2(max(self.size) / side)), 0)
+        return as_rgb(self.coarser(spare).texels())
+
+
+def pack(
+    red: Texture | None, green: Texture | None, blue: Texture | None, known: Texture | None = None
+) -> Texture:
+    """Merge three grey textures into the channels of one texture. Its width and height are the
+    largest width and the largest height of the three.
+
+    Missing textures become white. The textures must have equal sampling, see
+    :attr:`Material.property_map`; the result also has this sampling. Repeated calls with equal
+    arguments return the same texture as long as it is in use, and the last ones also as long as
+    their first texture is in use: materials that differ in factors share the texture.
+
+    known : packed texture from the cache, which is returned instead of a new texture
+    """
+    present = [texture for texture in (red, green, blue) if texture]
+    first = present[0]
+    # Without the lists of packed textures, which would be reference cycles.
+    maps = [t and t._with(_packed=deque(), _channel=t._channel or 0) for t in (red, green, blue)]
+    key = first.sampling, *(t and (t.name, t._image, t._channel, t._omitted) for t in maps)
+    cached: Texture | None = first._image.shared.get(key)
+    if cached is not None:
+        return cached
+
+    def decode() -> NDArray[np.uint8]:
+        # The maps are decoded before memory for the result is allocated.
+        bands = [None if t is None else t.texels() for t in maps]
+        merged = np.full((*size[::-1], 3), 255, dtype=np.uint8)
+        for index, band in enumerate(bands):
+            if band is not None:
+                merged[..., index] = _image_of(np.ascontiguousarray(band)).resize(size)
+        return merged
+
+    names = " + ".join(dict.fromkeys(texture.name for texture in present))
+    widths, heights = zip(*(texture.size for texture in present), strict=True)
+    size = max(widths), max(heights)
+    packed = known or Texture(decode, names, size)
+    packed.wrap, packed.nearest = first.sampling
+    packed.coarse = any(texture.coarse for texture in present)
+    first._packed.append(packed)
+    first._image.shared[key] = packed
+    return packed
+
+
+def _image_of(texels: NDArray[np.uint8]) -> Image:
+    from PIL import Image
+
+    return Image.fromarray(texels)
+
+
+def _opened(content: bytes | BinaryIO, name: str) -> Image:
+    return open_image(content, name, DECODERS, "PNG, JPEG, TIFF or WebP")
+
+
+def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
+    """Return a copy of texels as uint8, (H, W), (H, W, 3) or (H, W, 4)."""
+    with converted(f"{name} cannot be used", ": give (H, W, 3)"):
+        array = np.asarray(texels)
+    if array.shape[2:] == (1,):
+        array = array[..., 0]
+    if array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
+        remedy = "give (H, W), (H, W, 3) or (H, W, 4) texels"
+        raise InputError(f"{name} has the shape {array.shape}: {remedy}")
+    if array.dtype.kind == "f":
+        array = array.astype(np.float64)
+        if not ((array >= 0.0) & (array <= 1.0)).all():
+            ends = f"{array.min():.4g} to {array.max():.4g}"
+            raise InputError(f"{name} has floats from {ends}: scale them to [0, 1], or give uint8")
+        return np.round(array * 255.0).astype(np.uint8)
+    if array.dtype == np.uint16:
+        return (array // 257).astype(np.uint8)
+    if array.dtype == np.bool_:
+        return array * np.uint8(255)
+    if array.dtype != np.uint8:
+        remedy = "give uint8, uint16, or floats in [0, 1]"
+        raise InputError(f"{name} has values of type {array.dtype}: {remedy}")
+    return array.copy()
+
+
+def with_green_turned(image: Image) -> Image:
+    """Return an image in mode RGB with inverted green: 255 - green. An image with the entry
+    "heights" in its info is a bump map, converted to normals with green up, and does not change."""
+    if "heights" in image.info:
+        return image
+    identity = range(256)
+    return image.convert("RGB").point([*identity, *reversed(identity), *identity])
+
+
+def _damaged(name: str) -> AbstractContextManager[None]:
+    return converted(f"{name} is damaged", "; replace the file")
+
+
+def _loaded(image: Image, name: str) -> Image:
+    check_pixels(name, *image.size, 4, math.inf)
+    with _damaged(name):
+        image.load()
+    return image
+
+
+_SPACES = {  # color spaces of ICC profiles, by the mode of a Pillow image
+    **dict.fromkeys(("1", "L", "LA"), b"GRAY"),
+    **dict.fromkeys(("RGB", "RGBA", "RGBX", "P", "PA"), b"RGB "),
+    "CMYK": b"CMYK",
+}
+
+
+def profile_of(image: Image) -> bytes | None:
+    """Return the ICC profile of an image; None without a profile, and b"" for a profile that is no
+    profile of these channels (ICC.1:2022, section 7.2)."""
+    if not (profile := image.info.get("icc_profile")):
+        return None
+    fits = profile[36:40] == b"acsp" and profile[16:20] == _SPACES.get(image.mode)
+    return bytes(profile) if fits else b""
+
+
+def _srgb_of(image: Image, profile: bytes, name: str) -> Image:
+    """Convert an image from an ICC profile to sRGB, unless the profile is sRGB itself: the image
+    then keeps its texels, which a conversion would change by a level."""
+    from PIL import Image as images
+
+    bands = {b"GRAY": "L", b"CMYK": "CMYK"}.get(profile[16:20], "RGB")
+    steps = np.indices((18,) * len(bands), dtype=np.uint8) * np.uint8(15)  # from 0 to 255
+    samples = np.moveaxis(steps, 0, -1).reshape(18, -1, len(bands))
+    grid = images.fromarray(samples[..., 0] if bands == "L" else samples, bands)
+    try:
+        with converted(f"{name} has an ICC profile that cannot be used", ": ignored"):
+            converted_grid = np.asarray(in_srgb(grid, profile)[0], np.int16)
+            equal = np.abs(converted_grid - np.asarray(grid.convert("RGB"))).max() <= 1
+            return image if equal else in_srgb(image.convert(bands), profile)[0]
+    except InputError as error:
+        warn(str(error))
+        return image
+
+
+def _band(texels: NDArray[np.uint8], index: int | None) -> NDArray[np.uint8]:
+    return texels if index is None or texels.ndim == 2 else texels[..., index]
+
+
+def _strips(
+    image: Image | NDArray[np.uint8], name: str, drop: int = 0
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield strips of a decoded image for its mip level ``drop``, (H, W, 3), or (H, W) of a grey
+    array. Row 0 is at the bottom. The conversion in strips avoids a second full copy."""
+    height = len(image) if isinstance(image, np.ndarray) else image.height
+    end, step = max(height >> drop, 1) << drop, max(STRIP, 2 << drop)
+    for low in range(0, end, step):
+        high = min(low + step, end, height)
+        yield image[low:high] if isinstance(image, np.ndarray) else _rows(image, low, high, name)
+
+
+def _rows(image: Image, low: int, high: int, name: str) -> NDArray[np.uint8]:
+    with _damaged(name):
+        strip = image.crop((0, image.height - high, image.width, image.height - low))
+        if strip.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
+            strip = _image_of((np.clip(np.asarray(strip), 0, 65535) // 257).astype(np.uint8))
+        return np.asarray(strip if strip.mode == "RGB" else strip.convert("RGB"))[::-1]
+
+
+@lru_cache(maxsize=1)
+def _executor() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=3, thread_name_prefix="facerender-textures")
+
+
+_starting = threading.Lock()
+_decoding = threading.RLock()  # ensures that one large image is decoded at a time, to limit memory
+
+
+def _finish() -> None:
+    """Finish running tasks before a fork, because threads do not exist in the child process."""
+    with _starting:
+        if _executor.cache_info().currsize:
+            _executor().shutdown()
+            _executor.cache_clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_finish)

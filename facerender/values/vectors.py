@@ -1,0 +1,141 @@
+"""Checked vectors and arrays, and directions from angles in degrees."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError, check_known, reason, shown
+from facerender.values.ranges import Range, VectorRange
+
+Vector = tuple[float, float, float]
+
+SHAPE_WEIGHTS = Range(-100.0, 100.0)  # accepted weights of morph targets
+FARTHEST = 1e30  # largest coordinate of a position, in mesh units
+MOST_RADIANCE = 1e9  # limit of colours and light, so that images do not overflow float32
+MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
+
+POSITIONS = VectorRange(-FARTHEST, FARTHEST)
+COLORS = VectorRange(0.0, MOST_RADIANCE)  # linear RGB of a colour or an irradiance
+_NONE = ', or "none" (None in Python) for a transparent background'
+BACKGROUNDS = VectorRange(0.0, MOST_RADIANCE, other=_NONE)
+AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
+ROTATIONS = VectorRange(-3600.0, 3600.0, "degrees", single=False)  # see rotation_of()
+ELEVATIONS = Range(-90.0, 90.0, "degrees")
+# Keyed by the axis of a file that points up: angles of the shortest rotation from this axis to y.
+# For -y, it keeps the direction of the face.
+UPS: dict[str, Vector] = {
+    **{"y": (0.0, 0.0, 0.0), "z": (-90.0, 0.0, 0.0), "x": (0.0, 0.0, 90.0)},
+    **{"-y": (0.0, 0.0, 180.0), "-z": (90.0, 0.0, 0.0), "-x": (0.0, 0.0, -90.0)},
+}
+
+
+def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Check that float32 can resolve a position (3,) in the renderer's space, and return it. Raises
+    InputError if the absolute value of a coordinate exceeds MOST_RADII."""
+    if not (np.abs(place) <= MOST_RADII).all():
+        raise InputError(
+            f"{name} is {np.abs(place).max():.3g} mesh radii from the mesh's centre: give at most "
+            f"{MOST_RADII:g}"
+        )
+    return place
+
+
+def check_array(name: str, value: Any, columns: int) -> None:
+    """Raise InputError if a value is not a numeric array of shape (N, columns)."""
+    if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
+        raise InputError(f"{name} = {shown(value)}: give an array of numbers")
+    if value.shape[1:] != (columns,):
+        raise InputError(f"{name} has the shape {value.shape}: give (N, {columns})")
+
+
+def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
+    """Return a unit vector from angles: azimuth 0 is +z (front), 90 is +x; elevation 90 is +y."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+
+
+def rotation_of(angles: ArrayLike) -> NDArray[np.float64]:
+    """Return the matrix (3, 3), for column vectors, of rotations about x, then y, then z.
+
+    angles : (3,), in degrees; the axes are fixed. Multiples of 90 degrees give exact elements
+    """
+    from pyrr import matrix33  # 16 ms, and most scenes have no angles
+
+    x, y, z = np.radians(np.fmod(angles, 360.0))
+    turns = matrix33.create_from_z_rotation(z) @ matrix33.create_from_y_rotation(y)
+    matrix: NDArray[np.float64] = turns @ matrix33.create_from_x_rotation(x)
+    exact = np.rint(matrix)
+    return np.where(np.abs(matrix - exact) < 1e-15, exact + 0.0, matrix)
+
+
+def axes_of(up: str, rotate: ArrayLike) -> NDArray[np.float64] | None:
+    """Return the matrix (4, 4) from the axes of a file to mesh space; None if it changes nothing.
+
+    up, rotate : see :func:`facerender.load_mesh`, also for the errors
+    """
+    check_known("up", up, UPS)
+    angles = ROTATIONS.check("rotate", rotate)
+    if up == "y" and not any(angles):
+        return None  # without the import of pyrr
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of(angles) @ rotation_of(UPS[up])
+    return None if (matrix == np.eye(4)).all() else matrix
+
+
+def rows_of(
+    name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
+) -> NDArray[np.float64]:
+    """Return a float64 copy of an array. Check its shape, and that all its numbers are finite.
+
+    widths : allowed numbers of columns
+    count : required number of rows; None for any
+    """
+    try:
+        values = np.asarray(array)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
+    if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
+        expected = " or ".join(map(str, widths))
+        raise InputError(
+            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {expected} "
+            f"numbers{hint}"
+        )
+    if not len(values) or count not in (None, len(values)):
+        expected = f"{count}, one for each vertex" if count else "at least one"
+        raise InputError(f"{name} has {len(values)} rows: give {expected}")
+    rows = np.array(values, dtype=np.float64)
+    if not (finite := np.isfinite(rows).all(axis=1)).all():
+        bad = int(finite.argmin())
+        raise InputError(
+            f"{name}[{bad}] = {rows[bad].tolist()}: {int((~finite).sum())} rows are not finite; "
+            "leave them out"
+        )
+    return rows
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return vectors (..., 3) scaled to length 1; zero vectors stay zero."""
+    length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
+    return np.asarray(vectors / np.maximum(length, 1e-300))
+
+
+def transformed(
+    positions: NDArray[Any], normals: NDArray[Any] | None, matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, bool]:
+    """Return positions and normals after a transform, and whether the transform mirrors. The
+    normals have any length; they are None if there are none or the matrix is singular.
+
+    matrix : (4, 4), for column vectors
+    """
+    linear = matrix[:3, :3]
+    determinant = float(np.linalg.det(linear)) if np.isfinite(matrix).all() else 0.0
+    turned = None
+    if normals is not None and determinant:
+        with suppress(np.linalg.LinAlgError):
+            turned = np.asarray(normals, dtype=np.float64) @ np.linalg.inv(linear)
+    return positions @ linear.T + matrix[:3, 3], turned, determinant < 0.0
