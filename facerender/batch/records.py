@@ -301,10 +301,9 @@ def chunks(
 @cache
 def code_version() -> str:
     """Return a digest of the package version and of all sources that the pixels depend on."""
-    folders = ("values", "terms", "images", "texture", "mesh", "loading", "scene", "glsl")
-    paths = [
-        path for name in (*folders, "drawing") for path in sorted((_PACKAGE / name).rglob("*.py"))
-    ]
+    lower = "values", "terms", "images", "texture", "mesh", "loading", "scene"
+    folders = *lower, "glsl", "drawing"
+    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
     paths += (_PACKAGE / name for name in ("batch/outputs.py", "material.py"))
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
     return digest_of(__version__, *(path.read_bytes() for path in paths))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -11,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason
-from facerender.loading.gltf_accessors import Buffers, RigReader
+from facerender.errors import InputError, clipped
+from facerender.loading.gltf_accessors import TRIANGLES, Buffers, Primitive, RigReader
 from facerender.loading.gltf_document import EXTENSIONS, Doc, chunks, damaged, document_of
 from facerender.loading.gltf_material import Materials
 from facerender.loading.source import References
@@ -23,7 +22,6 @@ from facerender.mesh.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, 
 from facerender.values.vectors import transformed
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
-_TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
 _BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
 # Limit of the used vertices plus faces: 8 times the number of stored elements, plus 2^20.
 _TIMES, _MOST_REPEATED = 8, 1 << 20
@@ -68,121 +66,6 @@ def scene_nodes(
         queue += [(child, index) for child in reversed(node.get("children", []))]
     skeleton = Skeleton(tuple(tree.values()), root=axes)
     return skeleton, skeleton.worlds({}), visible
-
-
-class Primitive:
-    """The triangles of a glTF primitive. Methods raise ValueError if the data are damaged.
-
-    Attributes
-    ----------
-    where : the primitive's path in the document, for messages
-    positions : (N, 3), all vertices
-    extras : extras of the mesh and of the primitive, of any type
-    targets : accessors of the morph targets, keyed by POSITION and, with normals, NORMAL
-    vertices : indices of the vertices that the faces use, or the slice of all vertices
-    faces : (F, 3), indices into ``positions[vertices]``
-    out_of_range : number of faces that were dropped because they use a missing vertex
-    """
-
-    def __init__(self, buffers: Buffers, mesh: Doc, index: int, where: str) -> None:
-        properties = mesh["primitives"][index]
-        self.buffers, self.properties, self.where = buffers, properties, where
-        self.attributes: dict[str, int] = properties["attributes"]
-        self.extras = mesh.get("extras"), properties.get("extras")
-        draco = properties.get("extensions", {}).get("KHR_draco_mesh_compression")
-        self.decoded = {} if draco is None else self._draco(draco)
-        keys = [key for key in ("POSITION", "NORMAL") if key in self.attributes]
-        self.targets: list[dict[str, int]] = [
-            {key: target[key] for key in keys if key in target}
-            for target in properties.get("targets", ())
-        ]
-        self.positions = self._attribute("POSITION", (3,))
-        faces = self._all_faces(properties.get("mode", _TRIANGLES))
-        valid = (faces < len(self.positions)).all(axis=1)
-        self.out_of_range = len(faces) - int(valid.sum())
-        self.faces = faces[valid] if self.out_of_range else faces
-        self.vertices: NDArray[np.int64] | slice = slice(None)
-        # Primitives may share a vertex array, so most of its vertices may belong to others.
-        if len(self.positions) > 3 * len(self.faces):
-            self.vertices, inverse = np.unique(self.faces, return_inverse=True)
-            self.faces = inverse.reshape(-1, 3)
-
-    def _attribute(self, key: str, widths: tuple[int, ...]) -> NDArray[Any]:
-        values = self.buffers.accessor(self.attributes[key], self.decoded.get(key))
-        if values.ndim != 2 or values.shape[1] not in widths:
-            raise ValueError(f"{self.where}: {key} has the wrong type")
-        return values
-
-    def _all_faces(self, mode: int) -> NDArray[np.int64]:
-        """Return the faces (F, 3) of a triangle list, strip or fan, and set ``corner_count``."""
-        if "faces" in self.decoded:
-            corners = self.decoded["faces"]
-        elif "indices" in self.properties:
-            corners = self.buffers.accessor(self.properties["indices"])
-            if corners.shape[1] != 1 or corners.dtype.kind != "u":
-                raise ValueError(f"{self.where}: its indices have the wrong type")
-        else:
-            corners = np.arange(len(self.positions))
-        corners = corners.reshape(-1).astype(np.int64)
-        self.corner_count = len(corners)
-        if mode == _TRIANGLES:
-            if len(corners) % 3:
-                raise ValueError(f"{self.where}: {len(corners)} corners are not a multiple of 3")
-            return corners.reshape(-1, 3)
-        first = corners[:1].repeat(len(corners[2:])) if mode == _FAN else corners[:-2]
-        faces = np.stack([first, corners[1:-1], corners[2:]], axis=1)
-        if mode != _FAN:
-            faces[1::2] = faces[1::2, ::-1]
-        return faces
-
-    def column(self, key: str, *widths: int) -> NDArray[Any] | None:
-        """Return an attribute's values at ``vertices``, (N, K in ``widths``); None if missing."""
-        if key not in self.attributes:
-            return None
-        values, count = self._attribute(key, widths), len(self.positions)
-        if len(values) != count:
-            raise ValueError(f"{self.where}: {key} has {len(values)} entries, POSITION has {count}")
-        return values[self.vertices]
-
-    def uv(self, transform: Doc | None) -> Float | None:
-        """Return transformed texture coordinates with v upwards; None if they are missing."""
-        if not transform or (uv := self.column(f"TEXCOORD_{transform['texCoord']}", 2)) is None:
-            return None
-        u, v = uv.T.astype(np.float64) * np.reshape(transform["scale"], (2, 1))
-        if angle := transform["rotation"]:
-            cos, sin = math.cos(angle), math.sin(angle)
-            u, v = cos * u + sin * v, cos * v - sin * u
-        return np.stack([u + transform["offset"][0], 1.0 - (v + transform["offset"][1])], axis=1)
-
-    def influences(self) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        """Return joint indices and weights, (N, 4 or 8), of ``vertices``; None without joints."""
-        sets = [i for i in (0, 1) if {f"JOINTS_{i}", f"WEIGHTS_{i}"} <= self.attributes.keys()]
-        if not sets:
-            return None
-        joints, weights = (
-            np.concatenate([np.asarray(self.column(f"{key}_{i}", 4)) for i in sets], axis=1)
-            for key in ("JOINTS", "WEIGHTS")
-        )
-        if joints.dtype.kind != "u":
-            raise ValueError(f"{self.where}: its joints have the wrong type")
-        return joints, weights
-
-    def _draco(self, draco: Doc) -> dict[str, NDArray[Any]]:
-        """Return the decompressed attributes, keyed by name. Any faces have the key "faces"."""
-        try:
-            import DracoPy
-        except ImportError:
-            name = self.buffers.name
-            raise InputError(f"{name} is compressed with Draco: pip install DracoPy") from None
-        content = bytes(self.buffers.view(draco["bufferView"]))
-        try:
-            decoded = DracoPy.decode(content)
-            arrays = {item["unique_id"]: np.asarray(item["data"]) for item in decoded.attributes}
-            faces = getattr(decoded, "faces", None)
-        except Exception as error:  # DracoPy raises several exceptions
-            raise ValueError(f"{self.where}: DracoPy failed: {reason(error)}") from None
-        attributes = {key: arrays[i] for key, i in draco["attributes"].items() if i in arrays}
-        return attributes if faces is None else attributes | {"faces": np.asarray(faces)}
 
 
 def read_gltf(
@@ -271,7 +154,7 @@ class _File:
         pieces = []
         for i, properties in enumerate(mesh["primitives"]):
             attributes = properties["attributes"]
-            if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
+            if properties.get("mode", TRIANGLES) < TRIANGLES or "POSITION" not in attributes:
                 self.warn(f"{self.name} has points, lines or vertices without positions: not drawn")
                 continue
             primitive = Primitive(self.buffers, mesh, i, f"meshes[{index}].primitives[{i}]")
