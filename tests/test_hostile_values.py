@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from facerender.scenes import material as materials
 from PIL import Image
 
 import facerender as fr
+from facerender import material as materials
 from facerender.commands import INTERNAL_ERROR, main
 from facerender.comparison import compare, sources
 from facerender.drawing import renderer as drawing

@@ -138,7 +138,8 @@ def test_anisotropy_keeps_finer_levels(detailed):
 
 def test_maps_of_usual_sizes_are_not_reduced():
     scene = fr.Scene(fr.load_mesh(), fr.Camera(zoom=0.2))
-    assert reduced(resolve(scene, fr.Shading()), view_of(scene, 1.0), (64, 64), 1.0) is scene
+    resolved = resolve(scene, fr.Shading())
+    assert reduced(resolved, view_of(scene, 1.0), (64, 64), 1.0) is resolved.scene
 
 
 def test_memory_limit_is_checked_before_drawing():

@@ -56,16 +56,16 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
     scene = fr.Scene(head.with_material(m=0.3), lights=PLAIN_THREE, background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
-    part = scene.mesh.parts[0]
+    resolved = resolve(scene, fr.Shading())
     depth = Pass(
         "light_depth",
         Target(size=(32, 32), sampled=True),
-        (Draw(Program("depth.frag"), {}, part),),
+        (Draw(Program("depth.frag"), {}, resolved.appearance.parts[0]),),
         clear=(1.0, 1.0, 1.0, 1.0),
-        uniforms=scene_uniforms(scene, above),
+        uniforms=scene_uniforms(resolved, above, lights=False),
     )
-    visibility = Visibility.of(scene, view, SIZE, samples) if deferred else None
-    whole = shade_pass(resolve(scene, fr.Shading()), view, samples)
+    visibility = Visibility.of(resolved, view, SIZE, samples) if deferred else None
+    whole = shade_pass(resolved, view, samples)
     shaded = visibility.shaded(whole) if visibility else whole
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
     before = [visibility.drawn()] if visibility else []

@@ -249,19 +249,19 @@ class Appearances:
         mesh = scene.mesh
         light = scene.lights, scene.ambient, scene.environment
         key = mesh.geometry.token, mesh.materials, *light, mesh.space, shading
-        found = next((appearance for other, appearance in self._recent if other == key), None)
-        if found is None:
-            found = resolve(scene, shading, self.albedo).appearance
+        look = next((appearance for other, appearance in self._recent if other == key), None)
+        if look is None:
+            look = resolve(scene, shading, self.albedo).appearance
             others = [pair for pair in self._recent if pair[0][0] is key[0]]
-            self._recent = [(key, found), *others[: _MOST_RECENT - 1]]
+            self._recent = [(key, look), *others[: _MOST_RECENT - 1]]
         changes: dict[str, Any] = {
             name: value
             for name in ("lights", "ambient", "environment")
-            if (value := getattr(found, name)) is not getattr(scene, name)
+            if (value := getattr(look, name)) is not getattr(scene, name)
         }
-        if found.materials is not mesh.materials:
-            changes["mesh"] = replace(mesh, materials=found.materials)
-        return ResolvedScene(replace(scene, **changes) if changes else scene, found)
+        if look.materials is not mesh.materials:
+            changes["mesh"] = replace(mesh, materials=look.materials)
+        return ResolvedScene(replace(scene, **changes) if changes else scene, look)
 
 
 def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:

@@ -153,8 +153,8 @@ class Refraction:
         refracting = [material.refracts for material in mesh.materials]
         setups = [*compress(mesh.setups, refracting)]
         if "regions" not in stored or stored["regions"][0] != setups:
-            found = iter([regions_of(setup) for setup in setups])
-            stored["regions"] = setups, tuple(next(found) if r else () for r in refracting)
+            regions = map(regions_of, setups)
+            stored["regions"] = setups, tuple(next(regions) if r else () for r in refracting)
         parts = stored["regions"][1]
         pixels = max(region.pixels(view.matrix, size) for regions in parts for region in regions)
         side = 2 ** int(np.ceil(np.log2(np.clip(2.0 * pixels, *_SIDES))))

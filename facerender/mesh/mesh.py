@@ -37,8 +37,7 @@ class Mesh:
 
     Attributes
     ----------
-    geometry : the parts in the reference pose; name, radius, profile, millimetres and regions of
-        the mesh are those of the geometry
+    geometry : the parts in the reference pose, with name, radius, profile, millimetres and regions
     materials : one material for each part
     pose : moved vertices, or None for the reference pose. Cameras frame the reference pose; see
         :func:`facerender.tracked`
