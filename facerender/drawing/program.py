@@ -175,7 +175,10 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
 
 
 def scene_uniforms(resolved: ResolvedScene, view: View, lights: bool = True) -> Uniforms:
-    """Return the uniforms that all parts of a scene share, with or without the uniforms of its lights."""
+    """Return the uniforms that all parts of a scene share.
+
+    lights : whether to include the uniforms of the lights and the environment
+    """
     scene = resolved.scene
     uniforms: dict[str, Any] = {
         "view_projection": view.matrix,
