@@ -147,7 +147,8 @@ class Help(str):
         line = f"{', '.join(filter(None, [text, limits]))} ({default})"
         line += f". {note}." if note else ""
         help_text = super().__new__(cls, line.replace("%", "%%"))
-        vars(help_text).update(text=text, default=default, values=values, unit=unit, note=note)
+        help_text.text, help_text.default, help_text.note = text, default, note
+        help_text.values, help_text.unit = values, unit
         return help_text
 
 

@@ -100,7 +100,9 @@ class MeshFile:
         """Load the mesh; errors and warnings as in the functions that :class:`MeshFile` names."""
         exclusions = ("path", "triangles", "occlusion")
         options = {name: value for name, value in _plain(self).items() if name not in exclusions}
-        mesh = load_mesh(vars(self).pop("source", self.path), cache=cache, **options)
+        source = self.source
+        object.__delattr__(self, "source")  # the content of the file takes memory
+        mesh = load_mesh(source, cache=cache, **options)
         if self.occlusion:
             from facerender.mesh.occlusion import with_occlusion
 
