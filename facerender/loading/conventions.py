@@ -94,17 +94,17 @@ def mark_skin(pieces: Sequence[Piece]) -> None:
 def give_presets(pieces: Sequence[Piece], name: str) -> None:
     """Give presets to pieces with known names, and warn of it."""
     part_names: dict[str, list[str]] = {}
-    eyes = [id(piece) for piece in pieces if _stem(piece) == _IRIS and _has_ict_iris(piece)]
-    eye_map = _eye_map() if eyes else None
-    for piece, preset in zip(pieces, _presets_of(pieces), strict=True):
-        if eyes and _stem(piece) == "msclera":
+    eyes = [_stem(piece) == _IRIS and _has_ict_iris(piece) for piece in pieces]
+    eye_map = _eye_map() if any(eyes) else None
+    for piece, preset, eye in zip(pieces, _presets_of(pieces), eyes, strict=True):
+        if eye_map and _stem(piece) == "msclera":
             preset = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
         if preset is None or not _is_bare(piece):
             continue
         piece.material, piece.preset = changed(piece.material, {"preset": preset}), preset
         if preset == "skin" and np.ptp(piece.material.albedo) < 0.02:  # grey
             piece.material = replace(piece.material, albedo=SKIN_ALBEDO)
-        if id(piece) in eyes:
+        if eye:
             _close_pupil(piece)
             piece.material = replace(piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=eye_map)
         elif _stem(piece) == _LASHES and piece.uv is not None:
