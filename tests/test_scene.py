@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import tomllib
 from contextlib import suppress
 
@@ -174,21 +173,3 @@ def test_invalid_scene_files_are_refused(tmp_path, text, message):
         tables = tomllib.loads(text)
         with pytest.raises(fr.InputError, match=message):
             fr.Job.from_dict(tables)
-
-
-@pytest.mark.parametrize(
-    ("function", "name", "message"),
-    [
-        (fr.render, "lobes", "fr.render has no argument lobes: give lobe=..."),
-        (fr.render, "f0", "fr.render has no argument f0: give mesh.with_skin(f0=...)"),
-        (fr.render, "fov", "fr.render has no argument fov: give camera=fr.Camera(fov=...)"),
-        (fr.render, "shadows", "no argument shadows: give lights=[fr.Light(shadow=...)]"),
-        (fr.render, "anisotropy", "no argument anisotropy: give fr.Renderer(anisotropy=...)"),
-        (fr.render, "bogus", "fr.render has no argument bogus: known: mesh, model, lobe"),
-        (fr.Scene, "roughness", "no argument roughness: give mesh.with_skin(m=...)"),
-        (fr.Scene, "light", "fr.Scene has no argument light: give lights=..."),
-    ],
-)
-def test_an_unknown_argument_is_refused_with_its_place(function, name, message):
-    with pytest.raises(fr.InputError, match=re.escape(message)):
-        function(None, **{name: 0.3})

@@ -232,8 +232,8 @@ def test_scene_files_have_every_field(kind, table, tmp_path):
     own = {each.name for each in fields(kind)} - NOT_IN_FILES.get(kind, set())
     assert given == own
     for each in tables:
-        head = f"[[{table}]]" if table == "lights" else f"[{table}]"
-        (tmp_path / "scene.toml").write_text(toml_text([(head, each)]))
+        text = toml_text({table: [each] if table == "lights" else each})
+        (tmp_path / "scene.toml").write_text(text)
         found = fr.load_scene(tmp_path / "scene.toml")[table]
         found = found[0] if table == "lights" else found
         if isinstance(found, dict):  # checked by load_scene, and passed on to Job

@@ -22,8 +22,8 @@ from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
 from facerender.errors import InputError, check_known, check_path, clipped, shown
 from facerender.scene.environment import STUDIO
-from facerender.scene.file import KEYS, from_table, scene_value
-from facerender.scene.job import MESH_PATHS, MeshFile, parse_size
+from facerender.scene.file import KEYS
+from facerender.scene.job import MESH_PATHS, job_value, parse_size
 from facerender.scene.scene import ONLY, Scene
 from facerender.scene.shading import Shading
 from facerender.values.ranges import EXPOSURES
@@ -318,12 +318,9 @@ def _check(row: Row) -> None:
     """Check the tables of a row as :meth:`facerender.Job.from_dict` does."""
     try:
         for key, value in row.tables.items():
-            if key == "mesh":
-                from_table(MeshFile, key, value)
-            elif key == "landmarks":
-                check_path(key, value)
-            else:
-                scene_value(key, value)
+            job_value(key, value)
+        if "landmarks" in row.tables:
+            check_path("landmarks", row.tables["landmarks"])
         if "shading" in row.tables:
             lights = row.tables.get("lights", Scene.lights)
             Shading.from_dict(row.tables["shading"]).check_lights(len(lights))

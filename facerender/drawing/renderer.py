@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING, Never
+from typing import TYPE_CHECKING
 
 import moderngl
 import numpy as np
@@ -74,7 +74,6 @@ from facerender.scene.scene import (
     ShadingRate,
     check_only,
     check_shading_rate,
-    refuse_keyword,
 )
 from facerender.scene.shading import Shading
 from facerender.scene.view import View, sample_grid, view_of
@@ -669,7 +668,6 @@ def render(
     background: Vector | str | None = Scene.background,
     environment: EnvironmentSource | None = None,
     only: Only | None = None,
-    **unknown: Never,
 ) -> Frame:
     """Render one image of a mesh.
 
@@ -691,8 +689,6 @@ def render(
     InputError : a file or a value cannot be used
     ContextError : no OpenGL context is available
     """
-    for name in unknown:
-        refuse_keyword(render, name, {"fr.Renderer({}=...)": Renderer})
     shading = Shading(model, lobe, fresnel, masking=masking, outside=outside)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:

@@ -453,8 +453,8 @@ def _words(job: Job) -> dict[str, Any]:
     return {
         "shell": " ".join([*path, *files, *materials]),
         "maps": options("albedo", "normal_map", "specular_map", "roughness_map"),
-        "material": toml_text([("", factors)]).strip().splitlines(),
-        "pose": toml_text([("[pose]", pose)]) if pose else "",
+        "material": toml_text(factors).strip().splitlines(),
+        "pose": toml_text({"pose": pose}) if pose else "",
     }
 
 

@@ -43,7 +43,7 @@ from facerender.mesh.hints import gloss_of
 from facerender.mesh.mesh import Mesh, names_of
 from facerender.mesh.repair import Piece, clean, in_space_order, placed
 from facerender.system.files import read_file
-from facerender.texture.texture import LARGE, Texture
+from facerender.texture.texture import LARGE, Texture, with_green_turned
 from facerender.values.vectors import ROTATIONS
 
 Path_ = str | os.PathLike[str]
@@ -126,7 +126,7 @@ def load_mesh(
         check_switch("cache", cache)
     check_normal_map_y(normal_map_y)
     switches = {"flip_v": flip_v, "allow_outside": allow_outside, "as_is": as_is}
-    for name, value in {**switches, "double_sided": double_sided}.items():
+    for name, value in (switches | {"double_sided": double_sided}).items():
         check_switch(name, value)
     selected = names_of("parts", parts), names_of("hide", hide)
     angles = ROTATIONS.check("rotate", rotate)
@@ -140,18 +140,14 @@ def load_mesh(
         mesh = _loaded(source_of(source, kind), maps, options, cache)
     if double_sided:
         mesh = mesh.with_material(double_sided=True)
-    gloss = tuple(map(gloss_of, mesh.materials))
-    geometry = replace(mesh.geometry, gloss=gloss)
+    geometry = replace(mesh.geometry, gloss=tuple(map(gloss_of, mesh.materials)))
     if millimetres is not None:
         geometry = replace(geometry, millimetres=millimetres)
     return replace(mesh, geometry=geometry)
 
 
 def _maps(*sources: Map | None) -> dict[str, Path | Texture]:
-    """Return image files and textures, keyed by the field of :class:`Material`.
-
-    sources : in the order of _MAPS
-    """
+    """Return the image files and textures of the maps in _MAPS, keyed by their names there."""
     maps: dict[str, Path | Texture] = {}
     for name, source in zip(_MAPS, sources, strict=True):
         if source is None:
@@ -219,26 +215,19 @@ def _read(
     check_format(source.content, source.suffix, source.name)
     references = References(source.name, source.folder, options.allow_outside)
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        albedo_given = "albedo_map" in textures
-        pieces = _pieces(source.content, source.suffix, references, albedo_given, options.axes)
+        pieces = _pieces(source, references, "albedo_map" in textures, options.axes)
         millimetres = 1000.0 if source.suffix in GLTF else None
         return _assembled(pieces, source.name, millimetres, textures, options), references
 
 
 def _pieces(
-    data: bytes,
-    suffix: str,
-    references: References,
-    albedo_given: bool,
-    axes: NDArray[np.float64] | None,
+    source: Source, references: References, albedo_given: bool, axes: NDArray[np.float64] | None
 ) -> Sequence[Piece]:
     """Return a piece for every geometry with faces. The readers are imported here: a mesh from the
-    cache does not need them.
-
-    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
-    axes : see :func:`facerender.values.vectors.axes_of`
-    """
+    cache does not need them. If ``albedo_given``, the caller replaces albedo maps, which may then
+    be missing or unreadable."""
     read: Callable[[bytes, References, bool], Sequence[Piece]]
+    suffix = source.suffix
     if suffix in GLTF:
         from facerender.loading.gltf import read_gltf
 
@@ -250,7 +239,7 @@ def _pieces(
     else:
         from facerender.loading.ply_stl import read_stl as read
     try:
-        pieces = read(data, references, albedo_given)
+        pieces = read(source.content, references, albedo_given)
         for missing in () if albedo_given or suffix in GLTF else references.missing():
             missing_image(references, missing)
     except InputError:
@@ -316,6 +305,6 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
         materials[i] = replace(materials[i], **changes)
     if normal_map_y == "down":
         turned: dict[Texture | None, Texture | None] = {None: None}
-        turned |= {old: old.turned_green() for m in materials if (old := m.normal_map)}
+        turned |= {old: old.changed(with_green_turned) for m in materials if (old := m.normal_map)}
         materials = [replace(m, normal_map=turned[m.normal_map]) for m in materials]
     return Mesh(replace(mesh.geometry, parts=tuple(parts)), tuple(materials))

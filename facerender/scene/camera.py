@@ -16,9 +16,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_switch, check_type, short_repr, shown
+from facerender.errors import InputError, check_type, short_repr, shown
 from facerender.values.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
-from facerender.values.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector
+from facerender.values.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector, numbers_in
 
 Float = NDArray[np.float64]
 Coefficients = tuple[float, ...]
@@ -144,6 +144,7 @@ _ORBITING = ("elevation", "zoom")
 _SIZES = SizeRange(1, 1 << 30, "pixels")
 # Last rows of matrices for column vectors, and last columns of matrices for row vectors.
 _AFFINE, _PERSPECTIVE = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, -1.0, 0.0)
+_FLIP = np.array([1.0, -1.0, -1.0])  # between the axes of OpenGL's and OpenCV's camera spaces
 
 
 @dataclass(frozen=True)
@@ -243,9 +244,8 @@ class Camera:
             because there is no translation, an asymmetric matrix needs True or False
         fields : ``fov``, ``distortion`` and ``name``
         """
-        pose = _for_columns("camera matrix", matrix, _AFFINE, row_vectors)
-        lens = _lens(projection, size, row_vectors)
-        return cls(extrinsics=pose[:3] * [[1.0], [-1.0], [-1.0]], **lens, **fields)
+        pose = _for_columns("camera matrix", matrix, _AFFINE, row_vectors)[:3] * _FLIP[:, None]
+        return cls(extrinsics=pose, size=size, **_lens(projection, size, row_vectors), **fields)
 
     @classmethod
     def from_camera_to_world(
@@ -267,8 +267,8 @@ class Camera:
         else:
             place = _numbers("camera position", position, (3,))
             pose = np.column_stack([_rotation("camera matrix", matrix, (4,)), place])
-        lens = _lens(projection, size, row_vectors)
-        return cls(extrinsics=world_to_camera(pose), **lens, **fields)
+        pose, lens = world_to_camera(pose), _lens(projection, size, row_vectors)
+        return cls(extrinsics=pose, size=size, **lens, **fields)
 
     def __post_init__(self) -> None:
         azimuth: Any = self.azimuth
@@ -337,11 +337,11 @@ class Camera:
 
     def _check_distortion(self) -> None:
         distortion: Any = self.distortion
-        numbers = distortion.ravel().tolist() if isinstance(distortion, np.ndarray) else distortion
-        if isinstance(numbers, tuple | list):  # OpenCV appends zeros for thin prism and tilt
-            numbers, tail = numbers[: max(DISTORTIONS)], numbers[max(DISTORTIONS) :]
-            numbers = numbers if all(number in _ZERO for number in tail) else ()
-        if not isinstance(numbers, tuple | list) or len(numbers) not in DISTORTIONS:
+        values = distortion.ravel().tolist() if isinstance(distortion, np.ndarray) else distortion
+        numbers = [*values] if isinstance(values, tuple | list) else []
+        while len(numbers) > max(DISTORTIONS) and numbers[-1] in _ZERO:
+            numbers.pop()  # OpenCV appends zeros for thin prism and tilt
+        if len(numbers) not in DISTORTIONS:
             raise InputError(
                 f"camera distortion = {shown(distortion)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, "
                 "k3 to k6, without thin prism and tilt"
@@ -353,9 +353,9 @@ class Camera:
             )
         if self.intrinsics is None or self.size is None:
             raise InputError("camera distortion needs intrinsics: give K, [R|t] and size as well")
-        coefficients = tuple(map(float, numbers)) if any(numbers) else None
-        object.__setattr__(self, "distortion", coefficients)
-        if coefficients is None:
+        coefficients = tuple(map(float, numbers))
+        object.__setattr__(self, "distortion", coefficients if any(numbers) else None)
+        if self.distortion is None:
             return
         (fx, _, cx), (_, fy, cy), _ = self.intrinsics
         across, down = (np.linspace(0.0, side, _CHECKED) for side in self.size)
@@ -373,15 +373,14 @@ class Camera:
 
 def world_to_camera(to_world: Float) -> Any:
     """Return OpenCV's [R|t] of a camera whose axes are OpenGL's: x right, y up, z backwards."""
-    axes, position = to_world[:3, :3], to_world[:3, 3]
-    turn = (axes * (1.0, -1.0, -1.0)).T
-    return np.column_stack([turn, -turn @ position]).tolist()
+    turn = (to_world[:3, :3] * _FLIP).T
+    return np.column_stack([turn, -turn @ to_world[:3, 3]]).tolist()
 
 
 def _lens(projection: Any, size: Any, row_vectors: bool | None) -> dict[str, Any]:
-    """Return intrinsics and size of OpenGL's perspective projection."""
+    """Return the intrinsics of OpenGL's perspective projection, by their field, if it is given."""
     if projection is None:
-        return {"size": size}
+        return {}
     matrix = _for_columns("camera projection", projection, _PERSPECTIVE, row_vectors)
     if matrix[:2, 3].any():
         raise InputError(f"camera projection = {shown(projection)}: give it without translation")
@@ -389,15 +388,14 @@ def _lens(projection: Any, size: Any, row_vectors: bool | None) -> dict[str, Any
     k = np.eye(3)
     k[:2, :2] = half[:, None] * matrix[:2, :2]
     k[:2, 2] = half * (1.0 + matrix[:2, 2] * (-1.0, 1.0))
-    return {"intrinsics": k, "size": size}
+    return {"intrinsics": k}
 
 
 def _for_columns(name: str, value: Any, last: Pose, row_vectors: bool | None) -> Float:
     """Return a matrix (4, 4) for column vectors, whose last row is ``last``."""
-    if row_vectors is not None:
-        check_switch("row_vectors", row_vectors)
+    check_type("row_vectors", row_vectors, bool | None, "true or false")
     matrix = _numbers(name, value, (4, 4))
-    several = [matrix, matrix.T] if row_vectors is None else [matrix.T if row_vectors else matrix]
+    several = {False: [matrix], True: [matrix.T], None: [matrix, matrix.T]}[row_vectors]
     fits = [columns for columns in several if np.allclose(columns[3], last)]
     if not fits or not np.array_equal(fits[0], fits[-1]):
         remedy = "row_vectors=True or False" if fits else f"a last row (or last column) {last}"
@@ -442,27 +440,19 @@ def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
 
 def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:
     """Parse a name of AZIMUTHS_BY_NAME, or ``AZIMUTH[,ELEVATION[,ZOOM]]``, where AZIMUTH may be
-    such a name. Return the fields of an orbiting :class:`Camera`.
-
-    known : text of the accepted values, for the message
-
-    Raises InputError if the name is unknown, or the text has another form.
-    """
+    such a name. Return the fields of an orbiting :class:`Camera`. Raises InputError, with the text
+    ``known`` of the accepted values, if the name is unknown, or the text has another form."""
     if text in AZIMUTHS_BY_NAME:
         return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}
     azimuth, *words = text.split(",")
-    try:
-        numbers = [AZIMUTHS_BY_NAME[azimuth] if azimuth in AZIMUTHS_BY_NAME else float(azimuth)]
-        numbers += map(float, words)
-    except ValueError:
-        numbers = []
+    numbers = numbers_in([str(AZIMUTHS_BY_NAME.get(azimuth, azimuth)), *words])
     if not 1 <= len(numbers) <= 3:
         raise InputError(f"unknown camera {shown(text)}; give {known}")
     return dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
 
 
 def camera_of(camera: Camera | str) -> Camera:
-    """Return a camera, which may be given as a text that :func:`orbit_of` parses."""
+    """Return a camera, which may be a text that :func:`orbit_of` parses."""
     if isinstance(camera, str):
         return orbiting(Camera(), **orbit_of(camera))
     check_type("camera", camera, Camera, f"a facerender.Camera, or {ORBITS}")
@@ -470,10 +460,7 @@ def camera_of(camera: Camera | str) -> Camera:
 
 
 def cameras_of(cameras: Any) -> tuple[Camera, ...]:
-    """Return cameras, each given as in :func:`camera_of`.
-
-    cameras : several cameras, or one
-    """
+    """Return several cameras or one, each given as in :func:`camera_of`."""
     several = [cameras] if isinstance(cameras, str | Camera) else cameras
     if isinstance(several, Iterable):
         return tuple(map(camera_of, several))
@@ -498,10 +485,7 @@ def turntable(camera: Camera | str = Camera(), count: int = 8) -> tuple[Camera, 
 
 def orbiting(camera: Camera, **orbit: Any) -> Camera:
     """Return the camera without position, extrinsics, intrinsics and distortion, so that it orbits
-    its target.
-
-    orbit : fields to change, such as azimuth or zoom
-    """
+    its target, and with the fields ``orbit``, such as azimuth or zoom."""
     names = ("position", "extrinsics", "intrinsics", "size", "distortion")
     placed: dict[str, Any] = dict.fromkeys(names)
     return replace(camera, **placed, **orbit)

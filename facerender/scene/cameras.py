@@ -86,13 +86,10 @@ def load_cameras(
 
 def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) -> dict[str, Camera]:
     """Return the perspective cameras of a glTF scene, keyed by the name of the node or,
-    if the node has no name, by the name of the camera.
+    if the node has no name, by the name of the camera. Raises InputError if the file is damaged,
+    has no camera, or has an orthographic camera.
 
     axes : see :func:`facerender.values.vectors.axes_of`
-
-    Raises
-    ------
-    InputError : the file is damaged, has no camera, or has an orthographic camera
     """
     document = document_of(chunks(content, name)[0], name)
     cameras = []
@@ -122,8 +119,8 @@ def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
         raise InputError(f"its JSON cannot be read ({reason(error)})") from None
     if isinstance(tables, dict) and isinstance(tables.get("frames"), list):
         tables = [_of_frame(tables, frame, size) for frame in tables["frames"][: MOST_CAMERAS + 1]]
-    elif isinstance(tables, dict) and "cameras" in tables:
-        tables = tables["cameras"]
+    elif isinstance(tables, dict):
+        tables = tables.get("cameras", tables)
     tables = tables if isinstance(tables, list) else [tables]
     if len(tables) > MOST_CAMERAS:
         raise InputError(f"it has {len(tables)} cameras, but the limit is {MOST_CAMERAS}")
@@ -200,12 +197,11 @@ def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
     fields = {**table}
     fields.pop("transform_matrix", None)  # in records of batches, where Rt also holds the pose
     if "R" in fields and "t" in fields:
-        turn, shift = fields.pop("R"), fields.pop("t")
         try:
-            pose = np.column_stack([np.array(turn, float), np.array(shift, float).reshape(3)])
+            turn, shift = (np.array(fields.pop(key), float) for key in ("R", "t"))
+            fields["extrinsics"] = np.column_stack([turn, shift.reshape(3)]).tolist()
         except (TypeError, ValueError, OverflowError):
             raise InputError("camera R and t: give 3 x 3 numbers and 3 numbers") from None
-        fields["extrinsics"] = pose.tolist()
     if "Rt" in fields:
         pose = fields.pop("Rt")
         homogeneous = isinstance(pose, list) and pose[3:] == [[0, 0, 0, 1]]

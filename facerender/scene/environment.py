@@ -4,7 +4,6 @@ and a procedural studio panorama. Files are .hdr, .exr or NumPy."""
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -19,7 +18,7 @@ from facerender.images.files import MAX_BYTES, check_pixels, png_bytes, read_ima
 from facerender.images.image import encode_srgb8
 from facerender.system.files import read_file, suffix_of
 from facerender.values.ranges import Range, check_fields, ranged
-from facerender.values.vectors import AZIMUTHS, MOST_RADIANCE, direction_to
+from facerender.values.vectors import AZIMUTHS, MOST_RADIANCE, direction_to, numbers_in
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -55,8 +54,8 @@ class Panorama:
             radiance = np.asarray(self.radiance, dtype=np.float32)
         except (TypeError, ValueError, OverflowError):
             raise InputError(
-                f"environment {self.name} has radiance {shown(self.radiance)}: give an array "
-                "of numbers"
+                f"environment {self.name} has radiance {shown(self.radiance)}: give an array of "
+                "numbers"
             ) from None
         if radiance.ndim != 3 or radiance.shape[1:] != (2 * len(radiance), 3) or len(radiance) < 2:
             shape = " x ".join(map(str, radiance.shape[1::-1] + radiance.shape[2:]))
@@ -254,8 +253,7 @@ class EnvironmentFile:
     Parameters
     ----------
     file : path of a .hdr, .exr, .npy or .npz, or "studio" for the procedural environment map
-    rotation : rotation about the vertical axis in degrees; added to the map's azimuths
-    scale : factor on the radiance
+    rotation, scale : see :class:`Environment`
     """
 
     file: str
@@ -273,10 +271,8 @@ def parse_environment(text: str) -> EnvironmentFile:
     """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
     text has another form, or a value is outside its range."""
     file, *words = text.split(",")
-    numbers: list[float] | None = None
-    with suppress(ValueError):
-        numbers = [*map(float, words)]
-    if numbers is None or len(numbers) > 2:
+    numbers = numbers_in(words)
+    if len(numbers) != len(words) or len(words) > 2:
         raise InputError(
             f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
             "and ROTATION is in degrees"
@@ -319,24 +315,19 @@ def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environm
         number in [0, 1e9]; OpenImageIO (.hdr) or OpenEXR (.exr) is not installed
     """
     file = environment_file(file)
-    panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
+    if file.file == STUDIO:
+        return Environment(studio(), file.rotation, file.scale)
+    suffix_of(file.file, _SUFFIXES, "environment", wanted(file.file), MAX_BYTES)
+    status = os.stat(file.file)
+    panorama = _panorama(file.file, status.st_mtime_ns, status.st_size)
     return Environment(panorama, file.rotation, file.scale)
-
-
-def _state(path: str) -> tuple[int, int]:
-    """Return a file's modification time in ns and its size in bytes, to detect a change."""
-    try:
-        status = Path(path).stat()
-    except (OSError, ValueError):
-        return 0, 0  # reading the file reports the error
-    return status.st_mtime_ns, status.st_size
 
 
 @lru_cache(2)
 def _panorama(file: str, written: int, size: int) -> Panorama:
-    path, description = Path(file), wanted(file)
-    if suffix_of(path, _SUFFIXES, "environment", description, MAX_BYTES) == ".hdr":
-        return Panorama(file, _read_hdr(read_file(path, description, MAX_BYTES), path))
+    path = Path(file)
+    if path.suffix.lower() == ".hdr":
+        return Panorama(file, _read_hdr(read_file(path, wanted(file), MAX_BYTES), path))
     picture = read_image(path)
     if picture.encoding != "linear":
         raise InputError(f"environment {path} holds 8-bit values: give linear radiance")

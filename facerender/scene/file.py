@@ -5,15 +5,22 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_path, check_type, clipped, short_repr, shown
+from facerender.errors import (
+    InputError,
+    check_known,
+    check_path,
+    check_type,
+    clipped,
+    short_repr,
+    shown,
+)
 from facerender.images.files import MAX_SIDE
 from facerender.material import MAPS, PRESETS, Material, preset
 from facerender.mesh.mesh import Mesh
@@ -24,16 +31,8 @@ from facerender.scene.light import Light, parse_light
 from facerender.scene.scene import Scene, background_of
 from facerender.scene.shading import Shading
 from facerender.system.files import read_file, tables_of
-from facerender.values.ranges import (
-    FRACTION,
-    IntegerRange,
-    Range,
-    SizeRange,
-    check_fields,
-    range_of,
-    ranged,
-)
-from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS, Vector
+from facerender.values.ranges import FRACTION, IntegerRange, Range, SizeRange, check_fields, ranged
+from facerender.values.vectors import COLORS, ROTATIONS, SHAPE_WEIGHTS, Vector, numbers_in
 
 KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "parts", "shading", "planned"),
@@ -88,10 +87,8 @@ class Pose:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        for name, noun, limits in (
-            ("weights", "shape", SHAPE_WEIGHTS),
-            ("joints", "joint", ROTATIONS),
-        ):
+        tables = ("weights", "shape", SHAPE_WEIGHTS), ("joints", "joint", ROTATIONS)
+        for name, noun, limits in tables:
             table = getattr(self, name)
             check_type(f"pose {name}", table, Mapping, f"a table of numbers by {noun} name")
             values = {str(k): limits.check(f"{name[:-1]} {k}", v) for k, v in table.items()}
@@ -110,10 +107,13 @@ class Pose:
             raise InputError(f"pose frame = {self.frame} needs vertices: give the file as well")
 
 
-_TABLES: dict[str, Any] = {"planned": Planned, "pose": Pose, "before": Pose}
-# Values, and lists of values, that are texts or tables: the class, and the parser of texts.
-_TEXTS = {"camera": (Camera, camera_of), "environment": (EnvironmentFile, parse_environment)}
-_LISTS = {"cameras": (Camera, camera_of), "lights": (Light, parse_light)}
+# The class of a table, or of each table in a list, and the parser of texts that replace the table.
+_CLASSES: dict[str, tuple[type, Callable[[str], Any] | None]] = {
+    **dict.fromkeys(("camera", "cameras"), (Camera, camera_of)),
+    "lights": (Light, parse_light),
+    "environment": (EnvironmentFile, parse_environment),
+    **{"planned": (Planned, None), "pose": (Pose, None), "before": (Pose, None)},
+}
 
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -144,11 +144,8 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
 def scene_value(key: str, value: Any) -> Any:
     """Convert the TOML value of a key to the type that :func:`load_scene` returns for the key.
     Raises InputError if the key is unknown, or a value is outside its range."""
-    if key in _TABLES:
-        return from_table(_TABLES[key], key, value)
-    if key in _TEXTS:
-        return _parsed(key, value)
-    if key in _LISTS:
+    check_known("key", key, KEYS)
+    if key in ("cameras", "lights"):
         if not isinstance(value, list) or (key == "cameras" and not value):
             raise InputError(f"{key} = {shown(value)}: give a list of names or tables")
         return tuple(_parsed(key, element) for element in value)
@@ -157,7 +154,7 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "background":
         return background_of(value)
     if key == "ambient":
-        return range_of(Scene, key).check(key, value)
+        return COLORS.check(key, value)
     if key == "shading":
         Shading.from_dict(value)
     elif key == "material":
@@ -165,13 +162,13 @@ def scene_value(key: str, value: Any) -> Any:
     elif key == "image":
         from_table(ImageSettings, key, value)
     else:
-        raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
+        return _parsed(key, value)
     return value  # the calls above only check it
 
 
 def _parsed(key: str, value: Any) -> Any:
-    kind, parse = (_TEXTS | _LISTS)[key]
-    return parse(value) if isinstance(value, str) else from_table(kind, key, value)
+    kind, parse = _CLASSES[key]
+    return parse(value) if parse and isinstance(value, str) else from_table(kind, key, value)
 
 
 def parse_vertices(text: str) -> tuple[str, int | None]:
@@ -193,20 +190,20 @@ def parse_entry(option: str, text: str) -> tuple[str, Any]:
         "joint": (3, "X,Y,Z, such as head=0,20,0"),
     }[option]
     name, _, words = text.rpartition("=")
-    numbers: list[float] = []
-    with suppress(ValueError):
-        numbers = [*map(float, words.split(","))]
+    numbers = numbers_in(words.split(","))
     if not name or len(numbers) != count:
         raise InputError(f"--{option} {shown(text)}: give NAME={form}")
     return name, numbers[0] if count == 1 else numbers
 
 
+def with_tuples(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of factors with tuples instead of lists."""
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+
+
 def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
     """Check the materials of parts.
 
-    Parameters
-    ----------
-    name : name of the value, for messages
     tables : for each name of parts, which may have wildcards, a table of fields of
         :class:`Material` except its maps, and ``preset``
 
@@ -220,9 +217,9 @@ def part_tables(name: str, tables: Any) -> dict[str, dict[str, Any]]:
             raise InputError(f"{name} has the key {shown(pattern)}: give the name of a part")
         place = f"{name}.{pattern}"
         check_type(place, table, Mapping, "a table of factors, or a preset, such as {'m': 0.3}")
-        factors = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
-        overrides = {key: value for key, value in factors.items() if key != "preset"}
-        base = preset(factors["preset"]) if "preset" in factors else {}
+        factors = with_tuples(table)
+        overrides = dict(factors)
+        base = preset(overrides.pop("preset")) if "preset" in factors else {}
         from_table(Material, place, {**base, **overrides}, without=MAPS)  # only checks the values
         materials[pattern] = factors
     return materials
@@ -232,33 +229,24 @@ def parse_part(text: str) -> tuple[str, dict[str, Any]]:
     """Parse the material of parts from the text ``NAME=PRESET``, ``NAME,FIELD=VALUE,...`` or
     ``NAME=PRESET,FIELD=VALUE,...``. A colour is three numbers with commas. Raises InputError if the
     text has another form, or a value is outside its range."""
-    first, *words = text.split(",")
+    first, *words = re.split(",(?=[^,]*=)", text)
     pattern, _, preset = first.partition("=")
-    values: dict[str, list[str]] = {}
-    for word in words:
-        field, equals, value = word.partition("=")
-        if equals:
-            values[field.strip()] = [value]
-        elif values:
-            next(reversed(values.values())).append(word)
-        else:
-            break
-    if not pattern or not (preset or values) or (words and not values):
+    if not pattern or "," in first or not (preset or words):
         raise InputError(
             f"--part {shown(text)}: give NAME=PRESET or NAME,FIELD=VALUE, such as 'eye*=sclera' or "
             f"'lash*,opacity=0.8'; presets: {', '.join(PRESETS)}"
         )
     table: dict[str, Any] = {"preset": preset} if preset else {}
-    table |= {field: _value(texts) for field, texts in values.items()}
+    for word in words:
+        field, _, value = word.partition("=")
+        table[field.strip()] = _value(value.split(","))
     return pattern, part_tables("--part", {pattern: table})[pattern]
 
 
 def _value(words: list[str]) -> Any:
     if words in (["true"], ["false"]):
         return words == ["true"]
-    try:
-        numbers = tuple(map(float, words))
-    except ValueError:
+    if not (numbers := tuple(numbers_in(words))):
         return ",".join(words)
     return numbers if len(numbers) > 1 else numbers[0]
 
@@ -283,32 +271,39 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
     ``parts`` the other factors of each part. The table ``planned`` contains the fields of
     :class:`Planned`.
     """
-    background = "none" if scene.background is None else scene.background
-    dark: dict[str, Any] = {} if scene.lights else {"lights": []}
-    environment: dict[str, Any] = {}
-    if (source := scene.environment) is not None:
-        environment = {"file": source.panorama.name}
-        environment |= {"rotation": source.rotation, "scale": source.scale}
+    source = scene.environment
     materials = [scene.mesh.materials[i] for i in scene.mesh.skin]
     values = ((name, {getattr(m, name) for m in materials}) for name in _factor_names(*materials))
     shared = {name: several.pop() for name, several in values if len(several) == 1}
-    differing = _differing_factors(scene.mesh, shared)
-    tables: list[tuple[str, Mapping[str, Any]]] = [
-        ("", {"ambient": scene.ambient, "background": background} | dark),
-        ("[camera]", _changes(scene.camera)),
-        *(("[[lights]]", _changes(light)) for light in scene.lights),
-        *([("[environment]", environment)] if environment else []),
-        *(("[material]", shared), *([("[parts]", differing)] if differing else [])),
-        ("[shading]", shading.as_dict()),
-        *([("[planned]", asdict(planned))] if planned else []),
-    ]
+    tables = {
+        "ambient": scene.ambient,
+        "background": "none" if scene.background is None else scene.background,
+        "camera": _changes(scene.camera),
+        "lights": [*map(_changes, scene.lights)],
+        "environment": source
+        and {"file": source.panorama.name, "rotation": source.rotation, "scale": source.scale},
+        "material": shared,
+        "parts": _differing_factors(scene.mesh, shared) or None,
+        "shading": shading.as_dict(),
+        "planned": planned and asdict(planned),
+    }
     return toml_text(tables)
 
 
-def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """Return TOML text for tables (header, values). Keys whose value is None are omitted."""
+def toml_text(values: Mapping[str, Any]) -> str:
+    """Return TOML text for values, tables of values, and lists of such tables. Keys whose value is
+    None are omitted."""
+    tables: list[tuple[str, Mapping[str, Any]]] = []
+    plain = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            tables.append((f"[{key}]", value))
+        elif isinstance(value, list) and value:
+            tables += [(f"[[{key}]]", table) for table in value]
+        else:
+            plain[key] = value
     blocks = []
-    for head, table in tables:
+    for head, table in [*([("", plain)] if plain else []), *tables]:
         entries = {key: value for key, value in table.items() if value is not None}
         lines = [f"{_key(key)} = {_toml(value)}" for key, value in entries.items()]
         blocks.append("\n".join(filter(None, [head, *lines])) + "\n")
@@ -317,11 +312,8 @@ def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 def _changes(instance: Camera | Light) -> dict[str, Any]:
     """Return the fields of a camera or light that differ from their defaults."""
-    return {
-        member.name: value
-        for member in fields(instance)
-        if (value := getattr(instance, member.name)) != member.default
-    }
+    values = ((member, getattr(instance, member.name)) for member in fields(instance))
+    return {member.name: value for member, value in values if value != member.default}
 
 
 def _factor_names(*materials: Material) -> list[str]:
@@ -349,9 +341,7 @@ def _key(name: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
+    if isinstance(value, bool | str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
         pairs = (f"{_key(key)} = {_toml(entry)}" for key, entry in value.items())
@@ -362,15 +352,9 @@ def _toml(value: Any) -> str:
 
 
 def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
-    """Create an instance of a dataclass from the values of a TOML table.
-
-    Parameters
-    ----------
-    without : fields that the table must not contain
-
-    Raises InputError if the value is no table, a key is unknown or missing, or a value is out of
-    range.
-    """
+    """Create an instance of a dataclass from the values of a TOML table, which must not contain the
+    fields ``without``. Raises InputError if the value is no table, a key is unknown or missing, or
+    a value is out of range."""
     names = [member.name for member in fields(kind) if member.name not in without]
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in names]):
         bad = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"

@@ -15,6 +15,7 @@ from facerender.errors import (
     check_path,
     check_type,
     each_of,
+    number_of,
     parameters,
     short_repr,
     shown,
@@ -38,6 +39,7 @@ from facerender.scene.file import (
     part_tables,
     scene_value,
     toml_text,
+    with_tuples,
 )
 from facerender.scene.light import Light, lights_of
 from facerender.scene.scene import Only, Scene, background_of, check_only, default_light
@@ -45,6 +47,7 @@ from facerender.scene.shading import Shading
 from facerender.values.ranges import EXPOSURES, check_fields, range_of, ranged
 from facerender.values.vectors import BACKGROUNDS, COLORS, ROTATIONS, UPS, Vector
 
+_SCENE_KEYS = [key for key in KEYS if key != "cameras"]
 # The fields of MeshFile that are paths.
 MESH_PATHS = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
@@ -83,9 +86,9 @@ class MeshFile:
             if (names := getattr(self, name)) is not None:
                 object.__setattr__(self, name, names_of(f"mesh {name}", names) or None)
         for name in MESH_PATHS:
-            value = getattr(self, name)
-            check_type(f"mesh {name}", value, str | os.PathLike | None, "a path as text")
-            object.__setattr__(self, name, value if value is None else os.fspath(value))
+            if (path := getattr(self, name)) is not None:
+                check_type(f"mesh {name}", path, str | os.PathLike, "a path as text")
+                object.__setattr__(self, name, os.fspath(path))
         check_normal_map_y(self.normal_map_y)
         if self.up is not None:
             check_known("mesh up", self.up, UPS)
@@ -234,11 +237,7 @@ class Job:
             check_path("landmarks", self.landmarks)
             self._set(landmarks=os.fspath(self.landmarks))
         from_table(Material, "material", self.material, without=MAPS)  # only to validate
-        material = {
-            name: tuple(value) if isinstance(value, list | tuple) else value
-            for name, value in self.material.items()
-        }
-        self._set(material=material, parts=part_tables("parts", self.parts))
+        self._set(material=with_tuples(self.material), parts=part_tables("parts", self.parts))
         check_fields(self)
 
     def _set(self, **values: Any) -> None:
@@ -264,37 +263,27 @@ class Job:
 
             previous_scene = Scene(posed(loaded, self.before), self.camera) if moves else None
             loaded = posed(loaded, self.pose)
-        environment = None
-        if self.environment is not None:
-            from facerender.scene.environment import load_environment
-
-            environment = load_environment(self.environment)
         if self.material:
             loaded = loaded.with_skin(**self.material)
         for name, table in self.parts.items():
             loaded = loaded.with_material((name,), **table)
         if self.mesh.lobe_map and not any(material.two_lobes for material in loaded.materials):
             warn_of_one_lobe(loaded.name, "lobe_map")
-        light = self.lights, self.ambient, self.background, environment
+        light = self.lights, self.ambient, self.background, self.environment
         return Scene(loaded, self.camera, *light, previous_scene)
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
-        """Return the level of detail of an image. The planned level is used only for the planned
-        size and samples. Otherwise, a FacerenderWarning is emitted, and all triangles are drawn.
-
-        Parameters
-        ----------
-        samples : the renderer's samples per pixel
-        name : name of the scene, for the warning
-        """
+        """Return the level of detail of an image with the renderer's samples per pixel. The planned
+        level is used only for the planned size and samples. Otherwise, a FacerenderWarning, which
+        contains the name of the scene, is emitted, and all triangles are drawn."""
         if self.planned and self.planned.holds(self.image.size, samples):
             return self.planned.detail
         if self.planned:
             width, height = self.image.size
-            count = f"{self.image.samples} sample{'s' * (self.image.samples > 1)}"
             warn(
-                f"{name} was planned for {self.planned}: at {width} x {height} with {count} its "
-                "error is unknown; plan for this size and samples"
+                f"{name} was planned for {self.planned}: at {width} x {height} with "
+                f"{number_of(self.image.samples, 'sample')} its error is unknown; plan for this "
+                "size and samples"
             )
         return LevelOfDetail(self.image.samples, None)
 
@@ -332,36 +321,25 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
-        keys = [*KEYS, "mesh", "outputs", "landmarks"]
-        keys.remove("cameras")
-        values: dict[str, Any] = {}
-        for key, value in tables.items():
-            check_known("key", key, keys)
-            if key == "mesh":
-                values[key] = from_table(MeshFile, key, value)
-            elif key == "outputs":
-                check_type(key, value, list, "a list of tables")
-                values[key] = tuple(from_table(Output, key, table) for table in value)
-            elif key == "landmarks":
-                values[key] = value
-            else:
-                values[key] = scene_value(key, value)
-        return cls(**values)
+        return cls(**{key: job_value(key, value) for key, value in tables.items()})
 
     def toml(self) -> str:
         """Return the job as the text of a TOML file."""
         tables = self.as_dict()
-        plain = ("ambient", "background", "landmarks")
-        head = {key: tables.pop(key) for key in plain if key in tables}
         if not self.lights:
-            head["lights"] = []
-        blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]
-        for key, table in tables.items():
-            if isinstance(table, list):
-                blocks += [(f"[[{key}]]", entry) for entry in table]
-            else:
-                blocks.append((f"[{key}]", table))
-        return toml_text(blocks)
+            tables["lights"] = tables.pop("lights")  # after the other values without tables
+        return toml_text(tables | {"outputs": tables["outputs"] or None})
+
+
+def job_value(key: str, value: Any) -> Any:
+    """Convert the plain value of a key of a job, as :func:`scene_value` does for a scene."""
+    check_known("key", key, (*_SCENE_KEYS, "mesh", "outputs", "landmarks"))
+    if key == "mesh":
+        return from_table(MeshFile, key, value)
+    if key == "outputs":
+        check_type(key, value, list, "a list of tables")
+        return tuple(from_table(Output, key, table) for table in value)
+    return value if key == "landmarks" else scene_value(key, value)
 
 
 def _plain(instance: Any) -> dict[str, Any]:

@@ -194,13 +194,12 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
     place = f"landmark {shown(name)}"
     table = landmark if isinstance(landmark, Mapping) else {"vertices": landmark}
     keys = _KEYS if named else _KEYS[1:]
-    for key in table:
-        if key not in keys:
-            raise InputError(f"{place}: unknown key {shown(key)}; known: {', '.join(keys)}")
+    if unknown := [key for key in table if key not in keys]:
+        raise InputError(f"{place}: unknown key {shown(unknown[0])}; known: {', '.join(keys)}")
     for key in ("name", "part"):
         check_type(f"{place}: {key}", table.get(key, ""), str, "text")
     vertices: Any = table.get("vertices")
-    listed = isinstance(landmark, Mapping) and isinstance(vertices, list)
+    listed = table is landmark and isinstance(vertices, list)
     numbers: list[Any] = vertices if listed else [vertices]
     if not 0 < len(numbers) <= 3 or not all(number in _VERTICES for number in numbers):
         raise InputError(f"{place}: vertices = {shown(vertices)}: give one to three vertex numbers")
@@ -209,9 +208,9 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
     if len(weights) != len(numbers) or not all(weight in _WEIGHTS for weight in weights):
         quoted = shown(table.get("weights"))
         raise InputError(f"{place}: weights = {quoted}: give {len(numbers)} numbers in [0, 1]")
-    spare = 3 - len(numbers)
-    full = [*numbers, *numbers[:1] * spare], [*map(float, weights), *[0.0] * spare]
-    return table.get("name") or name, *full, table.get("part", "")
+    numbers = [*numbers, *numbers[:1] * 2][:3]
+    weights = [*map(float, weights), 0.0, 0.0][:3]
+    return table.get("name") or name, numbers, weights, table.get("part", "")
 
 
 def located(

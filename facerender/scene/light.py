@@ -24,6 +24,7 @@ from facerender.values.vectors import (
     POSITIONS,
     Vector,
     direction_to,
+    numbers_in,
     within_reach,
 )
 
@@ -83,17 +84,15 @@ class LightKind:
     The file ``host/light/NAME.glsl`` of the kind NAME declares uniform arrays of NAME_LIGHTS
     elements and the function ``Light NAME_light(int i, vec3 position)``.
 
-    name : name of the kind and of its file, such as "point"
     example : light that cost measurements use
-    matches : function that returns whether a light can be of this kind; the first kind in
-        LIGHT_KINDS that matches a light is the light's kind
+    matches : whether a light can be of this kind; the first kind in LIGHT_KINDS that matches a
+        light is the light's kind
     arrays : names of the uniform arrays
-    elements : function that returns a light's element of each uniform array, (1,) to (3,), in the
-        renderer's space
-    lighting : function that returns, for positions (..., 3) in the renderer's space, unit vectors
-        to a light and the light's irradiance, in float64
-    sine : function that returns the sine of a light's angular radius, seen from positions (..., 3),
-        as (..., 1) or one value for all positions; None for kinds without area
+    elements : a light's element of each uniform array, (1,) to (3,), in the renderer's space
+    lighting : for positions (..., 3) in the renderer's space, unit vectors to a light and the
+        light's irradiance, in float64
+    sine : sine of a light's angular radius, seen from positions (..., 3), as (..., 1) or one value
+        for all positions; None for kinds without area
     """
 
     name: str
@@ -147,7 +146,7 @@ def half_sum(sine: Float) -> Float:
     return np.asarray(0.5 + 0.5 * np.sqrt(1.0 - sine**2))
 
 
-def _sine(light: Light) -> Float:
+def _sine(light: Light, *_: Any) -> Float:
     return np.array([math.sin(math.radians(light.radius))])
 
 
@@ -170,7 +169,7 @@ def _sphere_sine(light: Light, space: Space, position: Float) -> Float:
     return np.asarray(size / np.linalg.norm(source - position, axis=-1, keepdims=True))
 
 
-def _distant(light: Light) -> tuple[Float, Float]:
+def _distant(light: Light, *_: Any) -> tuple[Float, Float]:
     return light.direction, np.asarray(light.irradiance)
 
 
@@ -203,16 +202,16 @@ LIGHT_KINDS: dict[str, LightKind] = {
                 *_distant(light),
                 np.append(_sine(light), half_sum(_sine(light))),
             ),
-            lighting=lambda light, space, position: _distant(light),
-            sine=lambda light, space, position: _sine(light),
+            lighting=_distant,
+            sine=_sine,
         ),
         LightKind(
             "directional",
             example=Light(30.0, 35.0, 2.0),
             matches=lambda light: True,
             arrays=("light_direction", "light_irradiance"),
-            elements=lambda light, space: _distant(light),
-            lighting=lambda light, space, position: _distant(light),
+            elements=_distant,
+            lighting=_distant,
         ),
     )
 }
@@ -324,19 +323,15 @@ def parse_light(text: str) -> Light:
     has another form."""
     form, *options = re.split(r",(?=radius=|no-shadow\b)", text)
     kind, _, arguments = form.rpartition(":")
-    try:
-        fields: dict[str, Any] = {"shadow": False} if "no-shadow" in options else {}
-        for size in (word for word in options if word != "no-shadow"):
-            fields["radius"] = float(size.removeprefix("radius="))
-        if len(options) != len(fields):
-            raise ValueError
-        numbers = [] if form in LIGHTS else [float(word) for word in arguments.split(",")]
-        count = {"": 2, "point": 3}[kind]
-        where, irradiance = numbers[:count], numbers[count:] or [math.pi]
-        if len(where) != count * (form not in LIGHTS) or len(irradiance) not in (1, 3):
-            raise ValueError
-    except (KeyError, ValueError):
-        raise InputError(f"unknown light {shown(text)}; give {LIGHT_TEXTS}") from None
+    radii = numbers_in(word.removeprefix("radius=") for word in options if word != "no-shadow")
+    fields: dict[str, Any] = {"shadow": False} if "no-shadow" in options else {}
+    if radii:
+        fields["radius"] = radii[0]
+    numbers, count = numbers_in(arguments.split(",")), {"": 2, "point": 3}.get(kind, 0)
+    where, irradiance = numbers[:count], numbers[count:] or [math.pi]
+    is_light = len(where) == count > 0 and len(irradiance) in (1, 3)
+    if len(options) != len(fields) or not (is_light or form in LIGHTS):
+        raise InputError(f"unknown light {shown(text)}; give {LIGHT_TEXTS}")
     if form in LIGHTS:
         return replace(LIGHTS[form], **fields)
     fields["irradiance"] = irradiance if irradiance[1:] else irradiance[0]

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Never, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_known, check_type, near, short_repr, shown
+from facerender.errors import InputError, check_known, check_type, short_repr, shown
 from facerender.mesh.mesh import Mesh
 from facerender.scene.camera import Camera, camera_of
 from facerender.scene.environment import Environment, EnvironmentSource, load_environment
 from facerender.scene.light import LIGHTS, Light, lights_of
-from facerender.values.ranges import check_fields, range_of, ranged
-from facerender.values.vectors import BACKGROUNDS, COLORS, Vector
+from facerender.values.ranges import check_fields, ranged
+from facerender.values.vectors import BACKGROUNDS, COLORS, Vector, numbers_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Sequence
 
     from facerender.loading import MeshSource
 
@@ -48,47 +48,14 @@ def background_of(value: Any) -> Vector | None:
     InputError if the text has another form, or a value is outside its range."""
     if value is None or (isinstance(value, str) and value == "none"):
         return None
-    try:
-        numbers = (*map(float, value.split(",")),) if isinstance(value, str) else value
-        if isinstance(value, str) and len(numbers) != 3:
-            raise ValueError
-    except ValueError:
+    numbers = numbers_in(value.split(",")) if isinstance(value, str) else value
+    if isinstance(value, str) and len(numbers) != 3:
         raise InputError(
             f"background = {shown(value)}: give 3 numbers in linear RGB, or none for a transparent "
             "background"
-        ) from None
-    color: Vector = range_of(Scene, "background").check("background", numbers)
+        )
+    color: Vector = BACKGROUNDS.check("background", numbers)
     return color
-
-
-def refuse_keyword(
-    function: Callable[..., Any], name: str, others: Mapping[str, Callable[..., Any]] = {}
-) -> NoReturn:
-    """Raise InputError for an unknown keyword argument. The message has the most similar argument
-    of the function, or of the class to which the value belongs.
-
-    others : further classes, keyed by the text that the message has for an argument
-    """
-    from inspect import signature
-
-    from facerender.material import Material
-    from facerender.scene.shading import Shading
-
-    arguments = [*signature(function).parameters][:-1]
-    forms = {argument: f"{argument}=..." for argument in arguments}
-    homes: dict[str, Callable[..., Any]] = {
-        "camera=fr.Camera({}=...)": Camera,
-        "lights=[fr.Light({}=...)]": Light,
-        "mesh.with_skin({}=...)": Material,
-        "fr.Shading({}=...) to fr.Renderer.render": Shading,
-        **others,
-    }
-    for form, kind in homes.items():
-        forms = {key: form.format(key) for key in signature(kind).parameters} | forms
-    similar = near({"roughness": "m"}.get(name, name), forms)
-    remedy = f"give {forms[similar]}" if similar else f"known: {', '.join(arguments)}"
-    remedy += ", the square of glTF's roughness" if name == "roughness" else ""
-    raise InputError(f"fr.{function.__name__} has no argument {name}: {remedy}")
 
 
 @dataclass(frozen=True, init=False)
@@ -131,10 +98,7 @@ class Scene:
         background: Vector | str | None = _BACKGROUND,
         environment: EnvironmentSource | None = None,
         before: Scene | None = None,
-        **unknown: Never,
     ) -> None:
-        for name in unknown:
-            refuse_keyword(Scene, name)
         if not isinstance(mesh, Mesh) and mesh is not None:
             from facerender.loading import load_mesh
 

@@ -57,10 +57,9 @@ class Term:
         model = named("model", MODELS, self.model)
         named("Fresnel term", FRESNEL, self.fresnel)
         named("masking term", MASKING, self.masking)
-        if not model.factors and self.fresnel != Term.fresnel:
-            raise InputError(f"{self.model} has no Fresnel term: leave {shown(self.fresnel)} out")
-        if not model.factors and self.masking != Term.masking:
-            raise InputError(f"{self.model} has no masking term: leave {shown(self.masking)} out")
+        for noun, name in (("Fresnel", "fresnel"), ("masking", "masking")):
+            if not model.factors and (value := getattr(self, name)) != getattr(Term, name):
+                raise InputError(f"{self.model} has no {noun} term: leave {shown(value)} out")
         check_fields(self)
 
     @property
@@ -71,22 +70,15 @@ class Term:
     def for_slopes(self, smallest: float, largest: float, outside: str = "error") -> Term:
         """Return the term for a material: this term, or a copy of it with the exact lobe.
 
-        Parameters
-        ----------
         smallest, largest : range of the material's m
-        outside : action if m lies outside the lobe's domain: "error", or "exact" for the exact lobe
-
-        Raises
-        ------
-        InputError : m lies outside the domain, and ``outside`` is "error"
+        outside : action if m lies outside the lobe's domain: "error" to raise InputError, or
+            "exact" for the exact lobe
         """
         slopes = self.slope(smallest), self.slope(largest)
-        lobe = lobe_entry(self.lobe)
-        if lobe.belongs(slopes, self.entry.k).all():
-            return self
-        if outside == "exact" and self.lobe != "exact":
+        lobe, k = lobe_entry(self.lobe), self.entry.k
+        if outside == "exact" and self.lobe != "exact" and not lobe.belongs(slopes, k).all():
             return replace(self, lobe="exact").for_slopes(smallest, largest)
-        lobe.check(slopes, self.entry.k)
+        lobe.check(slopes, k)
         return self
 
     def slope(self, m: S) -> S | float:
@@ -98,10 +90,8 @@ class Term:
         return self if self.m is None else replace(self, m=self.m * factor)
 
     def keeps_small_slopes(self, smallest_m: float) -> bool:
-        """Return whether the exact lobe is computed accurately for small angles.
-
-        smallest_m : lowest m of the material; used if the term has no constant m
-        """
+        """Return whether the exact lobe is computed accurately for small angles, if the lowest m of
+        the material is ``smallest_m``."""
         if self.small_slope is not None:
             return self.small_slope
         return self.slope(smallest_m) < SMALL_SLOPE
@@ -199,11 +189,9 @@ class Shading:
             object.__setattr__(self, "term", replace(self.term, **overrides))
         for name in ("specular_lights", "shadow_lights"):
             if (lights := getattr(self, name)) is not None:
-                object.__setattr__(self, name, tuple(sorted(_indices(name, lights))))
-        for name, noun, choices in (
-            ("outside", "value of outside:", OUTSIDE),
-            ("diffuse", "diffuse term", DIFFUSE),
-        ):
+                object.__setattr__(self, name, _indices(name, lights))
+        texts = ("outside", "value of outside:", OUTSIDE), ("diffuse", "diffuse term", DIFFUSE)
+        for name, noun, choices in texts:
             check_type(name, value := getattr(self, name), str, "a string")
             check_known(noun, value, choices)
         counts = range_of(Shading, "environment_samples")
@@ -243,12 +231,8 @@ class Shading:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Shading:
-        """Return the shading that a table from :meth:`as_dict` describes.
-
-        Raises
-        ------
-        InputError : an unknown key, or a value outside its domain
-        """
+        """Return the shading that a table from :meth:`as_dict` describes. Raises InputError for an
+        unknown key, or a value outside its domain."""
         if not isinstance(table, Mapping):
             raise InputError(f"shading = {shown(table)}: give a table")
         if unknown := sorted(set(table) - set(_KEYS)):
@@ -272,14 +256,14 @@ _KEYS = (
 
 def _indices(name: str, lights: Any) -> tuple[int, ...]:
     try:
-        indices = [index(light) for light in lights if not isinstance(light, bool)]
-        if len(set(indices)) < len(lights):
+        indices = {index(light) for light in lights if not isinstance(light, bool)}
+        if len(indices) < len(lights):
             raise TypeError
     except TypeError:
         raise InputError(
             f"{name} = {shown(lights)}: give a list of whole numbers, each once"
         ) from None
-    return tuple(indices)
+    return tuple(sorted(indices))
 
 
 def _lobe(table: Any) -> Any:

@@ -21,15 +21,16 @@ from facerender.system.process import MIB, limit
 
 
 def posed(mesh: Mesh, pose: Pose) -> Mesh:
-    """Return a mesh in a pose.
-
-    Raises
-    ------
-    InputError : the mesh has no such shape or clip, or the file of vertices cannot be used; see
-        :meth:`Mesh.with_pose` and :meth:`Mesh.with_positions`
-    """
+    """Return a mesh in a pose. Raises InputError if the mesh has no such shape or clip, or the file
+    of vertices cannot be used; see :meth:`Mesh.with_pose` and :meth:`Mesh.with_positions`."""
     if pose.vertices is not None:
-        mesh = mesh.with_positions(_frame(pose.vertices, pose.frame))
+        arrays, name = _arrays(pose.vertices), clipped(Path(pose.vertices).name)
+        count, frame = len(next(iter(arrays.values()))), pose.frame
+        if frame >= count:
+            raise InputError(f"{name} has {count} frames: frame = {frame} is not below {count}")
+        positions = {key: array[frame] for key, array in arrays.items()}
+        is_array = Path(pose.vertices).suffix.lower() == ".npy"
+        mesh = mesh.with_positions(positions[""] if is_array else positions)
     elif pose.weights or pose.joints or pose.clip is not None or pose.time is not None:
         mesh = mesh.with_pose(pose.weights, joints=pose.joints, clip=pose.clip, time=pose.time)
     return tracked(mesh) if pose.track else mesh
@@ -38,16 +39,6 @@ def posed(mesh: Mesh, pose: Pose) -> Mesh:
 def frame_count(path: str | os.PathLike[str]) -> int:
     """Return the number of frames in a file of vertices. For errors see :func:`posed`."""
     return len(next(iter(_arrays(os.fspath(path)).values())))
-
-
-def _frame(path: str, frame: int) -> Any:
-    """Return the positions of a frame, for :meth:`Mesh.with_positions`."""
-    arrays, name = _arrays(path), clipped(Path(path).name)
-    count = len(next(iter(arrays.values())))
-    if frame >= count:
-        raise InputError(f"{name} has {count} frames: frame = {frame} is not below {count}")
-    positions = {key: array[frame] for key, array in arrays.items()}
-    return positions[""] if Path(path).suffix.lower() == ".npy" else positions
 
 
 def _arrays(path: str) -> Mapping[str, NDArray[Any]]:

@@ -11,12 +11,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
+from facerender.material import Material
 from facerender.mesh.mesh import Mesh, largest_opacity
 from facerender.mesh.part import Part, Region
 from facerender.scene.camera import Camera, Frame, distort
 from facerender.scene.scene import Scene
 from facerender.values.ranges import range_of
 from facerender.values.vectors import check_array, direction_to, within_reach
+
+Float = NDArray[np.float64]
 
 FRAMING_MARGIN = 1.04
 _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are rounded
@@ -41,9 +44,9 @@ class View:
     distortion : lens distortion (see :class:`Camera`), which the matrix leaves out; None for none
     """
 
-    position: NDArray[np.float64]
-    forward: NDArray[np.float64]
-    matrix: NDArray[np.float64]
+    position: Float
+    forward: Float
+    matrix: Float
     distortion: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
@@ -52,8 +55,8 @@ class View:
         return f"<View from ({start}) along ({direction})>"
 
     def project(
-        self, mesh: Mesh, points: NDArray[np.float64], size: int | tuple[int, int]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        self, mesh: Mesh, points: Float, size: int | tuple[int, int]
+    ) -> tuple[Float, Float]:
         """Project points of mesh space to pixels, with the lens distortion, in float64.
 
         Parameters
@@ -82,22 +85,19 @@ class View:
             flat = distort((flat - middle) / focal, self.distortion) * focal + middle
         return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
 
-    def _clip(self, mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _clip(self, mesh: Mesh, points: Float) -> Float:
         """Return clip x, y and w, (N, 3), of points (N, 3) of mesh space."""
         rows = np.column_stack([mesh.normalised(points), np.ones(len(points))])
         return np.asarray(rows @ self.matrix[:, _XYW])
 
     def shifted(self, pixels: tuple[float, float], size: int | tuple[int, int]) -> View:
-        """Return the view with its image moved right by x pixels and down by y pixels.
-
-        pixels : x and y
-        size : width and height of the image
-        """
+        """Return the view with its image, of the given size, moved by x ``pixels`` to the right and
+        y pixels down."""
         move = np.eye(4)
         move[3, :2] = 2.0 * np.asarray(pixels) / size
         return replace(self, matrix=self.matrix @ move)
 
-    def intrinsics(self, size: int | tuple[int, int]) -> NDArray[np.float64]:
+    def intrinsics(self, size: int | tuple[int, int]) -> Float:
         """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.
 
         Pixel x points right, y down. The image's top left corner is (0, 0); its first pixel's
@@ -108,7 +108,7 @@ class View:
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
 
-    def extrinsics(self, mesh: Mesh) -> NDArray[np.float64]:
+    def extrinsics(self, mesh: Mesh) -> Float:
         """Return the matrix [R|t], (3, 4), that maps mesh space to camera space.
 
         Camera space has the camera at 0, x to the right, y down, z forward, and mesh units.
@@ -121,7 +121,7 @@ class View:
         return pose
 
     @property
-    def _lens(self) -> NDArray[np.float64]:
+    def _lens(self) -> Float:
         """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x is a
         multiple of camera-space x plus a multiple of the depth; for clip y, y replaces x."""
         x, y, w = self.matrix[:3, _XYW].T
@@ -132,7 +132,7 @@ class View:
         return lens
 
 
-def sample_grid(count: int) -> NDArray[np.float64]:
+def sample_grid(count: int) -> Float:
     """Return evenly distributed sample positions in a pixel, (count, 2) in [-0.5, 0.5].
 
     These are Hammersley points; see Niederreiter (1992), "Random number generation and quasi-Monte
@@ -195,7 +195,7 @@ def shifted(scene: Scene, x: float, y: float, size: int | tuple[int, int]) -> Sc
     for name, value in (("x", x), ("y", y)):
         check_range(name, value, -1e6, 1e6)
     view = view_of(scene, width / height).shifted((x, y), size)
-    pose, lens = view.extrinsics(scene.mesh).tolist(), view.intrinsics(size).tolist()
+    pose, lens = view.extrinsics(scene.mesh), view.intrinsics(size)
     camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion)
     return replace(scene, camera=camera)
 
@@ -205,7 +205,7 @@ def region_of(mesh: Mesh, frame: Frame) -> Region | None:
     return None if frame == "all" else mesh.regions[frame]
 
 
-def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
+def target_of(mesh: Mesh, camera: Camera) -> Float:
     """Return the target (3,) of a camera without extrinsics, in the renderer's space."""
     if camera.target is not None:
         return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
@@ -234,9 +234,7 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
     return View(eye, forward, _look(eye, eye + forward, -turn[1]) @ lens, camera.distortion)
 
 
-def _look(
-    position: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _look(position: Float, target: Float, up: Float) -> Float:
     """Return the matrix from the renderer's space to camera space, for row vectors."""
     forward = target - position
     forward /= np.linalg.norm(forward)
@@ -248,13 +246,10 @@ def _look(
     return look
 
 
-def _projection(fov: float, aspect: float, depth: float, reach: float) -> NDArray[np.float64]:
+def _projection(fov: float, aspect: float, depth: float, reach: float) -> Float:
     """Return the matrix from camera space to clip space, with y down, for row vectors. The sphere
-    around all vertices lies between the near plane and the far plane. Source: OpenGL 2.1,
-    gluPerspective.
-
-    depth, reach : depth of the mesh's centre, and radius of the sphere; see :class:`Space`
-    """
+    around all vertices, whose centre is at ``depth`` and whose radius is ``reach``, lies between
+    the near plane and the far plane. Source: OpenGL 2.1, gluPerspective."""
     far = max(depth + reach, 0.02)
     near = max(depth - reach, far * 1e-3)
     tangent = math.tan(math.radians(fov) / 2.0)
@@ -266,10 +261,8 @@ def _projection(fov: float, aspect: float, depth: float, reach: float) -> NDArra
 
 
 def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
-    """Return the reason why an image of the given size shows nothing of the mesh, and a remedy.
-
-    threshold : smallest opacity of blended parts in a data image; None for other images
-    """
+    """Return the reason why an image of the given size shows nothing of the mesh, and a remedy. For
+    ``threshold`` see :func:`facerender.drawing.frame.check_image`."""
     width, height = size
     view = view_of(scene, width / height)
     places = np.concatenate([part.positions for part in scene.mesh.parts])
@@ -284,8 +277,8 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
         if extent < 2.0:
             return f"it is {extent:.2g} pixels large; move the camera nearer, or zoom in"
-        indices = range(len(scene.mesh.parts))
-        causes = [_not_drawn(scene.mesh, i, view, threshold) for i in indices]
+        drawn = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+        causes = [_not_drawn(scene.mesh, *item, view, threshold) for item in drawn]
         if all(causes):
             return "; ".join(dict.fromkeys(causes))
         return (
@@ -297,10 +290,10 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
 
 
-def _not_drawn(mesh: Mesh, number: int, view: View, threshold: float | None) -> str:
-    """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn. For
-    ``threshold`` see :func:`hidden`."""
-    part, material = mesh.parts[number], mesh.materials[number]
+def _not_drawn(
+    mesh: Mesh, part: Part, material: Material, view: View, threshold: float | None
+) -> str:
+    """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn."""
     name = part.name or "it"
     if material.double_sided is False:
         a, b, c = np.moveaxis(mesh.normalised(part.positions)[part.faces], 1, 0)
@@ -320,7 +313,7 @@ def _not_drawn(mesh: Mesh, number: int, view: View, threshold: float | None) -> 
 def levels_to_spare(
     mesh: Mesh,
     part: Part,
-    uv: NDArray[np.float64],
+    uv: Float,
     texels: tuple[int, int],
     view: View,
     size: tuple[int, int],
@@ -333,34 +326,33 @@ def levels_to_spare(
     anisotropy (EXT_texture_filter_anisotropic). Triangles that the part itself hides, such as the
     inside of a closed mouth, do not count.
 
-    Parameters
-    ----------
     part, uv : part of the mesh, and its texture coordinates
-    texels : width and height of the map
-    size : width and height of the image
+    texels, size : width and height of the map, and of the image
     anisotropy : degree of anisotropic filtering, at least 1 (isotropic)
     """
-    x, y, w = view._clip(mesh, part.positions).T
+    clip = view._clip(mesh, part.positions)
+    w = clip[:, 2]
     in_front = w[part.faces] > 1e-6
-    crossing = in_front.any(axis=1) & ~in_front.all(axis=1)
     faces = part.faces[in_front.all(axis=1)]
+    if in_front.any(axis=1).sum() > len(faces):
+        return 0  # a triangle reaches the camera
     half = np.divide(size, 2.0)
-    pixels = np.stack([x, y], axis=-1) / np.maximum(w, 1e-6)[:, None] * half
+    pixels = clip[:, :2] / np.maximum(w, 1e-6)[:, None] * half
     corners, coordinates = pixels[faces], (uv * texels)[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
     shown = np.clip(np.minimum(high, half) - np.maximum(low, -half), 0.0, None)
-    across, along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across, along = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
     double = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         # Estimates the visible fraction of a triangle by the visible fraction of its bounding box.
         area = np.abs(double) * np.nan_to_num(np.prod(shown / (high - low), axis=1))
-        first, second = (coordinates[:, i] - coordinates[:, 0] for i in (1, 2))
+        first, second = np.moveaxis(coordinates[:, 1:] - coordinates[:, :1], 1, 0)
         by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
         by_y = (second * across[:, :1] - first * along[:, :1]) / double[:, None]
         read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
     hidden = _hidden(pixels / half, w)[faces].all(axis=1)
     visible = (area > 0.0) & np.isfinite(read) & ~hidden
-    if crossing.any() or not visible.any():
+    if not visible.any():
         return 0
     area, read = area[visible], read[visible]
     order = np.argsort(read)
@@ -369,11 +361,10 @@ def levels_to_spare(
     return max(min(math.floor(math.log2(max(finest, 1.0))), limit), 0)
 
 
-def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which vertices are behind the others, in a grid of cells over their part of the image.
-
-    A vertex is hidden if it is behind the nearest vertices of its cell and of all eight cells
-    around it. A cell without vertices hides nothing.
+def _hidden(places: Float, depth: Float) -> NDArray[np.bool_]:
+    """Return which vertices are behind the others: behind the nearest vertices of their cell and of
+    all eight cells around it, in a grid over their part of the image. A cell without vertices hides
+    nothing.
 
     places, depth : x and y from -1 to 1 in the image, and distance from the camera, per vertex
     """
@@ -388,9 +379,7 @@ def _hidden(places: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[
     return np.asarray(depth > farthest[tuple(indices.T)] + _BEHIND)
 
 
-def _framing_distance(
-    profile: NDArray[np.float64], elevation: float, fov: float, aspect: float
-) -> float:
+def _framing_distance(profile: Float, elevation: float, fov: float, aspect: float) -> float:
     """Return the camera distance at which a profile fits into the view at every azimuth.
 
     The distance includes FRAMING_MARGIN. Relative to the orbiting camera, a vertex at height y and

@@ -152,12 +152,8 @@ class Texture:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
-        """Return the texture of an image file. The file is decoded later.
-
-        Raises
-        ------
-        InputError : the file is missing or not an image
-        """
+        """Return the texture of an image file, which is decoded later. Raises InputError if the
+        file is missing or not an image."""
         check_path("image file", path)
         name = clipped(Path(path).name)
 
@@ -173,12 +169,8 @@ class Texture:
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
-        """Return a texture from the bytes of an image file. The bytes are decoded later.
-
-        Raises
-        ------
-        InputError : the content is not an image, or too large
-        """
+        """Return a texture from the bytes of an image file, which are decoded later. Raises
+        InputError if the content is not an image, or too large."""
         opened = _opened(content, name)
         return cls(lambda: _opened(content, name), name, opened.size, profile_of(opened))
 
@@ -213,12 +205,8 @@ class Texture:
 
     @classmethod
     def from_image(cls, image: Image, name: str = "an image") -> Texture:
-        """Return a texture from a copy of a Pillow image of any mode.
-
-        Raises
-        ------
-        InputError : not a Pillow image, or one that cannot be decoded
-        """
+        """Return a texture from a copy of a Pillow image of any mode. Raises InputError if it is
+        not a Pillow image, or cannot be decoded."""
         from PIL import Image as images
 
         check_type("image", image, images.Image, "a Pillow image")
@@ -239,13 +227,10 @@ class Texture:
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
-        """Return a texture with other sampling, which shares this texture's decoded image.
+        """Return a texture with other sampling, which shares this texture's decoded image. Raises
+        InputError for an unknown wrap mode.
 
         wrap, nearest : see the attributes of :class:`Texture`
-
-        Raises
-        ------
-        InputError : unknown wrap mode
         """
         modes, is_pair = get_args(Wrap), isinstance(wrap, tuple | list) and len(wrap) == 2
         if not is_pair or any(mode not in modes for mode in wrap):
@@ -273,13 +258,8 @@ class Texture:
 
     def texels(self) -> NDArray[np.uint8]:
         """Return the image without alpha, (H, W, 3), or (H, W) for a channel. Row 0 is at the
-        bottom, as in OpenGL.
-
-        Raises
-        ------
-        InputError : the image is damaged, or too large for
-            :func:`facerender.images.files.check_pixels`
-        """
+        bottom, as in OpenGL. Raises InputError if the image is damaged, or too large for
+        :func:`facerender.images.files.check_pixels`."""
         if self.coarse:
             return reduced_data(self._strips(), self._omitted)
         return _band(self._image.all_texels(), self._channel)
@@ -318,10 +298,6 @@ class Texture:
     def changed(self, change: Callable[[Image], Image]) -> Texture:
         """Return a texture with the result of a function of the image in its mode, row 0 on top."""
         return self._with(_image=self._image.changed(change), profile=None)
-
-    def turned_green(self) -> Texture:
-        """Return this normal map, whose green points down, converted to green pointing up."""
-        return self.changed(with_green_turned)
 
     def in_srgb(self) -> Texture:
         """Return this texture in sRGB, converted from its ICC profile if it has one."""
@@ -387,19 +363,15 @@ class Texture:
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
         """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
-        with at most ``side`` texels a side.
+        with at most ``side`` texels a side. Raises InputError if it is damaged or too large.
 
         decode : whether to decode the image if no mip chain is computed yet; if not, and by
             default, the result is then None
-
-        Raises
-        ------
-        InputError : the image is damaged or too large
         """
         with _starting:
-            computed = [chain for chain in self._chains.values() if chain.done()]
+            computed = next((chain for chain in self._chains.values() if chain.done()), None)
         if computed:
-            levels = computed[0].result()
+            levels = computed.result()
             level = next((mip for mip in levels if max(mip.shape[:2]) <= side), levels[-1])
             if level.dtype != np.uint8:
                 level = np.round(linear_to_srgb(level.astype(np.float64)) * 255.0).astype(np.uint8)
@@ -434,16 +406,14 @@ def pack(
 
     def decode() -> NDArray[np.uint8]:
         # The maps are decoded before memory for the result is allocated.
-        bands = [None if t is None else t.texels() for t in maps]
+        bands = [(index, t.texels()) for index, t in enumerate(maps) if t]
         merged = np.full((*size[::-1], 3), 255, dtype=np.uint8)
-        for index, band in enumerate(bands):
-            if band is not None:
-                merged[..., index] = _image_of(np.ascontiguousarray(band)).resize(size)
+        for index, band in bands:
+            merged[..., index] = np.asarray(_image_of(np.ascontiguousarray(band)).resize(size))
         return merged
 
     names = " + ".join(dict.fromkeys(texture.name for texture in present))
-    widths, heights = zip(*(texture.size for texture in present), strict=True)
-    size = max(widths), max(heights)
+    size = max(texture.size[0] for texture in present), max(texture.size[1] for texture in present)
     packed = known or Texture(decode, names, size)
     packed.wrap, packed.nearest = first.sampling
     packed.coarse = any(texture.coarse for texture in present)
@@ -488,8 +458,9 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
 
 
 def with_green_turned(image: Image) -> Image:
-    """Return an image in mode RGB with inverted green: 255 - green. An image with the entry
-    "heights" in its info is a bump map, converted to normals with green up, and does not change."""
+    """Return a normal map, whose green points down, in mode RGB with green pointing up: 255 -
+    green. An image with the entry "heights" in its info is a bump map, converted to normals with
+    green up, and does not change."""
     if "heights" in image.info:
         return image
     identity = range(256)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -43,6 +44,14 @@ def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
             f"{MOST_RADII:g}"
         )
     return place
+
+
+def numbers_in(words: Iterable[str]) -> list[float]:
+    """Parse numbers; return no numbers if a word is not a number."""
+    try:
+        return [*map(float, words)]
+    except ValueError:
+        return []
 
 
 def check_array(name: str, value: Any, columns: int) -> None:
