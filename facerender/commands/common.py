@@ -51,13 +51,10 @@ def number_parser(whole: bool, values: str) -> Callable[[str], float]:
     text states the valid values."""
 
     def parse(text: str) -> float:
-        try:
+        with suppress(ValueError):
             return int(text) if whole else float(text)
-        except ValueError:
-            kind = "a whole number" if whole else "a number"
-            raise argparse.ArgumentTypeError(
-                f"{shown(text)} is not {kind}: give {values}"
-            ) from None
+        kind = "a whole number" if whole else "a number"
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not {kind}: give {values}")
 
     return parse
 
@@ -121,14 +118,6 @@ class Options:
         parser = number_parser(isinstance(limits, IntegerRange), str(limits))
         names = f"--{name.replace('_', '-')}"
         self.add_option(names, text, without, note, limits, type=parser, **keywords)
-
-    def add_count(
-        self, name: str, text: str, counts: Sequence[int], without: str, note: str = ""
-    ) -> None:
-        """Add an option for one of some counts. For the parameters see :meth:`add_number`."""
-        *numbers, last = counts
-        values = f"{', '.join(map(str, numbers))} or {last}"
-        self.add_option(f"--{name}", text, without, note, values, type=number_parser(True, values))
 
     def add_field(
         self,
@@ -333,9 +322,9 @@ def _identity(name: str | Path) -> object:
     """Return a value that is equal for all paths of one file."""
     try:
         facts = os.stat(name)
+        return facts.st_dev, facts.st_ino
     except (OSError, ValueError):  # no such file yet
         return os.path.realpath(name)
-    return facts.st_dev, facts.st_ino
 
 
 def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:

@@ -20,7 +20,6 @@ from facerender.mesh.mesh import Mesh, clips_of
 from facerender.mesh.part import Part
 from facerender.scene.job import MeshFile
 
-_SRGB = ("albedo_map", "emissive_map")
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
 _NAMES_PER_LINE, _MOST_NAMES = 8, 64  # names of shapes, joints and clips in the text output
 _MOST_ROWS = 20  # rows of the table of parts in the text output
@@ -106,7 +105,7 @@ def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
             name: {
                 "name": texture.name,
                 "size": texture.size,
-                "encoding": "srgb" if name in _SRGB else "linear",
+                "encoding": "srgb" if name in ("albedo_map", "emissive_map") else "linear",
                 "wrap": texture.wrap,
             }
             for name, texture in maps.items()
@@ -138,13 +137,11 @@ def _list(kind: str, names: Sequence[str]) -> list[str]:
     """Return indented lines of names below their number."""
     if not names:
         return []
-    lines = [f"{number_of(len(names), kind)}:"]
-    lines += [
-        "  " + ", ".join(names[i : i + _NAMES_PER_LINE])
-        for i in range(0, min(len(names), _MOST_NAMES), _NAMES_PER_LINE)
-    ]
+    starts = range(0, min(len(names), _MOST_NAMES), _NAMES_PER_LINE)
+    rows = ["  " + ", ".join(names[i : i + _NAMES_PER_LINE]) for i in starts]
     excess = len(names) - _MOST_NAMES
-    return [*lines, f"  and {excess} more: --json lists all"] if excess > 0 else lines
+    remainder = [f"  and {excess} more: --json lists all"] * (excess > 0)
+    return [f"{number_of(len(names), kind)}:", *rows, *remainder]
 
 
 def _table_of_groups(parts: Sequence[dict[str, Any]]) -> list[str]:
@@ -175,30 +172,22 @@ def _table_of_groups(parts: Sequence[dict[str, Any]]) -> list[str]:
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:
     """Return a part's row of the table: name, triangles, skin, preset, maps, factors."""
-    maps = [
-        f"{name.removesuffix('_map')} {_size_of(*texture['size'])}"
-        for name, texture in part["maps"].items()
-    ]
+    maps = []
+    for name, texture in part["maps"].items():
+        width, height = texture["size"]
+        size = f"{width}" if width == height else f"{width}x{height}"
+        maps.append(f"{name.removesuffix('_map')} {size}")
     maps += ["vertex colours"] * ("colors" in part["has"]) + ["no uv"] * ("uv" not in part["has"])
     name, count = part["name"] or "(no name)", str(part["triangles"])
     skin = "yes" if part["skin"] else "-"
     return name, count, skin, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
 
 
-def _size_of(width: int, height: int) -> str:
-    return str(width) if width == height else f"{width}x{height}"
-
-
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Return aligned lines; the second column is right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.rjust(width) if number == 1 else cell.ljust(width)
-            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    form = "  ".join(f"{{:{'>' if n == 1 else '<'}{width}}}" for n, width in enumerate(widths))
+    return [form.format(*row).rstrip() for row in rows]
 
 
 def _size(facts: dict[str, Any]) -> str:
@@ -206,12 +195,10 @@ def _size(facts: dict[str, Any]) -> str:
     if facts["millimetres"] is not None:
         size_mm = " x ".join(f"{extent:.4g}" for extent in facts["size_mm"])
         return f"{size} units of {facts['millimetres']:g} mm: {size_mm} mm"
+    text = f"{size} units of unknown length"
     if (length := facts["millimetres_of_a_head"]) is None:
-        return f"{size} units of unknown length"
-    return (
-        f"{size} units of unknown length: for a head of about {hints.HEAD:g} mm, give "
-        f"{hints.option(length)}"
-    )
+        return text
+    return f"{text}: for a head of about {hints.HEAD:g} mm, give {hints.option(length)}"
 
 
 def _factors(part: dict[str, Any]) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import Options, mesh_files, part_materials
+from facerender.commands.common import Options, mesh_files, number_parser, part_materials
 from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.errors import InputError, clipped, shown, warn
 from facerender.loading.source import GLTF, NORMAL_MAP_Y, source_of
@@ -107,13 +108,11 @@ def _numbers(vector: Any) -> str:
 
 def _add_reflectance(terms: Options) -> None:
     printed = "ward-printed is Ward as published by Romanyuk et al. (2020)"
-    for name, registry, text, note in (
-        ("model", MODELS, "specular model", printed),
-        ("fresnel", FRESNEL, "Fresnel term of Cook-Torrance", ""),
-        ("masking", MASKING, "masking term of Cook-Torrance", ""),
-    ):
-        default = getattr(Term, name)
-        terms.add_option(f"--{name}", text, default, note, choices=tuple(registry))
+    text = "specular model"
+    terms.add_option("--model", text, Term.model, printed, choices=tuple(MODELS))
+    for name, registry, text in (("fresnel", FRESNEL, "Fresnel"), ("masking", MASKING, "masking")):
+        text += " term of Cook-Torrance"
+        terms.add_option(f"--{name}", text, getattr(Term, name), choices=tuple(registry))
     slope = "RMS slope of the microfacets"
     note = (
         "Replaces the roughness map. Like other factors and maps, it applies only to skin: to no "
@@ -134,23 +133,22 @@ def _add_reflectance(terms: Options) -> None:
     text, note = "subsurface scattering", "Requires the length of a mesh unit: see --millimetres"
     terms.add_option("--scattering", text, "none", note, choices=("skin", "none"))
     text, note = "subsurface samples per pixel", "0 disables subsurface scattering"
-    default = f"{Shading.scatter_samples}"
-    terms.add_count("scatter-samples N", text, SCATTER_SAMPLES, default, note)
+    *counts, last = map(str, SCATTER_SAMPLES)
+    default, values = f"{Shading.scatter_samples}", f"{', '.join(counts)} or {last}"
+    parser = number_parser(True, values)
+    terms.add_option("--scatter-samples N", text, default, note, values, type=parser)
 
 
 def _add_maps(maps: Options) -> None:
-    for name, text, default in (
-        ("albedo", "albedo map, sRGB", "the mesh file's"),
-        ("normal-map", "normal map in tangent space, linear, green up", "the mesh file's"),
-        ("specular-map", "grey map, linear, which multiplies ks", "the mesh file's"),
-        ("roughness-map", "grey map, linear; a texel r gives m = r^2", "the mesh file's"),
-        (
-            "lobe-map",
-            "grey map, linear, which multiplies the fraction of the second lobe; white is wet skin",
-            "none",
-        ),
+    for name, text in (
+        ("albedo", "albedo map, sRGB"),
+        ("normal-map", "normal map in tangent space, linear, green up"),
+        ("specular-map", "grey map, linear, which multiplies ks"),
+        ("roughness-map", "grey map, linear; a texel r gives m = r^2"),
     ):
-        maps.add_option(f"--{name} FILE", text, default)
+        maps.add_option(f"--{name} FILE", text, "the mesh file's")
+    text = "grey map, linear, which multiplies the fraction of the second lobe; white is wet skin"
+    maps.add_option("--lobe-map FILE", text, "none")
     maps.add_flag("flip-v", "flip the v texture coordinate, if colours are in the wrong places")
     text = "direction of green in normal maps, including maps of the mesh file"
     default, note = MeshFile.normal_map_y, "down is the convention of DirectX"
@@ -202,8 +200,6 @@ def job_of(
     The cameras come from the options, otherwise from the scene file. If neither has a camera, one
     default camera is used.
 
-    Parameters
-    ----------
     size : image size; None for the size of the first camera, or else the default size
     """
     if options.m is not None and options.roughness_map is not None:
@@ -304,7 +300,7 @@ def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | N
     yield from mesh_files(job.mesh)
     environment = job.environment and job.environment.file
     yield from filter(None, [options.scene, environment, job.pose.vertices, job.before.vertices])
-    yield from (place for place in options.camera or () if _is_file(place))
+    yield from (place for place in options.camera or () if place.lower().endswith(CAMERA_FILES))
 
 
 def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
@@ -329,10 +325,7 @@ def _shading(
     planned: bool,
 ) -> Shading:
     """Return the shading that the options and the scene file define. Raise InputError for options
-    without effect, because the file pins the same value, and for changes of a plan's material.
-
-    pinned, material : tables of the scene file. Options may repeat factors of the material
-    """
+    without effect, because the file pins the same value, and for changes of a plan's material."""
     for name, value in values_of(options, *_FACTORS).items():
         if planned and value != material.get(name, value):
             option = f"--{name.replace('_', '-')}"
@@ -375,9 +368,8 @@ def _cameras(
     if (target := getattr(options, "looked_at", None)) is not None:
         changes["target"] = tuple(_numbers_of("target", target, (3,)))
     if not options.camera:
-        camera = replace(camera, **changes)
-        changed_cameras = [replace(file_camera, **changes) for file_camera in path]
-        return camera, named(changed_cameras or [camera], "camera")
+        camera, *path = (replace(file_camera, **changes) for file_camera in (camera, *path))
+        return camera, named(path or [camera], "camera")
     camera = replace(orbiting(camera), **changes)
     cameras: dict[str, Camera] = {}
     for place in options.camera:
@@ -395,27 +387,19 @@ def _placed(
 ) -> dict[str, Camera]:
     """Return the cameras of one --camera option, keyed by name.
 
-    Parameters
-    ----------
-    camera : camera whose fields an orbiting camera inherits
-    changes : values of :class:`Camera` fields, which replace the values in camera files
-    size : image size; None if the camera file states the size
+    camera, changes : camera whose fields an orbiting camera inherits; values of :class:`Camera`
+        fields, which replace the values in camera files
     """
     word, _, argument = place.partition(":")
     if word == "turntable":
         count = argument or "8"
         if not count.isdecimal() or int(count[:9]) not in TURNS:
             raise InputError(f"--camera {place}: give turntable:N, with {TURNS} views")
-        turned = enumerate(turntable(camera, int(count)))
-        return {f"turntable_{number:03d}": turned_camera for number, turned_camera in turned}
-    if word == "gltf" or _is_file(place):
-        file_cameras = _file_cameras(place, options, size).items()
-        return {name: replace(file_camera, **changes) for name, file_camera in file_cameras}
+        return {f"turntable_{i:03d}": c for i, c in enumerate(turntable(camera, int(count)))}
+    if word == "gltf" or place.lower().endswith(CAMERA_FILES):
+        cameras = _file_cameras(place, options, size)
+        return {name: replace(file_camera, **changes) for name, file_camera in cameras.items()}
     return {place.replace(",", "_"): orbiting(camera, **orbit_of(place, WHERE))}
-
-
-def _is_file(place: str) -> bool:
-    return place.lower().endswith(CAMERA_FILES)
 
 
 def _file_cameras(
@@ -443,7 +427,7 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return the fields of Scene that the options set, except the camera."""
     settings: dict[str, Any] = {}
     if options.light:
-        settings["lights"] = tuple(parse_light(text) for text in options.light)
+        settings["lights"] = tuple(map(parse_light, options.light))
     if options.environment is not None:
         settings["environment"] = parse_environment(options.environment)
     if options.ambient is not None:
@@ -456,11 +440,8 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 def _numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
     """Parse numbers separated by commas. Raise InputError if their count is not in `counts`."""
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in counts:
-        choices = " or ".join(map(str, counts))
-        raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")
-    return numbers
+    with suppress(ValueError):
+        if len(numbers := [*map(float, text.split(","))]) in counts:
+            return numbers
+    choices = " or ".join(map(str, counts))
+    raise InputError(f"--{option} {shown(text)}: give {choices} numbers separated by commas")

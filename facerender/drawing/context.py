@@ -37,11 +37,8 @@ class HostContext:
 
 
 def current_context() -> HostContext | None:
-    """Return the EGL, GLX or OSMesa context that is current in this thread, or None.
-
-    A context that was current before a fork is ignored: its driver's threads do not exist in the
-    child process.
-    """
+    """Return the EGL, GLX or OSMesa context that is current in this thread, or None. One that was
+    current before a fork is ignored: its driver's threads do not exist in the child process."""
     for find in (_egl_context, _glx_context, _osmesa_context):
         if (context := find()) is not None and context.handle not in _inherited:
             return context
@@ -49,25 +46,12 @@ def current_context() -> HostContext | None:
 
 
 _inherited: set[int] = set()  # handles of contexts that were current before a fork
-
-
-def _disown() -> None:
-    while (host := current_context()) is not None:
-        _inherited.add(host.handle)
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_disown)
-
-
 _libraries: dict[str, ctypes.CDLL] = {}
 
 
 def _loaded(*names: str) -> ctypes.CDLL | None:
-    """Return the first library in `names` that the process has already loaded, or None.
-
-    A library that is not loaded has no current context. On Windows the result is None.
-    """
+    """Return the first library in `names` that the process has already loaded, None on Windows. A
+    library that is not loaded has no current context."""
     for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
             try:
@@ -126,9 +110,8 @@ def _glx_context() -> HostContext | None:
     library = _loaded("libGLX.so.0", "libGL.so.1")
     if library is None or not (context := _pointer(library.glXGetCurrentContext)):
         return None
-    display = _pointer(library.glXGetCurrentDisplay)
-    draw = _pointer(library.glXGetCurrentDrawable)
-    read = _pointer(library.glXGetCurrentReadDrawable)
+    getters = (library.glXGetCurrentDisplay, library.glXGetCurrentDrawable)
+    display, draw, read = map(_pointer, (*getters, library.glXGetCurrentReadDrawable))
     make_current = library.glXMakeContextCurrent
     make_current.argtypes = [ctypes.c_void_p, ctypes.c_ulong, ctypes.c_ulong, ctypes.c_void_p]
 
@@ -251,26 +234,19 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     is_enabled = function("glIsEnabled", ctypes.c_int, result=ctypes.c_ubyte)
     back: list[tuple[Any, str, tuple[float, ...]]] = []
 
-    def change(
-        name: str,
-        old_values: tuple[float, ...],
-        new_values: tuple[float, ...] | None,
-        kind: Any = ctypes.c_int,
-    ) -> None:
-        back.append((kind, name, old_values))
-        if new_values is not None:
-            call(name, *new_values, kind=kind)
+    def change(name: str, old: Any, new: Any, kind: Any = ctypes.c_int) -> None:
+        back.append((kind, name, old))
+        if new is not None:
+            call(name, *new, kind=kind)
 
     for name, (capability, needed) in CAPABILITIES.items():
-        if name == "SAMPLE_SHADING" and not load("glMinSampleShading"):
-            continue
-        back.append((ctypes.c_int, _SWITCH[bool(is_enabled(capability))], (capability,)))
-        call(_SWITCH[needed], capability)
+        if name != "SAMPLE_SHADING" or load("glMinSampleShading"):
+            back.append((ctypes.c_int, _SWITCH[bool(is_enabled(capability))], (capability,)))
+            call(_SWITCH[needed], capability)
     for name, leading, queries, needed_integers in STATE:
         if load(name):
             state = tuple(value for query in queries for value in state_of(*query))
-            new_values = None if needed_integers is None else leading + needed_integers
-            change(name, leading + state, new_values)
+            change(name, leading + state, needed_integers and leading + needed_integers)
     for name, kind, query, count, needed_floats in _FLOATS:
         change(name, state_of(query, count, ctypes.c_double), needed_floats, kind)
     active = state_of(_ACTIVE_TEXTURE)
@@ -321,8 +297,14 @@ def _lose() -> None:
     _lost.update(_opened)
 
 
+def _after_fork() -> None:
+    while (host := current_context()) is not None:
+        _inherited.add(host.handle)
+    _lose()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_lose)
+    os.register_at_fork(after_in_child=_after_fork)
 if os.getpid() != IMPORTER:
     _lose()
 
@@ -355,22 +337,21 @@ class _OSMesaContext(ForeignContext):
     into framebuffer objects."""
 
     _ATTRIBUTES = (
-        (0x22, 0x1908),  # OSMESA_FORMAT: RGBA
-        (0x30, 24),  # OSMESA_DEPTH_BITS
-        (0x33, 0x34),  # OSMESA_PROFILE: core
-        (0x36, _GL_VERSION // 100),  # OSMESA_CONTEXT_MAJOR_VERSION
-        (0x37, _GL_VERSION % 100 // 10),  # OSMESA_CONTEXT_MINOR_VERSION
-        (0, 0),
+        *(0x22, 0x1908),  # OSMESA_FORMAT: RGBA
+        *(0x30, 24),  # OSMESA_DEPTH_BITS
+        *(0x33, 0x34),  # OSMESA_PROFILE: core
+        *(0x36, _GL_VERSION // 100),  # OSMESA_CONTEXT_MAJOR_VERSION
+        *(0x37, _GL_VERSION % 100 // 10),  # OSMESA_CONTEXT_MINOR_VERSION
+        *(0, 0),
     )
 
     def __init__(self) -> None:
         self._library = _open_library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
         super().__init__(self._library.OSMesaGetProcAddress)
-        flat = [value for pair in self._ATTRIBUTES for value in pair]
         create = self._library.OSMesaCreateContextAttribs
         create.restype = ctypes.c_void_p
         create.argtypes = [ctypes.POINTER(ctypes.c_int), ctypes.c_void_p]
-        self._context = create((ctypes.c_int * len(flat))(*flat), None)
+        self._context = create((ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES), None)
         if not self._context:
             raise ContextError("libOSMesa refused an OpenGL 3.3 core context")
         self._pixel = (ctypes.c_ubyte * 4)()
@@ -421,13 +402,6 @@ def _standalone(backend: str, **libraries: str) -> Any:
     native = backend == "native"
     make = glcontext.default_backend() if native else glcontext.get_backend_by_name(backend)
     return make(mode="standalone", glversion=_GL_VERSION, **libraries)
-
-
-def _current() -> ForeignContext:
-    host = current_context()
-    if host is None:
-        raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
-    return ForeignContext(host.get_proc_address)
 
 
 def is_software(renderer: str) -> bool:
@@ -525,7 +499,6 @@ _OPENERS: dict[str, Callable[[], Any]] = {
     "egl": partial(_standalone, "egl", libegl="libEGL.so.1", libgl="libGL.so.1"),
     "osmesa": _OSMesaContext,
     "native": partial(_standalone, "native", **_LIBRARIES),
-    "current": _current,
 }
 
 
@@ -560,8 +533,10 @@ def create_context(backend: Backend = "auto") -> Context:
 def _open(name: str, host: HostContext | None) -> Context:
     if name in _lost:
         raise ContextError("this driver was in use before this process was forked")
-    loader = _OPENERS[name]()
     guest = host if name == "current" else None
+    if name == "current" and guest is None:
+        raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
+    loader: Any = ForeignContext(guest.get_proc_address) if guest else _OPENERS[name]()
     restore = save_state(loader.load) if guest else None
     try:
         gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
@@ -610,8 +585,8 @@ def probe() -> list[Finding]:
             context = create_context(name)
         except ContextError as error:
             findings.append(Finding(name, error=str(error)))
-            continue
-        limits = context.most_samples, context.max_side
-        findings.append(Finding(name, context.renderer, context.version, *limits))
-        context.release()
+        else:
+            limits = context.most_samples, context.max_side
+            findings.append(Finding(name, context.renderer, context.version, *limits))
+            context.release()
     return findings

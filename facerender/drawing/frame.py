@@ -38,7 +38,11 @@ _ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if t
 def mesh_metadata(mesh: Mesh) -> dict[str, str]:
     """Return a mesh as text, without paths of files: the keys "mesh", and the factors and maps of
     materials by the names of :class:`Material`, such as "m", unless all parts have the default."""
-    texts = {"mesh": _mesh(mesh), **_materials(mesh)}
+    texts = {"mesh": _mesh(mesh)}
+    for field in fields(Material):
+        values = [_used(material, field.name) for material in mesh.materials]
+        if field.name in _ALWAYS or any(value != field.default for value in values):
+            texts[field.name] = _by_part(mesh, values)
     return {name: _limited(text) for name, text in texts.items()}
 
 
@@ -67,11 +71,12 @@ def scene_metadata(scene: Scene, parts: Sequence[ResolvedPart]) -> dict[str, str
 def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, str]:
     """Return the shading of an image as text: model, lobe, Fresnel and masking term, values that
     differ from the defaults, and the lobe of each part if lobes differ from the shading's."""
-    shading = resolved.shading
+    look = resolved.appearance
+    shading = look.shading
     texts = {key: str(value) for key, value in shading.as_dict().items()}
     for name in ("model", "lobe", "fresnel", "masking"):
         texts[name] = str(getattr(shading.term, name))
-    terms = resolved.appearance.terms if only != "diffuse" and resolved.lighting.shining else []
+    terms = look.terms if only != "diffuse" and look.lighting.shining else []
     if any(term != shading.term for term in terms):
         texts["lobe of each part"] = ", ".join(str(term.lobe) for term in terms)
     return {name: _limited(text) for name, text in texts.items()}
@@ -93,16 +98,6 @@ def _mesh(mesh: Mesh) -> str:
     return f"{mesh.name}, {size}{unit}, CRC-32 {checksum:08x}"
 
 
-def _materials(mesh: Mesh) -> dict[str, str]:
-    """Return each factor and map of the materials as one text for all parts."""
-    rows = {}
-    for field in fields(Material):
-        values = [_used(material, field.name) for material in mesh.materials]
-        if field.name in _ALWAYS or any(value != field.default for value in values):
-            rows[field.name] = _by_part(mesh, values)
-    return rows
-
-
 def _used(material: Material, name: str) -> Any:
     """Return a factor or map of a material; of m and roughness_factor, only the used one."""
     if name == "m" and material.roughness_map is not None:
@@ -116,17 +111,13 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
     """Return a value for each part as text, each value once: "0.3" or "0.3 (head); 0.1 (eyes)"."""
     names: dict[str, list[str]] = {}
     for number, (part, value) in enumerate(zip(mesh.parts, values, strict=True), 1):
-        text = _map(value) if isinstance(value, Texture) else str(value)
-        text = str(float(f"{value:.9g}")) if isinstance(value, float) else text
+        text = str(float(f"{value:.9g}")) if isinstance(value, float) else str(value)
+        if isinstance(value, Texture):
+            text = "{}, {} x {}".format(PurePath(value.name).name, *value.decoded_size)
         names.setdefault(text, []).append(part.name or f"part{number}")
     if len(names) == 1:
         return next(iter(names))
     return "; ".join(f"{text} ({', '.join(part_names)})" for text, part_names in names.items())
-
-
-def _map(texture: Texture) -> str:
-    width, height = texture.decoded_size
-    return f"{PurePath(texture.name).name}, {width} x {height}"
 
 
 # Keyed by term: linear values of 8-bit images, as metadata.

@@ -57,10 +57,8 @@ class Lens:
         return replace(scene, camera=camera)
 
     def filtered(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the distorted image (H, W, 4) of an undistorted image.
-
-        A pixel is the mean of its taps, which are evenly distributed over the pixel.
-        """
+        """Return the distorted image (H, W, 4) of an undistorted image. A pixel is the mean of its
+        taps, which are evenly distributed over the pixel."""
         width, height = self.size
         distorted = np.empty((width * height, 4), dtype=np.float32)
         for count in np.unique(self.taps):
@@ -72,11 +70,8 @@ class Lens:
         return distorted.reshape(height, width, 4)
 
     def nearest(self, gbuffer: GBuffer, view: View) -> GBuffer:
-        """Return the distorted G-buffer: each pixel has the values of the nearest pixel of the
-        undistorted G-buffer.
-
-        view : view with the distortion
-        """
+        """Return the distorted G-buffer with its view: each pixel has the values of the nearest
+        pixel of the undistorted G-buffer."""
         layers = tuple(self.nearest(layer, view) for layer in gbuffer.transparent_layers)
         arrays: dict[str, Any] = {
             name: self.nearest_values(value)
@@ -110,9 +105,9 @@ class Lens:
 
 def lens_of(camera: Camera, size: tuple[int, int]) -> Lens:
     """Return the lens of a camera with distortion for images of the given size, from a cache."""
-    assert camera.intrinsics is not None
-    assert camera.size is not None
-    assert camera.distortion is not None
+    assert camera.intrinsics
+    assert camera.size
+    assert camera.distortion
     return _lens(camera.intrinsics, camera.size, camera.distortion, size)
 
 

@@ -9,12 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import (
-    Draw,
-    Pass,
-    Target,
-    mask_features,
-)
+from facerender.drawing.passes import Draw, Pass, Target, mask_features
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program, surface_features
 from facerender.errors import InputError
@@ -62,13 +57,11 @@ def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
     part plus 1, and two channels with the index of the triangle in drawing order."""
     draws = []
     for part in resolved.appearance.unblended:
-        features = mask_features(surface_features(part, resolved.shading))
+        features = mask_features(surface_features(part, resolved.appearance.shading))
         program = Program("depth.frag", features=(*features, f"TRIANGLE {_INDEX_BASE}"))
-        draw = Draw.of_part(program, part, part=part.index + 1)
-        if part.material.double_sided is False:
-            order = resolved.scene.mesh.setups[part.index].facing(view.position)
-            draw = replace(draw, order=order)
-        draws.append(draw)
+        setup, both = resolved.scene.mesh.setups[part.index], part.material.double_sided
+        order = setup.facing(view.position) if both is False else None
+        draws.append(replace(Draw.of_part(program, part, part=part.index + 1), order=order))
     return Pass("triangles", Target(), tuple(draws), uniforms={"view_projection": view.matrix})
 
 
@@ -135,8 +128,7 @@ def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) 
     triangle: negative weights become 0.
 
     corners : (T, 3, 3), corners of triangles in the renderer's space
-    index : (N,), triangle of each pixel
-    rays : (N, 2), positions of the pixels' rays; see :func:`motion_vectors`
+    index, rays : (N,) triangle of each pixel, and (N, 2) see :func:`motion_vectors`
     """
     a, b, c = np.moveaxis(corners @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
     x, y = rays.T

@@ -96,7 +96,6 @@ class Pass:
     others : uniform names of the further images of the target
     area : rectangle to clear, as in :class:`Draw`; None for the whole target
     clear : initial value of all pixels: linear RGB and coverage
-    uniforms : uniforms that all draws share
     added : whether draws add their colours to the image
     key : hashable value of everything that the image depends on. The pass is skipped if the target
         already holds an image with an equal key. None: the pass is always drawn
@@ -118,9 +117,8 @@ _CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features tha
 
 @dataclass(frozen=True, eq=False)
 class BlendedPart:
-    """A blended part.
+    """A blended part of the mesh, by its index.
 
-    part : index of the part in the mesh
     order : (F,) indices of the part's triangles, back to front by the depth of triangle centres
     layer : index of the surface that depth peeling shows at each pixel: 0 is the nearest surface
     """
@@ -139,8 +137,8 @@ def visible_draws(draws: Sequence[Draw], blended_part: BlendedPart | None) -> tu
     opaque = unblended(draws)
     if blended_part is None:
         return opaque
-    draw, peels = draws[blended_part.part], blended_part.layer > 0
-    program = draw.program.having(*("DEPTH_PEELING",) * peels)
+    draw = draws[blended_part.part]
+    program = draw.program.having(*("DEPTH_PEELING",) * (blended_part.layer > 0))
     return *map(depth_only, opaque), replace(draw, program=program, order=blended_part.order)
 
 
@@ -157,10 +155,7 @@ def blended_parts(resolved: ResolvedScene, view: View) -> list[BlendedPart]:
 
 
 def blended_area(resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Area:
-    """Return the bounds of all blended parts in an image; empty if there are none.
-
-    size : width and height of the image
-    """
+    """Return the bounds of all blended parts in an image; empty if there are none."""
     setups = (resolved.scene.mesh.setups[part.index] for part in resolved.appearance.blended)
     return around([setup.area(view.matrix, size) for setup in setups])
 
@@ -235,10 +230,8 @@ def can_defer(resolved: ResolvedScene, rows: int) -> bool:
 
 
 def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
-    """Return whether measurements found deferred shading cheaper than forward shading.
-
-    driver : value of GL_RENDERER
-    """
+    """Return whether measurements found deferred shading cheaper than forward shading on a driver
+    (GL_RENDERER)."""
     if not driver.startswith(DRIVERS):
         return False
     triangles = sum(len(part.faces) for part in scene.mesh.parts)
@@ -262,11 +255,8 @@ class Visible:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """The visible triangle of each sample of an image.
+    """The visible triangle of each sample of an image of a view.
 
-    view : camera of the image
-    size : width and height of the image in pixels
-    samples : samples per pixel
     parts : parts of the scene that are not blended, in the order of the mesh
     shading_rate : "pixel" to shade one triangle for each part and pixel, "sample" to shade all
         visible triangles of a pixel
@@ -326,49 +316,30 @@ class Visibility:
         return Pass("visible", self.target, draws, uniforms={"view_projection": self.view.matrix})
 
     def shaded(self, drawn: Pass) -> Pass:
-        """Convert a forward pass to a deferred pass, which shades the visible triangles. Blended
-        parts are left out.
-        """
+        """Convert a forward pass to a deferred pass of the visible triangles, without blended
+        parts."""
         draws: list[Draw] = []
         opaque = (draw for draw in drawn.draws if draw.depth != "blend")
         for number, (draw, part) in enumerate(zip(opaque, self.parts, strict=True)):
             if not part.area.empty:
                 draws += self._shaded(draw, part, number / len(self.parts))
-        return replace(
-            drawn,
-            target=replace(drawn.target, samples=1),
-            draws=tuple(draws),
-            uniforms={
-                **drawn.uniforms,
-                **_rays(self.view, self.size),
-                "background": np.asarray(drawn.clear[:3]),
-            },
-            added=True,
-        )
+        background = {"background": np.asarray(drawn.clear[:3])}
+        uniforms = {**drawn.uniforms, **_rays(self.view, self.size), **background}
+        target = replace(drawn.target, samples=1)
+        return replace(drawn, target=target, draws=tuple(draws), uniforms=uniforms, added=True)
 
     def _shaded(self, draw: Draw, part: Visible, depth: float) -> tuple[Draw, Draw]:
-        """Return two draws: the first writes `depth` at the pixels that show a part, and the second
-        shades these pixels.
-
-        depth : depth value in [0, 1] that is different for each part
-        """
+        """Return two draws: the first writes `depth`, in [0, 1] and different for each part, at the
+        pixels that show the part, and the second shades these pixels."""
         samples, rate = f"SAMPLES {self.samples}", ("PIXEL_RATE",) * (self.shading_rate == "pixel")
-        uniforms = {
-            "first": part.first,
-            "triangle_count": len(part.part.part.faces),
-            "depth": depth,
-        }
+        mesh_part, area = part.part.part, part.area
+        count = len(mesh_part.faces)
+        uniforms = {"first": part.first, "triangle_count": count, "depth": depth}
         visible = Program("visible.frag", "screen.vert", (samples,))
-        program = replace(draw.program, vertex="screen.vert")
-        shaded = replace(
-            draw,
-            program=program.having("VISIBLE", *rate, samples, *table_features(part.part.part)),
-            uniforms={**draw.uniforms, **uniforms},
-            area=part.area,
-            depth="marked",
-            double_sided=True,
-        )
-        return Draw(visible, uniforms, area=part.area, depth="mark"), shaded
+        features = "VISIBLE", *rate, samples, *table_features(mesh_part)
+        program = replace(draw.program, vertex="screen.vert").having(*features)
+        shaded = Draw(program, {**draw.uniforms, **uniforms}, part.part, area, "marked")
+        return Draw(visible, uniforms, area=area, depth="mark"), shaded
 
 
 def deferred(visibility: Visibility | None, forward: Pass) -> list[Pass]:

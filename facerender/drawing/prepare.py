@@ -23,7 +23,7 @@ import numpy as np
 
 from facerender.errors import InputError
 from facerender.material import MAPS, PROPERTY_MAPS, Alpha, Material
-from facerender.mesh.mesh import Mesh, blends_only, coordinates, drawn_alpha, slope_range
+from facerender.mesh.mesh import Mesh, coordinates, drawn_alpha, slope_range
 from facerender.mesh.part import Part, Space
 from facerender.scene.light import Light, LightSpace, disc_of, light_space
 from facerender.scene.scene import Scene
@@ -63,8 +63,6 @@ class Lighting:
     without shadows first).
 
     order : for each sorted light, its index in the scene
-    lights : the sorted lights
-    groups : groups of the sorted lights
     """
 
     order: tuple[int, ...]
@@ -102,7 +100,6 @@ class Lighting:
 class ResolvedPart:
     """A part as it is drawn, in any pose and from any camera.
 
-    index : index of the part in the mesh
     part : the part in the reference pose
     material : material without the features that the shading leaves out
     alpha : see :func:`facerender.mesh.mesh.drawn_alpha`
@@ -153,10 +150,7 @@ class Appearance:
 
     @classmethod
     def of(cls, scene: Scene, shading: Shading, albedo: Kind) -> Appearance:
-        """Return the appearance of a simplified scene.
-
-        albedo : kind of mip chain of colour maps: "color" or "linear-color"
-        """
+        """Return the appearance of a simplified scene; for ``albedo`` see :func:`part_maps`."""
         mesh, parts = scene.mesh, resolved_parts(scene.mesh, albedo, shading.slope_filter)
         light = scene.lights, scene.ambient, scene.environment
         return cls(mesh.materials, *light, mesh.space, shading, Lighting.of(scene, shading), parts)
@@ -179,8 +173,7 @@ class Appearance:
             if part.uv is not None and material.normal_map and shading.normal_map:
                 strength = material.normal_strength**2
                 variance += strength * float(slope_variance_map(1.0)) * shading.slope_filter
-            if variance:
-                largest = float(slope_filtered(largest, variance))
+            largest = float(slope_filtered(largest, variance)) if variance else largest
             ranges.append((smallest, largest))
         return ranges
 
@@ -226,14 +219,6 @@ class ResolvedScene:
 
     scene: Scene
     appearance: Appearance
-
-    @property
-    def shading(self) -> Shading:
-        return self.appearance.shading
-
-    @property
-    def lighting(self) -> Lighting:
-        return self.appearance.lighting
 
 
 class Appearances:
@@ -286,18 +271,17 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     scene lacks.
     """
     shading.check_lights(len(scene.lights))
+    materials = scene.mesh.materials
     changes: dict[str, Any] = {}
     if shading.term.m is not None:
         changes["m"] = shading.term.m
     if shading.ks is not None:
         changes |= {"ks": shading.ks, "specular_map": None}
-    if not shading.two_lobes and any(material.two_lobes for material in scene.mesh.materials):
+    if not shading.two_lobes and any(material.two_lobes for material in materials):
         changes["lobe_weight"] = 1.0
     if not shading.normal_map:
         changes["normal_map"] = None
-    if not shading.scatter_samples and any(
-        material.scattering for material in scene.mesh.materials
-    ):
+    if not shading.scatter_samples and any(material.scattering for material in materials):
         changes["scattering"] = None
     if shading.shadow_lights is not None:
         cast = [light.shadow and i in shading.shadow_lights for i, light in enumerate(scene.lights)]
@@ -314,59 +298,37 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     return replace(scene, mesh=scene.mesh.with_material(**changes))
 
 
-def cut_out(scene: Scene, threshold: float) -> Scene:
-    """Return the scene of data images: blended parts that do not transmit light become parts with
-    an alpha mask, which have a surface where their opacity is at least `threshold`. Many exporters
-    mark a whole face as blended."""
-    old = scene.mesh.materials
-    if not any(map(blends_only, old)):
-        return scene
-    mask: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": threshold}
-    new = (replace(material, **mask) if blends_only(material) else material for material in old)
-    return replace(scene, mesh=replace(scene.mesh, materials=tuple(new)))
-
-
 def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
     """Return a scene whose large maps (more than LARGE texels) begin with the finest mip level that
     the image reads.
 
-    view : camera of the image
-    size : width and height of the image in pixels
     anisotropy : maximum anisotropy of texture filtering
     """
     scene = resolved.scene
-    large = [(part, _large(part.part, part.material)) for part in resolved.appearance.parts]
+    large = [
+        (part, name, texture, uv)
+        for part in resolved.appearance.parts
+        for name in MAPS
+        if (texture := getattr(part.material, name)) is not None
+        and math.prod(texture.size) > LARGE
+        and (uv := coordinates(part.part, part.material, name)) is not None
+    ]
+    levels: dict[Any, int] = {}
     spared: dict[Texture, int] = {}
-    for part, maps in large:
-        levels: dict[tuple[bool, tuple[int, int]], int] = {}
-        for name, texture in maps.items():
-            uv = coordinates(part.part, part.material, name)
-            assert uv is not None
-            key = uv is part.part.uv, texture.size  # maps of one part share coordinates
-            if key not in levels:
-                # The reference pose decides, so that the maps stay while the mesh moves.
-                arguments = scene.mesh, part.part, uv, texture.size
-                levels[key] = levels_to_spare(*arguments, view, size, anisotropy)
-            spared[texture] = min(levels[key], spared.get(texture, levels[key]))
+    for part, _, texture, uv in large:
+        key = part.index, uv is part.part.uv, texture.size  # maps of one part share coordinates
+        if key not in levels:
+            # The reference pose decides, so that the maps stay while the mesh moves.
+            arguments = scene.mesh, part.part, uv, texture.size
+            levels[key] = levels_to_spare(*arguments, view, size, anisotropy)
+        spared[texture] = min(levels[key], spared.get(texture, levels[key]))
     if not any(spared.values()):
         return scene
-    materials = []
-    for part, maps in large:
-        coarser: dict[str, Any] = {name: map.coarser(spared[map]) for name, map in maps.items()}
-        materials.append(replace(part.material, **coarser))
+    materials = [*scene.mesh.materials]
+    for part, name, texture, _ in large:
+        coarser: dict[str, Any] = {name: texture.coarser(spared[texture])}
+        materials[part.index] = replace(materials[part.index], **coarser)
     return replace(scene, mesh=replace(scene.mesh, materials=tuple(materials)))
-
-
-def _large(part: Part, material: Material) -> dict[str, Texture]:
-    """Return the large maps of a part by the fields of :class:`Material`."""
-    maps = {name: getattr(material, name) for name in MAPS}
-    return {
-        name: texture
-        for name, texture in maps.items()
-        if texture is not None
-        and math.prod(texture.size) > LARGE
-        and coordinates(part, material, name) is not None
-    }
 
 
 def part_maps(
@@ -413,7 +375,6 @@ def check_memory(
     """Raise InputError if the estimated memory for drawing a scene exceeds a limit.
 
     resolved : scene with reduced maps
-    size : width and height of the image in pixels
     samples : samples per pixel that the driver draws at once
     most : limit of the process's memory in MiB; None for the free memory of the system
     """

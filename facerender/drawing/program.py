@@ -140,8 +140,8 @@ def shade_program(
     smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
     only : term to draw, "specular" or "diffuse"; None for the whole image
     """
-    scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
-    material = part.material
+    scene, look, material = resolved.scene, resolved.appearance, part.material
+    shading, lighting = look.shading, look.lighting
     features = surface_features(part, shading) + shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (only != "specular" and material.diffuse_weight > 0.0)
@@ -216,14 +216,14 @@ def part_uniforms(resolved: ResolvedPart) -> Uniforms:
     }
 
 
-def fixed_attributes(part: Part) -> dict[str, NDArray[np.floating[Any]]]:
+def fixed_attributes(part: Part, uv2: bool = True) -> dict[str, NDArray[np.floating[Any]]]:
     """Return the vertex attributes that all poses of a part share, (N, width) each, keyed by
-    name."""
+    name; without the second texture coordinates if `uv2` is false."""
     columns = {
         "in_uv": part.uv,
         "in_occlusion": None if part.occlusion is None else part.occlusion[:, None],
         "in_color": part.colors,
-        "in_uv2": part.uv2,
+        "in_uv2": part.uv2 if uv2 else None,
     }
     return {name: column for name, column in columns.items() if column is not None}
 
@@ -231,9 +231,8 @@ def fixed_attributes(part: Part) -> dict[str, NDArray[np.floating[Any]]]:
 def table_attributes(part: Part) -> NDArray[np.float32]:
     """Return the fixed attributes in a part's triangle table as texels of three channels,
     (N, texels, 3). Deferred shading supports one set of texture coordinates."""
-    columns = fixed_attributes(part)
-    columns.pop("in_uv2", None)
-    values = np.hstack([np.empty((len(part.positions), 0)), *columns.values()])
+    columns = fixed_attributes(part, uv2=False).values()
+    values = np.hstack([np.empty((len(part.positions), 0)), *columns])
     texels = max(-(-values.shape[1] // 3), 1)
     padded = np.zeros((len(values), 3 * texels), dtype=np.float32)
     padded[:, : values.shape[1]] = values
@@ -243,8 +242,7 @@ def table_attributes(part: Part) -> NDArray[np.float32]:
 def table_texels(part: Part) -> int:
     """Return the number of texels per triangle in the triangle table of a part: plane, normal,
     fixed attributes and tangent plane."""
-    fixed = (column for name, column in fixed_attributes(part).items() if name != "in_uv2")
-    return 5 + sum(int(column.shape[1]) for column in fixed)
+    return 5 + sum(int(c.shape[1]) for c in fixed_attributes(part, uv2=False).values())
 
 
 def table_features(part: Part) -> tuple[str, ...]:

@@ -125,9 +125,7 @@ class _Pixels:
     position : (N, 3) in the renderer's space
     n : (N, 3) unit normal
     v : (N, 3) unit vector to the camera
-    m : (N,) m of the first lobe
-    second_m, lobe_weight : (N,) m of the second lobe and weight of the first lobe; None for
-        materials with one lobe
+    lobes : m (N,) of each lobe, and its fraction of the specular weight: 1 or (N,)
     weight : (N,) specular weight
     occlusion : (N,) ambient occlusion
     albedo : (N, 3) diffuse BRDF, the ratio of diffuse radiance to irradiance
@@ -136,9 +134,7 @@ class _Pixels:
     position: Float
     n: Float
     v: Float
-    m: Float
-    second_m: Float | None
-    lobe_weight: Float | None
+    lobes: list[tuple[Float, Float | float]]
     weight: Float
     occlusion: Float
     albedo: Float
@@ -157,20 +153,19 @@ class _Pixels:
             return image[covered].astype(np.float64)
 
         position, m = values(gbuffer.normalised_position), values(gbuffer.m)
-        m, second_m, lobe_weight = np.broadcast_to(term.slope(m), m.shape), None, None
+        m = np.broadcast_to(term.slope(m), m.shape)
+        lobes: list[tuple[Float, Float | float]] = [(m, 1.0)]
         if material.two_lobes:
             assert gbuffer.second_m is not None
             assert gbuffer.lobe_weight is not None
-            second = term.second(material.second_slope)
-            second_m = np.broadcast_to(second.slope(values(gbuffer.second_m)), m.shape)
-            lobe_weight = values(gbuffer.lobe_weight)
+            second = term.second(material.second_slope).slope(values(gbuffer.second_m))
+            fraction = values(gbuffer.lobe_weight)
+            lobes = [(m, fraction), (np.broadcast_to(second, m.shape), 1.0 - fraction)]
         return cls(
             position,
             values(gbuffer.normal),
             unit(gbuffer.view.position - position),
-            m,
-            second_m,
-            lobe_weight,
+            lobes,
             values(gbuffer.specular_weight),
             values(gbuffer.occlusion),
             material.diffuse_weight / np.pi * values(gbuffer.albedo),
@@ -179,15 +174,11 @@ class _Pixels:
     def coupling(
         self, material: Material, shading: Shading
     ) -> Callable[[Float | None], Float | float]:
-        """Return the function that computes the factor (N, 1) of the diffuse term for a light, from
-        the cosine (N,) between light and normal, or from None for light from all directions. The
-        function returns 1 if the specular term does not reduce the diffuse term."""
+        """Return the function that computes the factor (N, 1) of the diffuse term for a light, or
+        1, from the cosine (N,) between light and normal, or from None for light from all sides."""
         if shading.diffuse != "coupled" or material.ks <= 0.0:
             return lambda cosine: 1.0
-        lobes = [(self.m, self.weight)]
-        if self.second_m is not None and self.lobe_weight is not None:
-            second_weight = (1.0 - self.lobe_weight) * self.weight
-            lobes = [(self.m, self.lobe_weight * self.weight), (self.second_m, second_weight)]
+        lobes = [(m, fraction * self.weight) for m, fraction in self.lobes]
 
         def albedo(cosine: Float) -> Float:
             albedos = [w * cook_torrance_albedo(cosine, m, material.f0) for m, w in lobes]
@@ -249,23 +240,22 @@ def _lit(
 
     visible : (N, 1) visible fraction of the light; None for lights without shadows
     """
-    n, v, m = pixels.n, pixels.v, pixels.m
+    n, v = pixels.n, pixels.v
     l, irradiance = source.kind.lighting(source, scene.mesh.space, pixels.position)
     if visible is not None:
         irradiance = irradiance * visible
     cosine = dot(n, l)
     received = irradiance * np.maximum(cosine, 0.0)[:, None]
-    spread, variance = received, np.zeros(len(m))
+    spread, variance = received, np.zeros(len(n))
     if source.kind.sine is not None:
         s = source.kind.sine(source, scene.mesh.space, pixels.position)[..., 0]
         k = half_sum(s)
         spread = irradiance * cosine_disc(cosine, s, k)[:, None]
         variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
-    brdf = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
-    if pixels.second_m is not None and pixels.lobe_weight is not None:
-        second = term.second(material.second_slope)
-        second_brdf = second.brdf(n, l, v, slope_filtered(pixels.second_m, variance), material.f0)
-        brdf = pixels.lobe_weight * brdf + (1.0 - pixels.lobe_weight) * second_brdf
+    brdf = np.zeros(len(n))
+    lobe_terms = [term, *(term.second(material.second_slope) for _ in pixels.lobes[1:])]
+    for (m, fraction), lobe in zip(pixels.lobes, lobe_terms, strict=True):
+        brdf += fraction * lobe.brdf(n, l, v, slope_filtered(m, variance), material.f0)
     return l, spread, received * (pixels.weight * brdf)[:, None]
 
 
@@ -292,14 +282,10 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
         irradiance = environment_irradiance(panorama.coefficients, n)
         total = pixels.albedo * pixels.occlusion[:, None] * irradiance
         total *= pixels.coupling(material, shading)(None)
-        lobes = [(pixels.m, pixels.weight)]
-        if pixels.second_m is not None and pixels.lobe_weight is not None:
-            first_weight = pixels.lobe_weight * pixels.weight
-            lobes = [(pixels.m, first_weight), (pixels.second_m, pixels.weight - first_weight)]
         term = replace(shading.term, lobe="exact", m=None)
         brdf = partial(term.brdf, f0=material.f0)
-        for m, weight in lobes * bool(samples and material.ks > 0.0):
-            size = len(panorama.map) - 2
-            total += weight[:, None] * reflected(panorama.map, size, n, v, m, brdf, samples)
+        for m, fraction in pixels.lobes * bool(samples and material.ks > 0.0):
+            reflection = reflected(panorama.map, len(panorama.map) - 2, n, v, m, brdf, samples)
+            total += (fraction * pixels.weight)[:, None] * reflection
         image[covered] = scene.environment.scale * total
     return image

@@ -4,7 +4,7 @@ surface that the ray hits. No OpenGL here."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -83,10 +83,8 @@ class Region:
         return np.flatnonzero(a & b & c == 0)
 
     def pixels(self, view: Floats, size: tuple[int, int]) -> float:
-        """Return the width of the map in pixels of an image, where it is widest.
-
-        view, size : see :meth:`TriangleSetup.area`
-        """
+        """Return the width of the map in pixels of an image, where it is widest. For the parameters
+        see :meth:`TriangleSetup.area`."""
         back = np.linalg.inv(self.matrix)
         points = np.array([(0, 0, 0, 1), (1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]) @ back
         clip = points @ view
@@ -161,10 +159,7 @@ class Refraction:
         return cls(parts, side, np.asarray(resolved.scene.background or (0.0, 0.0, 0.0)))
 
     def refracted(self, draws: Sequence[Draw]) -> list[Draw]:
-        """Return draws in which refracting parts show what is behind them.
-
-        draws : one draw for each part
-        """
+        """Return the draws of all parts, in which refracting parts show what is behind them."""
         changed, first = [*draws], 0
         for index, (draw, regions) in enumerate(zip(draws, self.parts, strict=True)):
             if not regions:
@@ -187,14 +182,17 @@ class Refraction:
         A texel of a map has the radiance of the diffuse term, without subsurface scattering, and
         the emission of the foremost surface behind the refracting part.
         """
-        key, cached = _key(resolved, self.side), resolved.appearance.draws.get("refraction")
+        mesh, look = resolved.scene.mesh, resolved.appearance
+        light = look.lights, look.lighting.order, look.ambient, look.environment
+        scene = mesh.token, mesh.space, mesh.materials, *light, look.shading.slope_filter
+        key, cached = (*scene, self.side), look.draws.get("refraction")
         if cached and cached[0] == key:
             passes: list[Pass] = cached[1]
             return passes
         front: list[Draw] = []
         behind: list[Draw] = []
         program, side = Program("refraction_surface.frag"), self.side
-        for part, regions in zip(resolved.appearance.parts, self.parts, strict=True):
+        for part, regions in zip(look.parts, self.parts, strict=True):
             for region in regions:
                 area = Area(len(front) * side, 0, side, side)
                 uniforms = {"view_projection": region.clip, "to_map": region.matrix}
@@ -209,7 +207,7 @@ class Refraction:
             Pass("refraction_surface", surface, tuple(front), key=key),
             Pass("refraction_map", map_target, tuple(behind), clear, shared, key=key),
         ]
-        resolved.appearance.draws["refraction"] = key, passes
+        look.draws["refraction"] = key, passes
         return passes
 
 
@@ -218,7 +216,7 @@ _NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))
 
 def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Draw]:
     """Yield the draws of the surfaces behind a region."""
-    shading = resolved.shading.replace(diffuse="lambert", environment_samples=0)
+    shading = resolved.appearance.shading.replace(diffuse="lambert", environment_samples=0)
     plain = replace(resolved, appearance=replace(resolved.appearance, shading=shading))
     for part in resolved.appearance.unblended:
         order = region.within(resolved.scene.mesh.setups[part.index])
@@ -230,10 +228,3 @@ def _behind(resolved: ResolvedScene, region: Region, area: Area) -> Iterator[Dra
         uniforms = {"view_projection": region.clip, "to_map": region.matrix}
         draw = Draw.of_part(program, part, camera_position=camera[:3], **uniforms)
         yield replace(draw, area=area, order=order)
-
-
-def _key(resolved: ResolvedScene, side: int) -> tuple[Hashable, ...]:
-    """Return everything that the maps depend on, for ``Pass.key``."""
-    mesh, look = resolved.scene.mesh, resolved.appearance
-    light = look.lights, look.lighting.order, look.ambient, look.environment
-    return (mesh.token, mesh.space, mesh.materials, *light, look.shading.slope_filter, side)

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
@@ -42,7 +42,6 @@ from facerender.drawing.prepare import (
     Appearances,
     ResolvedScene,
     check_memory,
-    cut_out,
     reduced,
     resolved_parts,
     start_maps,
@@ -51,6 +50,7 @@ from facerender.drawing.program import ENVIRONMENT_MAP
 from facerender.drawing.resources import Resources, free, free_dropped, read
 from facerender.drawing.shade import (
     light_visibility_pass,
+    scatter_pass,
     shade_pass,
     surface_images,
     surface_pass,
@@ -59,13 +59,14 @@ from facerender.drawing.shade import (
 from facerender.errors import ContextError, check_switch, check_type, clipped
 from facerender.loading import MeshSource, load_mesh
 from facerender.mesh.hints import emit, emit_all, too_clear
-from facerender.mesh.mesh import Mesh
+from facerender.mesh.mesh import Mesh, blends_only
 from facerender.scene.camera import Camera
 from facerender.scene.environment import EnvironmentSource
 from facerender.scene.file import ImageSettings
 from facerender.scene.job import Job
 from facerender.scene.landmarks import Landmarks, located
 from facerender.scene.light import Light
+from facerender.scene.scattering import scattering_of
 from facerender.scene.scene import (
     DATA,
     ONLY,
@@ -85,7 +86,6 @@ from facerender.values.vectors import Vector
 if TYPE_CHECKING:
     from facerender.drawing.lens import Lens
     from facerender.drawing.refraction import Refraction
-    from facerender.scene.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
 
@@ -155,8 +155,8 @@ class Renderer:
         self._resized: Renderer | None = None
         self._sizes: set[tuple[int, int]] = set()
         self.context = create_context(backend)
-        self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
-        self._free = weakref.finalize(self, free_dropped, self.context, self._resources)
+        self._resources = Resources(self.context, self.size, anisotropy)
+        self._free = weakref.finalize(self, free_dropped, self._resources)
         self._free.atexit = False
         try:
             self._check_size()
@@ -190,7 +190,7 @@ class Renderer:
         """
         if self.context.released or self.context.inherited:
             return
-        free(self.context, self._resources)
+        free(self._resources)
         self._free.detach()
 
     def __repr__(self) -> str:
@@ -395,13 +395,17 @@ class Renderer:
         return replace(gbuffer, transparent_layers=tuple(layers))
 
     def _cut(self, resolved: ResolvedScene) -> ResolvedScene:
-        """Return the scene of data images; see :func:`facerender.drawing.prepare.cut_out`."""
+        """Return the scene of data images: blended parts that do not transmit light become parts
+        with an alpha mask, which have a surface where their opacity is at least alpha_threshold.
+        Many exporters mark a whole face as blended."""
         mesh = resolved.scene.mesh
         emit(mesh, too_clear, too_clear(mesh, self.alpha_threshold))
-        cut = cut_out(resolved.scene, self.alpha_threshold)
-        if cut is resolved.scene:
+        if not any(map(blends_only, mesh.materials)):
             return resolved
-        return self._appearances.resolve(cut, resolved.shading)
+        mask: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": self.alpha_threshold}
+        new = (replace(old, **mask) if blends_only(old) else old for old in mesh.materials)
+        cut = replace(resolved.scene, mesh=replace(mesh, materials=tuple(new)))
+        return self._appearances.resolve(cut, resolved.appearance.shading)
 
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
@@ -424,16 +428,14 @@ class Renderer:
         blended_part: BlendedPart | None = None,
         casting: ResolvedScene | None = None,
     ) -> tuple[GBuffer, NDArray[np.float32]]:
-        """Return the G-buffer of all parts that are not blended, or of one layer of a blended part.
+        """Return the G-buffer of all parts that are not blended, or of one layer of a blended part;
+        and for a layer, the index of each pixel's triangle in drawing order, otherwise no values.
 
         casting : scene whose parts cast the shadows; default: the resolved scene
-
-        For a layer, the second result holds the index of each pixel's triangle in drawing order.
-        Without a layer, the second result is empty.
         """
-        scene, lighting = resolved.scene, resolved.lighting
+        scene, lighting = resolved.scene, resolved.appearance.lighting
         visibility = None if blended_part else self._visibility(resolved, view, 1)
-        scatters = blended_part is None and _scattering(scene, self.size) is not None
+        scatters = not blended_part and scattering_of(scene, self.size) is not None
         refraction = _refraction(resolved, view, self.size)
         surface = surface_pass(resolved, view, scatters, blended_part, refraction)
         passes = deferred(visibility, surface)
@@ -441,7 +443,7 @@ class Renderer:
             passes = [*refraction.passes(resolved), *passes]
             passes = with_shadows(resolved, view, self.size, passes)
         textures: dict[str, moderngl.Texture] = {}
-        if blended_part is not None and blended_part.layer:
+        if blended_part and blended_part.layer:
             prior_target = self._sized(replace(surface.target, number=1 - surface.target.number))
             attachments = self._resources.targets[prior_target].color_attachments
             textures["previous_layer"] = attachments[-1]  # type: ignore[assignment]
@@ -484,12 +486,12 @@ class Renderer:
             smaller = reduced(resolved, view, self.size, self.anisotropy)
             if smaller is not resolved.scene:
                 resolved = self._appearances.resolve(smaller, shading)
-        at_once, parts = min(samples, self.context.most_samples), resolved.appearance.parts
-        if at_once not in resolved.appearance.fitting:
+        at_once, look = min(samples, self.context.most_samples), resolved.appearance
+        if at_once not in look.fitting:
             check_memory(resolved, self.size, at_once, self.memory)
-            resolved.appearance.fitting.add(at_once)
-            self._resources.take_coarse(parts)
-            start_maps(parts)
+            look.fitting.add(at_once)
+            self._resources.take_coarse(look.parts)
+            start_maps(look.parts)
         return resolved
 
     def _shaded(
@@ -503,7 +505,7 @@ class Renderer:
         """Draw an image of a view; `samples` must not exceed the driver's limit."""
         scene = resolved.scene
         visibility = self._visibility(resolved, view, samples, shading_rate)
-        scattering = None if only == "specular" else _scattering(scene, self.size)
+        scattering = None if only == "specular" else scattering_of(scene, self.size)
         refraction = None if only else _refraction(resolved, view, self.size)
         # One sample: the shading pass also draws the inputs of scattering. Several samples may show
         # different points: another pass draws the inputs at the pixels' centres.
@@ -511,20 +513,16 @@ class Renderer:
         forward = shade_pass(resolved, view, samples, only, inputs, refraction=refraction)
         passes = deferred(visibility, forward)
         if scattering:
-            from facerender.drawing.shade import scatter_pass
-
-            background, mesh_area = None, None
-            if inputs:
-                background = scene.background if only is None else None
-                mesh_area = visibility.area if visibility else None
-            else:
+            background = scene.background if inputs and only is None else None
+            mesh_area = visibility.area if inputs and visibility else None
+            if not inputs:
                 image = passes.pop()
                 draws = tuple(draw for draw in image.draws if draw.depth != "blend")
                 target = replace(image.target, sampled=True)
                 passes.append(replace(image, name="image", target=target, draws=draws))
                 light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
                 passes += deferred(self._visibility(resolved, view, 1), light)
-            count = resolved.shading.scatter_samples
+            count = resolved.appearance.shading.scatter_samples
             passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
         blended = blended_area(resolved, view, self.size)
         if (scattering or visibility) and not blended.empty:
@@ -539,24 +537,18 @@ class Renderer:
     def _visibility(
         self, resolved: ResolvedScene, view: View, samples: int, rate: ShadingRate = "sample"
     ) -> Visibility | None:
-        """Return the visible triangles for deferred shading, or None for forward shading.
-
-        If deferred shading is supported, it is used for per-pixel shading, or if it is cheaper than
-        forward shading.
-        """
+        """Return the visible triangles for deferred shading, which draws per pixel and where it is
+        cheaper, or None for forward shading."""
+        driver = self.context.renderer
         if self._can_defer(resolved, samples) and (
-            rate == "pixel"
-            or deferred_is_cheaper(resolved.scene, self.size, samples, self.context.renderer)
+            rate == "pixel" or deferred_is_cheaper(resolved.scene, self.size, samples, driver)
         ):
             return Visibility.of(resolved, view, self.size, samples, rate)
         return None
 
     def _can_defer(self, resolved: ResolvedScene, samples: int) -> bool:
-        """Return whether driver and scene support deferred shading.
-
-        The number of samples per pixel must be 1 or the driver's maximum. For any other number, a
-        driver may use more samples than requested without reporting how many.
-        """
+        """Return whether driver and scene support deferred shading. With other numbers of samples
+        than 1 or its maximum, a driver may use more than requested without reporting how many."""
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
         return samples in (1, self.context.most_samples) and can_defer(resolved, rows)
 
@@ -592,10 +584,8 @@ class Renderer:
     def _draw(
         self, passes: list[Pass], scene: Scene, inputs: Mapping[str, moderngl.Texture] = {}
     ) -> list[NDArray[np.float32]]:
-        """Draw passes in order, and return the images of the last pass.
-
-        inputs : further textures that the passes may read, keyed by uniform name
-        """
+        """Draw passes in order, and return the images of the last pass. They may read ``inputs``,
+        further textures by uniform name."""
         textures = dict(inputs)
         with self.context.drawing() as gl:
             self._resources.settle()
@@ -615,16 +605,7 @@ class Renderer:
             return [read(target, index) for index in range(sized.colors)]
 
 
-# The next three functions import their modules only if a scene needs them.
-
-
-def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
-    """Return the scattering of a scene, or None."""
-    if not any(material.scattering for material in scene.mesh.materials):
-        return None
-    from facerender.scene.scattering import scattering_of
-
-    return scattering_of(scene, size)
+# The next two functions import their modules only if a scene needs them.
 
 
 def _refraction(resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Refraction | None:

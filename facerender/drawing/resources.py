@@ -63,9 +63,7 @@ class Uploaded:
 
     setup : vertices of the pose that the GPU holds
     moving : positions and normals, which change with the pose
-    fixed : interleaved further vertex attributes; None if there are none
-    widths : number of components of each fixed attribute, keyed by attribute name
-    indices : vertex indices of the triangles
+    fixed : interleaved further vertex attributes, with the widths by name; None if there are none
     chosen : vertex indices of the triangles that a draw chooses; None before its first use
     arrays : cache of vertex arrays, keyed by program and whether they read `chosen`
     table : triangle table of the pose; None before its first use
@@ -85,29 +83,24 @@ class Uploaded:
     @classmethod
     def of(cls, gl: moderngl.Context, part: Part, setup: TriangleSetup) -> Uploaded:
         """Upload a part."""
-        columns = fixed_attributes(part)
-        fixed = None
-        if columns:
+        moving, fixed = gl.buffer(setup.vertices, dynamic=True), None
+        if columns := fixed_attributes(part):
             rows = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
             fixed = gl.buffer(rows)
         widths = {name: column.shape[1] for name, column in columns.items()}
-        moving = gl.buffer(setup.vertices, dynamic=True)
         return cls(setup, moving, fixed, widths, gl.buffer(setup.faces))
 
     def draw(
-        self, gl: moderngl.Context, program: moderngl.Program, faces: NDArray[np.uint32] | None
+        self, gl: moderngl.Context, program: moderngl.Program, order: NDArray[np.int64] | None
     ) -> None:
-        """Draw the triangles with a program.
-
-        faces : (F, 3), vertex indices of the chosen triangles in drawing order; None for all
-        """
-        if faces is None:
+        """Draw the triangles with a program, or those of an order; see :class:`Draw`."""
+        if order is None:
             self.array(gl, program).render()
             return
         if self.chosen is None:
             self.chosen = gl.buffer(reserve=self.indices.size, dynamic=True)
-        self.chosen.write(faces)
-        self.array(gl, program, self.chosen).render(vertices=faces.size)
+        self.chosen.write(np.take(self.setup.faces, order, axis=0))
+        self.array(gl, program, self.chosen).render(vertices=3 * len(order))
 
     def array(
         self, gl: moderngl.Context, program: moderngl.Program, chosen: moderngl.Buffer | None = None
@@ -119,12 +112,9 @@ class Uploaded:
         content = []
         moving = {"in_position": 3, "in_normal": 3}
         for buffer, widths in ((self.moving, moving), (self.fixed, self.widths)):
-            used = [name for name in widths if name in program]
-            layout = " ".join(
-                f"{width}f" if name in used else f"{width}x4" for name, width in widths.items()
-            )
-            if used:
-                content.append((buffer, layout, *used))
+            if used := [name for name in widths if name in program]:
+                parts = (f"{n}f" if name in used else f"{n}x4" for name, n in widths.items())
+                content.append((buffer, " ".join(parts), *used))
         self.arrays[key] = gl.vertex_array(program, content, chosen or self.indices)
         return self.arrays[key]
 
@@ -135,27 +125,26 @@ class TriangleTable:
 
     setup : vertices of the pose that the table holds; None for an empty table
     inputs : textures that the shader reads: "vertices", "attributes" and "faces"
-    texels : the table, IN_ROW triangles in a row
-    target : framebuffer that draws the table
+    target : framebuffer with the table as its image, IN_ROW triangles in a row
     """
 
     setup: TriangleSetup | None
     inputs: Mapping[str, moderngl.Texture]
-    texels: moderngl.Texture
     target: moderngl.Framebuffer
 
     @classmethod
     def of(cls, gl: moderngl.Context, part: Part) -> TriangleTable:
         """Return an empty table of a part."""
         attributes = table_attributes(part)
-        vertices = _empty(gl, len(part.positions), 2, 3)
-        fixed = _empty(gl, len(part.positions), attributes.shape[1], 3)
-        faces = _empty(gl, len(part.faces), 1, 3, "i4")
-        texels = _empty(gl, len(part.faces), table_texels(part), 4)
-        _fill(fixed, attributes)
-        _fill(faces, np.asarray(part.faces, dtype=np.int32))
-        inputs = {"vertices": vertices, "attributes": fixed, "faces": faces}
-        return cls(None, inputs, texels, gl.framebuffer([texels]))
+        inputs = {
+            "vertices": _empty(gl, len(part.positions), 2, 3),
+            "attributes": _empty(gl, len(part.positions), attributes.shape[1], 3),
+            "faces": _empty(gl, len(part.faces), 1, 3, "i4"),
+        }
+        _fill(inputs["attributes"], attributes)
+        _fill(inputs["faces"], np.asarray(part.faces, dtype=np.int32))
+        table = _empty(gl, len(part.faces), table_texels(part), 4)
+        return cls(None, inputs, gl.framebuffer([table]))
 
 
 def _empty(
@@ -182,25 +171,15 @@ def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
 
 
 class Resources:
-    """Cache of the GPU objects of one context, for frames of one size.
+    """Cache of the GPU objects of one context, for frames of one size."""
 
-    context, size, anisotropy : see :class:`facerender.Renderer`
-    albedo_kind : kind of mip chain of albedo maps: "color" or "linear-color"
-    """
-
-    def __init__(
-        self,
-        context: Context,
-        size: tuple[int, int],
-        anisotropy: float = 1.0,
-        albedo_kind: Kind = "color",
-    ) -> None:
-        self.context, self.size = context, size
-        self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
+    def __init__(self, context: Context, size: tuple[int, int], anisotropy: float = 1.0) -> None:
+        self.context, self.size, self.anisotropy = context, size, anisotropy
         self.parts: WeakKeyDictionary[Part, Uploaded] = WeakKeyDictionary()
         self.panoramas: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
-        self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
-        self.textures = WeakKeyDictionary()
+        self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]] = (
+            WeakKeyDictionary()
+        )
         self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
         self._frame_programs: set[Program] = set()  # programs of the last frame
         self.targets: dict[Target, moderngl.Framebuffer] = {}
@@ -212,10 +191,9 @@ class Resources:
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
-        textures = (self.panoramas, self.textures)
-        objects = (self.parts, self.programs, self.targets, self.scopes, self.screen_arrays)
-        for cache in (*textures, *objects, self.images_held):
-            cache.clear()
+        for cache in vars(self).values():
+            if isinstance(cache, dict | WeakKeyDictionary):
+                cache.clear()
         self.context.gl.gc()
 
     def settle(self) -> None:
@@ -231,8 +209,7 @@ class Resources:
             program = self.programs.pop(source)
             self.screen_arrays.pop(program, None)
             for part in self.parts.values():
-                for chosen in (False, True):
-                    part.arrays.pop((program, chosen), None)
+                part.arrays = {key: part.arrays[key] for key in part.arrays if key[0] != program}
         self._frame_programs.clear()
         self.context.gl.gc()
         if not self._settled:
@@ -265,13 +242,13 @@ class Resources:
             gl = self.context.gl
             for draw in step.draws:
                 self._prepare(target, step, draw)
-                masks = "TO_COVERAGE" in " ".join(draw.program.features)
-                for capability in _TO_COVERAGE * masks:
+                masks = _TO_COVERAGE * ("TO_COVERAGE" in " ".join(draw.program.features))
+                for capability in masks:
                     gl.enable_direct(capability)
                 try:
                     self._draw(draw, step, mesh, textures)
                 finally:
-                    for capability in _TO_COVERAGE * masks:
+                    for capability in masks:
                         gl.disable_direct(capability)
         self.images_held[step.target] = step.key
         return target
@@ -301,13 +278,10 @@ class Resources:
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         uploaded = self.part(draw.part, mesh) if draw.part else None
         self.bind(program, draw, textures)
-        if draw.part is None or uploaded is None or draw.depth == "marked":
+        if uploaded is None or draw.depth == "marked":
             self._screen(program).render(vertices=3)
-            return
-        faces = None
-        if draw.order is not None:
-            faces = np.take(np.asarray(draw.part.part.faces, np.uint32), draw.order, axis=0)
-        uploaded.draw(self.context.gl, program, faces)
+        else:
+            uploaded.draw(self.context.gl, program, draw.order)
 
     def bind(
         self, program: moderngl.Program, draw: Draw, textures: Mapping[str, moderngl.Texture]
@@ -319,13 +293,12 @@ class Resources:
             for map_ in part.maps:
                 if program.get(map_[0], None):
                     textures[map_[0]] = self.texture(*map_)  # uploads bind unit 0
-            uploaded = self.parts.get(part.part)
+            uploaded = self.parts[part.part]
             if draw.depth == "marked":
-                assert uploaded is not None
-                assert uploaded.table is not None
-                textures["triangle_table"] = uploaded.table.texels
+                assert uploaded.table
+                (table,) = uploaded.table.target.color_attachments
+                textures["triangle_table"] = table  # type: ignore[assignment]
             if draw.order is not None and program.get("selected_triangles", None):
-                assert uploaded is not None
                 if uploaded.selected is None:
                     uploaded.selected = _empty(self.context.gl, len(part.part.faces), 1, 1)
                 textures["selected_triangles"] = uploaded.selected
@@ -555,20 +528,20 @@ def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
             uniform.value = value
 
 
-def free(context: Context, resources: Resources) -> None:
+def free(resources: Resources) -> None:
     """Free the GPU objects of a renderer and its context."""
-    with context.drawing():
+    with resources.context.drawing():
         resources.release()
-    context.release()
+    resources.context.release()
 
 
-def free_dropped(context: Context, resources: Resources) -> None:
+def free_dropped(resources: Resources) -> None:
     """Free the GPU objects of a renderer that was garbage-collected without release.
 
     If the context belongs to the host and is not current, the objects remain until the host frees
     the context.
     """
-    if context.released or context.inherited:
+    if resources.context.released or resources.context.inherited:
         return
     warnings.warn(
         "a Renderer was dropped without release(): create it in a with statement",
@@ -576,4 +549,4 @@ def free_dropped(context: Context, resources: Resources) -> None:
         stacklevel=2,
     )
     with suppress(ContextError):
-        free(context, resources)
+        free(resources)

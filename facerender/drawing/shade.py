@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,13 +63,9 @@ def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
     layer : whether the G-buffer is one layer of a blended part
     """
     materials = scene.mesh.materials
-    optional = {
-        "lobes": any(material.two_lobes for material in materials),
-        "emitted": any(material.emits for material in materials),
-        "layer": layer,
-    }
-    names = [name for name, is_drawn in optional.items() if is_drawn]
-    return ("position", "normal", "albedo", "uv", *names)
+    lobes = ("lobes",) * any(material.two_lobes for material in materials)
+    emitted = ("emitted",) * any(material.emits for material in materials)
+    return ("position", "normal", "albedo", "uv", *lobes, *emitted, *("layer",) * layer)
 
 
 def surface_pass(
@@ -85,16 +82,16 @@ def surface_pass(
     blended_part : part of which one layer is drawn; None: all parts that are not blended are drawn
     refraction : refraction of the scene; None if no part refracts
     """
-    shading = resolved.shading
+    shading = resolved.appearance.shading
     images, draws = surface_images(resolved.scene, blended_part is not None), []
-    further = ["SCATTER"] if scatters else []
-    further += [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
+    further = [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
     for part in resolved.appearance.parts:
         features = (
             *surface_features(part, shading),
             *("EMISSIVE",) * any(part.material.emissive),
             # Every program must write all images of the pass, also for parts with one lobe.
             *("TWO_LOBES",) * ("lobes" in images and not part.material.two_lobes),
+            *("SCATTER",) * scatters,
             *further,
         )
         program = Program("gbuffer.frag", features=features)
@@ -119,7 +116,6 @@ def shade_pass(
 ) -> Pass:
     """Return the pass that shades a scene. Blended parts are drawn last.
 
-    samples : samples per pixel
     only : term to draw, "specular" or "diffuse"; None for the whole image
     scattering : scattering of the scene. If given, the pass also draws the input images of the
         scatter pass, and omits background and blended parts
@@ -218,7 +214,6 @@ def with_shadows(
     Blended parts, and texels that an alpha mask discards, cast no shadow. Raises InputError if more
     than MOST lights cast shadows, or if a light with shadows is inside the mesh.
 
-    size : width and height of the image in pixels
     passes : passes that read the maps
     """
     mesh, look = resolved.scene.mesh, resolved.appearance
@@ -231,14 +226,12 @@ def with_shadows(
     texels = _texels(view, size, len(spaces), mesh.space.reach)
     cached, stored = ("shadows", texels), look.draws
     if cached not in stored or stored[cached][0] is not mesh.token:
-        key = (
-            *(mesh.token, mesh.space, *(_cut(part.material) for part in look.parts)),
-            *(space.matrix.tobytes() for space in spaces),
-        )
+        cuts, matrices = map(_cut, mesh.materials), (space.matrix.tobytes() for space in spaces)
+        key = mesh.token, mesh.space, *cuts, *matrices
         target, clear = _target((len(spaces) * texels, texels)), (_EMPTY, 0.0, 0.0, 0.0)
         shadow_map = Pass("shadow_map", target, _draws(look, texels), clear, key=key)
         stored[cached] = mesh.token, [shadow_map, *_cones(spaces, texels, key)]
-    result = [*stored[cached][1]]
+    result: list[Pass] = [*stored[cached][1]]
     maps = {"shadow_tiles": (texels, _BLOCKS), "shadow_reach": mesh.space.reach}
     for step in passes:
         uniforms = {**step.uniforms, **maps}
@@ -251,11 +244,8 @@ def _target(size: tuple[int, int], number: int = 0) -> Target:
 
 
 def _texels(view: View, size: tuple[int, int], count: int, reach: float) -> int:
-    """Return the width of each shadow map, a power of two. At the distance of the mesh's centre, a
-    texel covers at most one pixel, unless the limits forbid it.
-
-    count, reach : number of shadow maps, and radius of the sphere that each covers
-    """
+    """Return the width of each of `count` shadow maps of a sphere with radius `reach`, a power of
+    two. At the mesh's centre, a texel covers at most one pixel, unless the limits forbid it."""
     depth = max(float(view.matrix[3, 3]), 1e-3)
     across = np.linalg.norm(view.matrix[:3, :2], axis=0) * size / depth * reach  # in pixels
     limit = min(_MOST_TEXELS, 1 << int(math.log2(_ALL_TEXELS / count) / 2.0))
@@ -278,18 +268,17 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
         reached += _TAPS * strides[-1]
     size = len(spaces) * _BLOCKS, _BLOCKS
     blocks = Draw(Program("shadow_blocks.frag", "screen.vert"), {"block": texels // _BLOCKS})
-    steps: list[tuple[Draw, ...]] = [(blocks,)]
+    steps: list[list[Draw]] = [[blocks]]
     program = Program("shadow_cones.frag", "screen.vert")
     for stride in [*((length, 0) for length in strides), *((0, length) for length in strides)]:
-        cones = []
+        steps.append([])
         for left, space in zip(range(0, size[0], _BLOCKS), spaces, strict=True):
             # The pyramid with this slope along the axes contains the cone.
             fall = math.sqrt(2.0) / _BLOCKS / max(space.tan_radius, 1e-3)
             uniforms = {"stride": stride, "left": left, "fall": fall}
-            cones.append(Draw(program, uniforms, area=Area(left, 0, _BLOCKS, _BLOCKS)))
-        steps.append(tuple(cones))
+            steps[-1].append(Draw(program, uniforms, area=Area(left, 0, _BLOCKS, _BLOCKS)))
     passes = [
-        Pass("shadow_cones", _target(size, 1 + number), draws, key=(key, number))
+        Pass("shadow_cones", _target(size, 1 + number), tuple(draws), key=(key, number))
         for number, draws in enumerate(steps)
     ]
     if any(space.tan_radius for space in spaces):  # hard shadows do not search for occluders
@@ -298,17 +287,15 @@ def _cones(spaces: list[LightSpace], texels: int, map_key: Hashable) -> list[Pas
 
 
 def _tops(count: int, key: Hashable) -> Pass:
-    """Return the pass that draws the largest z around each point, at four scales. ``top_of`` in
-    ``shaders/host/shadow.glsl`` reads this image. The pass reads the first image of :func:`_cones`.
-    """
+    """Return the pass that draws the largest z around each point, at four scales, for ``top_of`` in
+    ``shaders/host/shadow.glsl``. The pass reads the first image of :func:`_cones`."""
     program = Program("shadow_tops.frag", "screen.vert")
     draws, column = [], 0
-    for number in range(count):
-        for size in _LEVELS:
-            side = _BLOCKS // size
-            uniforms = {"left": number * _BLOCKS, "column": column, "size": size}
-            draws.append(Draw(program, uniforms, area=Area(column, 0, side, side)))
-            column += side
+    for number, size in product(range(count), _LEVELS):
+        side = _BLOCKS // size
+        uniforms = {"left": number * _BLOCKS, "column": column, "size": size}
+        draws.append(Draw(program, uniforms, area=Area(column, 0, side, side)))
+        column += side
     return Pass("shadow_tops", _target((column, _BLOCKS)), tuple(draws), key=key)
 
 
@@ -328,8 +315,7 @@ def _draws(look: Appearance, texels: int) -> tuple[Draw, ...]:
 
 
 def _cut(material: Material) -> Hashable:
-    """Return the values of a material that its shadow depends on, for the ``Pass.key`` of shadow
-    maps."""
+    """Return what the shadow of a material depends on, for the ``Pass.key`` of shadow maps."""
     if material.transmission > 0.0:
         return "no shadow"
     if material.alpha == "opaque":
@@ -342,14 +328,11 @@ def light_visibility_pass(
     resolved: ResolvedScene, view: View, blended_part: BlendedPart | None
 ) -> Pass:
     """Return the pass that draws the visible fraction of each light that casts shadows, in the
-    order of ``Lighting.lights``.
-
-    blended_part : see :func:`surface_pass`
-    """
-    lighting, draws = resolved.lighting, []
-    for part in resolved.appearance.parts:
-        features = surface_features(part, resolved.shading) + shadow_features(lighting)
-        program = Program("light_visibility.frag", features=features, lights=lighting.groups)
+    order of ``Lighting.lights``. For ``blended_part`` see :func:`surface_pass`."""
+    look, draws = resolved.appearance, []
+    for part in look.parts:
+        features = surface_features(part, look.shading) + shadow_features(look.lighting)
+        program = Program("light_visibility.frag", features=features, lights=look.lighting.groups)
         draws.append(Draw.of_part(program, part))
     uniforms = scene_uniforms(resolved, view)
     visible = visible_draws(draws, blended_part)

@@ -7,7 +7,6 @@ import json
 import shlex
 import zlib
 from base64 import b64encode
-from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from io import BytesIO
 from itertools import product
@@ -60,14 +59,13 @@ def drawable(mesh: Mesh) -> Mesh:
     alphas = _alphas(mesh)
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
-    materials = [mesh.materials[number] for number in numbers]
-    stored, regions = mesh.geometry.parts, mesh.regions
-    left = replace(mesh.geometry, parts=tuple(stored[n] for n in numbers), known_regions=regions)
-    posed = tuple(mesh.parts[n] for n in numbers)
+    stored, posed = ([parts[n] for n in numbers] for parts in (mesh.geometry.parts, mesh.parts))
+    left = replace(mesh.geometry, parts=tuple(stored), known_regions=mesh.regions)
+    materials = (mesh.materials[number] for number in numbers)
     return Mesh(
         left,
         tuple(replace(material, **(_by_second(material) | plain)) for material in materials),
-        mesh.pose and replace(mesh.pose, geometry=left, parts=posed),
+        mesh.pose and replace(mesh.pose, geometry=left, parts=tuple(posed)),
     )
 
 
@@ -75,10 +73,9 @@ def lost_features(mesh: Mesh) -> list[str]:
     """Return the names of the features of a mesh that the page does not draw."""
     alphas, materials = _alphas(mesh), mesh.materials
     strengths = {(material.normal_strength, material.occlusion_strength) for material in materials}
-    blended = [
-        part.name for part, alpha in zip(mesh.parts, alphas, strict=True) if alpha == "blend"
-    ]
-    remainder = [f"{len(blended) - MOST_NAMES} more"] if len(blended) > MOST_NAMES else []
+    pairs = zip(mesh.parts, alphas, strict=True)
+    blended = [part.name for part, alpha in pairs if alpha == "blend"]
+    remainder = [f"{len(blended) - MOST_NAMES} more"] * (len(blended) > MOST_NAMES)
     names = f" ({', '.join([*blended[:MOST_NAMES], *remainder])})" if all(blended) else ""
     features = {
         f"blended parts{names}": bool(blended),
@@ -102,24 +99,17 @@ def _by_second(material: Material) -> dict[str, Any]:
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]]]:
-    """Return the facts of a mesh, its compressed arrays, and its maps with their kinds.
-
-    The facts refer to arrays and maps by index.
-    """
+    """Return the facts of a mesh, its compressed arrays, and its maps with their kinds. The facts
+    refer to arrays and maps by index."""
     columns: list[NDArray[np.int64]] = []
-    textures: list[tuple[Texture, Kind]] = []
-    skin = mesh.skin
-    parts = [
-        {**_part(mesh, part, columns, textures), "skin": part.index in skin}
-        for part in resolved_parts(mesh)
-    ]
+    parts, skin = resolved_parts(mesh), mesh.skin
+    textures = [*dict.fromkeys(map_[1:] for part in parts for map_ in part.maps)]
     facts = {
-        "parts": parts,
-        "columns": [list(column.shape) for column in columns],
-        "maps": [
-            {"kind": kind, "wrap": texture.wrap, "nearest": texture.nearest}
-            for texture, kind in textures
+        "parts": [
+            {**_part(mesh, part, columns, textures), "skin": part.index in skin} for part in parts
         ],
+        "columns": [list(column.shape) for column in columns],
+        "maps": [{"kind": k, "wrap": map_.wrap, "nearest": map_.nearest} for map_, k in textures],
     }
     return facts, zlib.compress(b"".join(map(_planes, columns)), 9), textures
 
@@ -130,16 +120,11 @@ def _part(
     columns: list[NDArray[np.int64]],
     textures: list[tuple[Texture, Kind]],
 ) -> dict[str, Any]:
-    """Return the facts of a part, and append its arrays and maps to the lists."""
-    maps: dict[str, int] = {}
+    """Return the facts of a part, and append its arrays to the columns."""
     part, material, reach = mesh.parts[resolved.index], resolved.material, mesh.space.reach
-    for name, texture, kind in resolved.maps:
-        if (texture, kind) not in textures:
-            textures.append((texture, kind))
-        maps[name] = textures.index((texture, kind))
     positions = mesh.normalised(part.positions)
-    attributes = {"in_position": positions, "in_normal": part.normals, **fixed_attributes(part)}
-    attributes.pop("in_uv2", None)
+    fixed = fixed_attributes(part, uv2=False)
+    attributes = {"in_position": positions, "in_normal": part.normals, **fixed}
     arrays = {}
     for name, values in attributes.items():
         low, extent = values.min(axis=0), np.ptp(values, axis=0).clip(1e-9)
@@ -149,38 +134,29 @@ def _part(
         arrays[name] = {"column": len(columns), "scale": scale, "offset": low.tolist()}
         columns.append(np.round((values - low) / extent * STEPS).astype(np.int64))
     columns.append(part.faces.astype(np.int64))
-    uniforms: Mapping[str, Any] = part_uniforms(resolved)
+    uniforms = part_uniforms(resolved).items()
     return {
         "features": surface_features(resolved, Shading()),
-        "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms.items()},
+        "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms},
         "arrays": arrays,
         "faces": len(columns) - 1,
-        "maps": maps,
+        "maps": {name: textures.index((texture, kind)) for name, texture, kind in resolved.maps},
         "doubleSided": material.double_sided is not False,
         "slopes": slope_range(part, material),
     }
 
 
 def _planes(column: NDArray[np.int64]) -> bytes:
-    """Encode integers (N, K) so that deflate compresses them well.
-
-    The result contains the differences of successive rows, with the sign in the lowest bit. The
-    four bytes of each difference are stored in four separate planes.
-    """
+    """Encode integers (N, K) so that deflate compresses them well: the differences of successive
+    rows, with the sign in the lowest bit, and each of their four bytes in a plane of its own."""
     steps = np.diff(column, axis=0, prepend=0)
     folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
     return folded.view(np.uint8).reshape(-1, 4).T.tobytes()
 
 
 def encoded(texture: Texture, kind: Kind) -> bytes:
-    """Return a map as an image file with row 0 at the bottom.
-
-    The file is a JPEG if the mean error is below one 8-bit level, otherwise a PNG.
-
-    Raises
-    ------
-    InputError : the map is damaged
-    """
+    """Return a map as an image file with row 0 at the bottom: a JPEG if the mean error is below one
+    8-bit level, otherwise a PNG. Raises InputError if the map is damaged."""
     from PIL import Image
 
     image = texture.rgb()
@@ -309,11 +285,9 @@ def _term(term: Term) -> dict[str, Any]:
 def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     """Return the names of the features of a job that neither the page nor its command draws."""
     shading, materials = job.shading, mesh.materials
-    cast = [
-        light
-        for number, light in enumerate(job.lights)
-        if light.shadow and (shading.shadow_lights is None or number in shading.shadow_lights)
-    ]
+    lit = enumerate(job.lights)
+    only = shading.shadow_lights
+    cast = [light for i, light in lit if light.shadow and (only is None or i in only)]
     replaced = "" if job.lights else " (the default lights and ambient light replace the map)"
     parameters = [name for name in shading.as_dict() if name not in _NAMED]
     image = [
@@ -416,10 +390,8 @@ def _terms(lines: dict[str, int]) -> dict[str, Any]:
 
 
 def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
-    """Return a light as data, with its direction from the mesh's centre.
-
-    The data of a point light include the light's distance from the centre, in the renderer's space.
-    """
+    """Return a light as data, with its direction from the mesh's centre and, for a point light, its
+    distance from the centre in the renderer's space."""
     values = {"irradiance": light.irradiance, "radius": light.radius}
     if light.position is None:
         return values | {"azimuth": light.azimuth, "elevation": light.elevation, "distance": None}
@@ -436,12 +408,11 @@ def _words(job: Job) -> dict[str, Any]:
         """Return the options of the mesh file's fields that differ from their defaults."""
         words = {}
         for name in names:
-            value, option = getattr(job.mesh, name), f"--{name.replace('_', '-')}"
-            if value is True:
-                words[name] = option
-            elif value != getattr(MeshFile, name):
-                text = value if isinstance(value, str) else ",".join(map(str, value))
-                words[name] = f"{option} {shlex.quote(text)}"
+            value = getattr(job.mesh, name)
+            if value != getattr(MeshFile, name):
+                text: Any = value if isinstance(value, str | bool) else ",".join(map(str, value))
+                argument = "" if value is True else f" {shlex.quote(text)}"
+                words[name] = f"--{name.replace('_', '-')}{argument}"
         return words
 
     path = [shlex.quote(job.mesh.path)] if job.mesh.path else []

@@ -184,11 +184,10 @@ PRINTED_D16 = replace(
 
 @dataclass(frozen=True)
 class Variant:
-    """A form of a model's specular term.
+    """A form of a model's specular term, by the names of model and lobe.
 
     Attributes
     ----------
-    model, lobe : name of the model, and name of the lobe
     printed : whether the form is published by Romanyuk et al., not the library's form
     plain : whether the exact lobe omits the extra precision at small angles, which is needed only
         for m < SMALL_SLOPE
@@ -232,11 +231,8 @@ class Variant:
         model = MODELS[self.model]
         call = model.printed if self.printed else model.printed.replace("printed_", "")
         folder = "printed" if self.printed else "facerender"
-        small = "#define FR_SMALL_SLOPE 0\n" if self.plain else ""
-        return (
-            f'{defines(lobe_macros(self.lobe))}{small}#include "{folder}/{model.file}.glsl"',
-            call,
-        )
+        macros = defines(lobe_macros(self.lobe)) + "#define FR_SMALL_SLOPE 0\n" * self.plain
+        return f'{macros}#include "{folder}/{model.file}.glsl"', call
 
     @property
     def lobe_term(self) -> tuple[str, str]:
@@ -252,13 +248,9 @@ class Variant:
 
 def of_model(model: str) -> tuple[Variant, ...]:
     """Return the variants of a model, the published variants first."""
-    printed = [Variant(model, lobe, printed=True) for lobe in ("exact", "d16")]
-    library = [
-        Variant(model, lobe, plain=plain)
-        for lobe in LOBES
-        for plain in ((False, True) if lobe == "exact" else (False,))
-    ]
-    return *printed, *library
+    printed = (Variant(model, lobe, printed=True) for lobe in ("exact", "d16"))
+    library = (Variant(model, lobe, plain=p) for lobe in LOBES for p in (False, lobe == "exact"))
+    return *printed, *dict.fromkeys(library)
 
 
 def terms(model: str) -> dict[str, tuple[str, str]]:
@@ -407,21 +399,14 @@ def frames(
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
     """Measure milliseconds per frame with readback, one sample per pixel; the shadings alternate.
-
-    Raises
-    ------
-    ContextError : no OpenGL context
-    InputError : the scene cannot be drawn with a shading
-    """
+    For errors see :meth:`Renderer.render`."""
     with Renderer(size, samples=1, backend=backend) as renderer:
         draws = [partial(renderer.render, scene, shading) for shading in shadings]
         times = seconds(draws, repeats, progress)
     return bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
 
 
-def clock_of(
-    context: Context,
-) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
+def clock_of(context: Context) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
     """Return a function that makes timers: context managers that append their seconds to a list."""
     if context.software:
         return partial(_cpu_clock, threads=_threads(context.renderer))

@@ -101,10 +101,8 @@ def program_of(
     shading : shading of the scene; None: ``stub`` replaces the specular terms of the lights
     stub : GLSL that replaces the specular terms if ``shading`` is None; "": no specular terms
     """
-    chosen = shading or Shading()
-    if coupled:
-        chosen = chosen.replace(diffuse="coupled")
-    chosen = chosen.replace(environment_samples=environment_samples)
+    chosen = (shading or Shading()).replace(environment_samples=environment_samples)
+    chosen = chosen.replace(diffuse="coupled") if coupled else chosen
     resolved, term = _as_it_is(scene, chosen), shading.term if shading else None
     program = shade_program(resolved, resolved.appearance.parts[0], term, SLOPE)
     return replace(program, call=stub) if stub else program
@@ -129,23 +127,30 @@ def parts_of(program: Program) -> dict[str, int]:
 
     Further specular terms are a separate part: they share values with the first specular term.
     """
-    groups = program.lights or ()
+    groups, has = program.lights or (), {*program.features}
     specular = sum(group.count for group in groups if group.specular) if program.call else 0
     counts: Counter[str] = Counter()
-    dark: Counter[str] = Counter()
     for group in groups:
-        counts[group.kind] += group.count
-        dark[LIGHT_KINDS[group.kind].shadow_price] += group.count * (group.shadows is not None)
-    maps = ("albedo map", "normal map", "property map")
+        kind = LIGHT_KINDS[group.kind]
+        counts[kind.price] += group.count
+        counts[kind.shadow_price] += group.count * (group.shadows is not None)
+    diffuse, coupled = "DIFFUSE" in has, "COUPLED" in has
+    ambient = diffuse and "AMBIENT" in has
+    shines = bool(specular or program.environment or coupled)
+    dims = ambient or (diffuse and "ENVIRONMENT" in has)
+    read = {"OCCLUSION_MAP"} if dims else set()
+    read |= {"ROUGHNESS_MAP", "SPECULAR_MAP"} if shines else set()
     return {
         "base program": 1,
-        **{name: int(name.upper().replace(" ", "_") in program.features) for name in maps},
-        "ambient term": int("AMBIENT" in program.features),
-        **{kind.price: counts[name] for name, kind in sorted(LIGHT_KINDS.items())},
-        **{price: dark[price] for price in SHADOWS},
-        "coupled diffuse": int("COUPLED" in program.features),
-        "light of coupled diffuse": counts.total() * ("COUPLED" in program.features),
-        "environment": int("ENVIRONMENT" in program.features),
+        "albedo map": int(diffuse and "ALBEDO_MAP" in has),
+        "normal map": int("NORMAL_MAP" in has),
+        "property map": bool(has & read) + (shines and "LOBE_MAP" in has),
+        "ambient term": int(ambient),
+        **{kind.price: counts[kind.price] for _, kind in sorted(LIGHT_KINDS.items())},
+        **{price: counts[price] for price in SHADOWS},
+        "coupled diffuse": int(coupled),
+        "light of coupled diffuse": sum(group.count for group in groups) * coupled,
+        "environment": int("ENVIRONMENT" in has),
         "environment sample": environment_samples(program),
         "first specular term": min(specular, 1),
         "further specular term": max(specular - 1, 0),
@@ -222,14 +227,11 @@ def by_slope(
     """Measure the nanoseconds per fragment of each part on this machine.
 
     Every program fills the target n times, for three values of n; ``cost.by_slope`` describes the
-    method. Additive blending prevents drivers from skipping fragments that later fragments cover.
-    The cost of blending and of the rasteriser is measured with an empty program and subtracted.
+    method and the errors. Additive blending prevents drivers from skipping fragments that later
+    ones cover. The cost of blending and of the rasteriser is measured with an empty program and
+    subtracted.
 
     shading : see :func:`samples`
-
-    Raises
-    ------
-    ContextError : no OpenGL context
     """
     net = np.column_stack([TO_PARTS, -TO_PARTS.sum(axis=1)])
     context = create_context(backend)
@@ -315,69 +317,39 @@ class Prices:
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
         """Return the cost of a fragment of the scene, and the specular part of this cost.
 
-        With several mesh parts, return the mean weighted by the parts' numbers of faces.
-
-        Raises
-        ------
-        NoPrice : a term has no price
+        With several mesh parts, return the mean weighted by the parts' numbers of faces. Raises
+        NoPrice if a term has no price.
         """
         resolved = resolve(scene, shading)
-        lights = self._lights(resolved.lighting)
-        total = specular = faces = 0.0
         look = resolved.appearance
+        total = specular = faces = 0.0
         for part, (smallest, _) in zip(look.parts, look.slopes, strict=True):
-            cost, shine = self._part(resolved, part, lights, smallest)
+            cost, shine = self._part(resolved, part, smallest)
             faces += len(part.part.faces)
             total += len(part.part.faces) * cost
             specular += len(part.part.faces) * shine
         return total / faces, specular / faces
 
-    def _lights(self, lighting: Lighting) -> float:
-        kinds = [(group, LIGHT_KINDS[group.kind]) for group in lighting.groups]
-        lights = sum(group.count * self._priced(self.parts, kind.price) for group, kind in kinds)
-        return lights + sum(
-            group.count * self._priced(self.parts, kind.shadow_price)
-            for group, kind in kinds
-            if group.shadows is not None
-        )
-
     def _part(
-        self, resolved: ResolvedScene, part: ResolvedPart, lights: float, smallest: float
+        self, resolved: ResolvedScene, part: ResolvedPart, smallest: float
     ) -> tuple[float, float]:
-        """Return :meth:`cost` for one mesh part; ``lights`` is the cost of all lights without their
-        specular terms, ``smallest`` the smallest slope m of the part."""
-        scene, shading, count = resolved.scene, resolved.shading, resolved.lighting.shining
-        material = part.material
-        shine = 0.0
-        if material.ks and count:
-            shine = self._specular(term_name(shading.term, smallest), count)
-            if material.two_lobes:
-                shine += self._specular(second_name(shading.term, smallest), count)
-        diffuse = material.diffuse_weight > 0.0
-        ambient = diffuse and any(scene.ambient)  # type: ignore[arg-type]
-        coupled = shading.diffuse == "coupled" and diffuse and material.ks > 0.0
-        cost = self.parts["base program"] + shine + lights
-        if coupled:
-            cost += self._priced(self.parts, "coupled diffuse")
-            cost += len(scene.lights) * self._priced(self.parts, "light of coupled diffuse")
-        environment = scene.environment is not None
-        if environment:
-            cost += self._priced(self.parts, "environment")
-        if environment and material.ks and shading.environment_samples:
-            lobe_cost = shading.environment_samples * self._priced(self.parts, "environment sample")
-            reflected = (1 + material.two_lobes) * lobe_cost
-            cost, shine = cost + reflected, shine + reflected
-        occluded = ambient or (environment and diffuse)
-        cost += self._maps(part.part, material, occluded, shine > 0.0 or coupled)
-        cost += self.parts["ambient term"] * ambient
-        if material.scattering and diffuse:
-            cost += self._priced(self.parts, "scattering")
-            cost += shading.scatter_samples * self._priced(self.parts, "sample of scattering")
-        return cost, shine
-
-    def _specular(self, name: str, lights: int) -> float:
-        first, further = self._priced(self.terms, name)
-        return sum([first, *[further] * (lights - 1)])
+        """Return :meth:`cost` for one mesh part; ``smallest`` is its smallest slope m."""
+        shading, material = resolved.appearance.shading, part.material
+        lights = resolved.appearance.lighting.shining * bool(material.ks)
+        program = shade_program(resolved, part, None, smallest)
+        counts = parts_of(replace(program, call=INPUTS * bool(lights)))
+        if material.scattering and material.diffuse_weight > 0.0:
+            counts |= {"scattering": 1, "sample of scattering": shading.scatter_samples}
+        costs = {
+            name: count * self._priced(self.parts, name)
+            for name, count in counts.items()
+            if count and name not in _SPECULAR
+        }
+        names = [term_name(shading.term, smallest)]
+        names += [second_name(shading.term, smallest)] * material.two_lobes
+        pairs = [self._priced(self.terms, name) for name in names * bool(lights)]
+        shine = sum(sum([first, *[further] * (lights - 1)]) for first, further in pairs)
+        return sum(costs.values()) + shine, shine + costs.get("environment sample", 0.0)
 
     def _priced(self, prices: Mapping[str, P], name: str) -> P:
         if name not in prices:
@@ -386,21 +358,6 @@ class Prices:
                 "table in a checkout with python -m benchmarks.prices table"
             )
         return prices[name]
-
-    def _maps(self, part: Part, material: Material, ambient: bool, shines: bool) -> float:
-        if part.uv is None:
-            return 0.0
-        occlusion = (material.occlusion_map,) * ambient
-        read = (*occlusion, *(material.roughness_map, material.specular_map) * shines)
-        has = {
-            "albedo map": material.albedo_map is not None and material.diffuse_weight > 0.0,
-            "normal map": material.normal_map is not None,
-            "property map": any(texture is not None for texture in read),
-        }
-        cost = sum(self.parts[name] for name, is_there in has.items() if is_there)
-        if shines and material.two_lobes and material.lobe_map is not None:
-            cost += self.parts["property map"]  # for the lobe map
-        return cost
 
 
 def load_prices(
@@ -486,11 +443,8 @@ def second_variants(term: Term) -> dict[str, Term]:
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
     """Return the cost of each second lobe: a term's cost with two lobes minus its cost with one."""
-    added = {}
-    for name, term in seconds.items():
-        first, further = one[term_name(term, SLOPE)]
-        added[name] = (two[name][0] - first, two[name][1] - further)
-    return added
+    pairs = {name: (two[name], one[term_name(term, SLOPE)]) for name, term in seconds.items()}
+    return {name: (b[0] - a[0], b[1] - a[1]) for name, (b, a) in pairs.items()}
 
 
 def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
@@ -501,20 +455,15 @@ def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
 def measured(
     terms: Mapping[str, Term], repeats: int = 7, seconds: Mapping[str, Term] | None = None
 ) -> Prices:
-    """Measure the price of every part and every specular term on this machine.
+    """Measure the price of every part and every specular term on this machine. Raises ContextError
+    without an OpenGL context.
 
     Parameters
     ----------
     terms : keyed by :func:`term_name`
     seconds : terms whose second lobes are priced, keyed by :func:`second_name`; ``terms`` also
         contains each of these
-
-    Raises
-    ------
-    ContextError : no OpenGL context
     """
-    from facerender.drawing.context import create_context
-
     parts = {name: time.value for name, time in by_slope(repeats=repeats).items()}
     calls = {name: (prelude(term, SLOPE), call(term)) for name, term in terms.items()}
     calls |= {
