@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -139,8 +139,7 @@ class Material:
         """Return the range of m over both lobes, if m of the first lobe is in [low, high]."""
         if not self.two_lobes:
             return low, high
-        second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
-        slopes = (low, high, *second)
+        slopes = low, high, *(max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
         return min(slopes), max(slopes)
 
     @cached_property
@@ -203,9 +202,7 @@ class Material:
         """Whether the opacity has no visible effect. Decodes the opacity map if necessary."""
         if self.alpha == "opaque":
             return True
-        min_texel = 1.0
-        if self.opacity_map is not None:
-            min_texel = float(self.opacity_map.ends()[0, 0]) / 255.0
+        min_texel = float(self.opacity_map.ends()[0, 0]) / 255.0 if self.opacity_map else 1.0
         return self.opacity * min_texel >= (1.0 if self.alpha == "blend" else self.alpha_cutoff)
 
 
@@ -216,10 +213,8 @@ def check_maps(name: str, materials: Sequence[Material]) -> None:
         names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if material.packs else MAPS
         maps.update(getattr(material, name) for name in names)
     if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MOST_TEXELS:
-        raise InputError(
-            f"the maps of {name} have {total / 1e6:.0f} million texels, more than "
-            f"{MOST_TEXELS / 1e6:.0f} million: make them smaller"
-        )
+        limit = f"more than {MOST_TEXELS / 1e6:.0f} million: make them smaller"
+        raise InputError(f"the maps of {name} have {total / 1e6:.0f} million texels, {limit}")
 
 
 CORNEA = 1.336  # index of the aqueous; one surface stands for cornea and aqueous
@@ -282,16 +277,10 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """Return a material with the values of a table.
 
     A new ``m`` also removes the roughness map. A preset does not tint an albedo map, and does not
-    change how an opacity map is used.
+    change how an opacity map is used. Raises InputError if the preset is unknown, a value is
+    outside its range, or the table has both ``m`` and ``roughness_map``.
 
-    Parameters
-    ----------
     table : fields of :class:`Material`, and ``preset``, whose fields apply first
-
-    Raises
-    ------
-    InputError : the preset is unknown, a value is outside its range, or the table has both ``m``
-        and ``roughness_map``
     """
     values = dict(table)
     if "m" in values and values.get("roughness_map") is not None:
@@ -310,7 +299,7 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
 
 
 def without_effect(
-    table: Mapping[str, Any], old: Sequence[Material], new: Sequence[Material]
+    table: Mapping[str, Any], old: Collection[Material], new: Collection[Material]
 ) -> Iterator[str]:
     """Yield the names of the changed fields that have no effect, with the reason.
 

@@ -5,22 +5,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_type
+from facerender.errors import InputError
 from facerender.images.image import srgb_to_linear
-from facerender.material import MAPS, SKIN_ALBEDO, Material
 from facerender.mesh.repair import Piece, stacked, with_faces
 from facerender.values.vectors import rows_of
+
+if TYPE_CHECKING:
+    from facerender.mesh.part import Part
 
 Float = NDArray[np.float64]
 Column = NDArray[np.floating[Any]]
 Columns = tuple[Column, Column, Column]
-
-_SAME_NORMAL = 0.999  # minimum: cosine between two normals of one vertex that is split by a seam
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +39,15 @@ class Corners:
     groups: NDArray[np.int64]
 
     @classmethod
-    def of(
-        cls, positions: Sequence[Float], normals: Sequence[Float], faces: Sequence[NDArray[Any]]
-    ) -> Corners:
-        """Return the corners of a mesh in the reference pose, from arrays for each part."""
-        _, joint, welded, _ = stacked(positions, faces)
-        groups = _split_at_creases(welded, np.concatenate(normals))
+    def of(cls, parts: Sequence[Part]) -> Corners:
+        """Return the corners of a mesh in the reference pose."""
+        _, joint, welded, _ = stacked(parts)
+        groups = _split_at_creases(welded, np.concatenate([part.normals for part in parts]))
         corners = groups[joint].ravel()
         order = np.argsort(corners, kind="stable")
         used_groups, starts = np.unique(corners[order], return_index=True)
-        return cls(
-            np.ascontiguousarray(joint.T),
-            order // 3,
-            starts,
-            np.searchsorted(used_groups, groups).clip(max=len(used_groups) - 1),
-        )
+        dense = np.searchsorted(used_groups, groups).clip(max=len(used_groups) - 1)
+        return cls(np.ascontiguousarray(joint.T), order // 3, starts, dense)
 
     def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
         """Return, for each vertex of each part, the sum of the normals of its faces, weighted by
@@ -72,29 +66,23 @@ def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Column
     """Return the first corner and the normal of each triangle as columns x, y and z, (F,) each.
     The length of a normal is twice the triangle's area.
 
-    Parameters
-    ----------
     columns : x, y and z of the vertices, (N,) each
     faces : (3, F)
     """
-    (ax, ux, vx), (ay, uy, vy), (az, uz, vz) = (
-        (
-            first := np.take(column, faces[0]),
-            *(np.take(column, corner) - first for corner in faces[1:]),
-        )
-        for column in columns
-    )
+    corners = ([np.take(column, corner) for corner in faces] for column in columns)
+    (ax, ux, vx), (ay, uy, vy), (az, uz, vz) = ((a, b - a, c - a) for a, b, c in corners)
     return (ax, ay, az), (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
 
 
 def _split_at_creases(welded: NDArray[np.int64], normals: Float) -> NDArray[np.int64]:
-    """Return labels in which vertices at one position share a label if their normals are equal."""
+    """Return labels in which vertices at one position share a label if their normals are equal, or
+    nearly so: a seam splits a vertex."""
     labels = np.empty_like(welded)
     remaining, count = np.arange(len(welded)), 0
     while len(remaining):
         _, first, group = np.unique(welded[remaining], return_index=True, return_inverse=True)
         rows = normals[remaining]
-        like = np.einsum("ij,ij->i", rows, rows[first[group]]) > _SAME_NORMAL
+        like = np.einsum("ij,ij->i", rows, rows[first[group]]) > 0.999
         like[first] = True
         labels[remaining[like]] = count + group[like]
         remaining, count = remaining[~like], count + len(first)
@@ -111,40 +99,7 @@ def unit_or(normals: Float, others: Float) -> Float:
     return np.asarray(normals / np.sqrt(squares)[:, None])
 
 
-def piece_of(
-    positions: ArrayLike,
-    faces: ArrayLike,
-    uv: ArrayLike | None,
-    uv_faces: ArrayLike | None,
-    normals: ArrayLike | None,
-    colors: ArrayLike | None,
-    material: Material | None,
-) -> Piece:
-    """Return a piece; for the parameters and errors see :meth:`facerender.Mesh.from_arrays`."""
-    check_type("material", material, Material | None, "a facerender.Material or None")
-    places = rows_of("positions", positions, (3,))
-    count = len(places)
-    hint = "; cut polygons into triangles"
-    corners = _indices("faces", faces, count, "vertex", "a face uses vertex", hint)
-    if material is None:
-        material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
-    maps = [name for name in MAPS if getattr(material, name) is not None]
-    if uv is None and maps:
-        raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
-    if uv is None and uv_faces is not None:
-        raise InputError("uv_faces without uv: give uv as well")
-    vectors = None if normals is None else rows_of("normals", normals, (3,), count=count)
-    linear = None if colors is None else _linear_colors(colors, count)
-    piece = Piece(places, corners, vectors, None, linear, material)
-    if uv_faces is not None and uv is not None:
-        rows = rows_of("uv", uv, (2,))
-        uv_corners = _indices("uv_faces", uv_faces, len(rows), "row", "uv_faces use row")
-        return _split_at_seams(piece, rows, uv_corners)
-    piece.uv = None if uv is None else rows_of("uv", uv, (2,), count=count)
-    return piece
-
-
-def _indices(
+def indices_of(
     name: str, indices: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
 ) -> NDArray[np.int64]:
     """Return indices (F, 3) in [0, count) from an array or nested lists. ``kind`` names the indices
@@ -158,8 +113,12 @@ def _indices(
     return rows.astype(np.int64)
 
 
-def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.int64]) -> Piece:
-    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses."""
+def split_at_seams(piece: Piece, uv: Float, indices: ArrayLike) -> Piece:
+    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses.
+
+    indices : uv_faces of :meth:`facerender.Mesh.from_arrays`
+    """
+    uv_faces = indices_of("uv_faces", indices, len(uv), "row", "uv_faces use row")
     if len(uv_faces) != len(piece.faces):
         remedy = f"give {len(piece.faces)}, one for each face"
         raise InputError(f"uv_faces has {len(uv_faces)} rows: {remedy}")
@@ -168,14 +127,13 @@ def _split_at_seams(piece: Piece, uv: NDArray[np.float64], uv_faces: NDArray[np.
     return replace(with_faces(piece, corners.reshape(-1, 3), vertices), uv=uv[rows])
 
 
-def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
+def linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return linear RGB (N, 3); for the colours see :meth:`facerender.Mesh.from_arrays`."""
     rows = rows_of("colors", colors, (3, 4), count=count)[:, :3]
     dtype = np.asarray(colors).dtype
     if dtype in (np.uint8, np.uint16):
         return srgb_to_linear(rows / np.iinfo(dtype).max)
     if rows.min() < 0.0 or rows.max() > 1.0:
-        raise InputError(
-            f"colors range from {rows.min():.4g} to {rows.max():.4g}: give linear values in [0, 1] "
-            "or sRGB-encoded uint8"
-        )
+        remedy = "give linear values in [0, 1] or sRGB-encoded uint8"
+        raise InputError(f"colors range from {rows.min():.4g} to {rows.max():.4g}: {remedy}")
     return rows

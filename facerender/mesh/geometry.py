@@ -77,7 +77,7 @@ class Geometry:
     @cached_property
     def space(self) -> Space:
         """The renderer's space."""
-        return _space(self.bounds, self.radius)
+        return Space(tuple(self.bounds.mean(axis=0).tolist()), self.radius)
 
     @cached_property
     def token(self) -> object:
@@ -98,8 +98,7 @@ class Geometry:
     @cached_property
     def corners(self) -> Corners:
         """Corners of the faces, from which a pose computes its normals."""
-        arrays = ((part.positions, part.normals, part.faces) for part in self.parts)
-        return Corners.of(*zip(*arrays, strict=True))
+        return Corners.of(self.parts)
 
     @cached_property
     def mean_normals(self) -> list[Floats]:
@@ -109,7 +108,7 @@ class Geometry:
     @cached_property
     def closed(self) -> list[bool]:
         """For each part, whether it belongs to closed surfaces, see :func:`are_closed`."""
-        return are_closed([part.positions for part in self.parts], [p.faces for p in self.parts])
+        return are_closed(self.parts)
 
     @cached_property
     def setups(self) -> list[TriangleSetup]:
@@ -123,13 +122,9 @@ class Geometry:
         return {}
 
     @cached_property
-    def emitted(self) -> set[Any]:
-        """Hints that were emitted, of which each is emitted once."""
-        return set()
-
-    @cached_property
-    def hints(self) -> dict[str, Any]:
-        """Results of the last maps that hints examined; see :mod:`facerender.mesh.hints`."""
+    def hints(self) -> dict[Any, Any]:
+        """Results of the last maps that hints examined, and the hints that were emitted; see
+        :func:`facerender.mesh.hints.emit_all`."""
         return {}
 
 
@@ -147,19 +142,22 @@ class MeshPose:
 
     __getstate__ = parameters
 
+    def __post_init__(self) -> None:
+        _ = self.space  # refuses vertices that are too far away
+
     @cached_property
     def space(self) -> Space:
         """The renderer's space. Raises InputError if a vertex is too far from its centre."""
-        center, radius, _ = _space(self.bounds, self.geometry.radius)
+        center, radius = self.bounds.mean(axis=0), self.geometry.radius
         offsets = (part.positions - center for part in self.parts)
-        square = max(np.einsum("ij,ij->i", vectors, vectors).max() for vectors in offsets)
-        reach = math.sqrt(square) / radius
-        if reach > MOST_RADII:
-            raise InputError(
-                f"a vertex of {self.geometry.name} is {reach:.3g} mesh radii from the mesh's "
-                f"centre: give positions within {MOST_RADII:g}"
-            )
-        return Space(center, radius, reach if reach > 1.0 + 1e-9 else 1.0)
+        squares = [np.einsum("ij,ij->i", vectors, vectors).max() for vectors in offsets]
+        reach = math.sqrt(np.max(squares)) / radius
+        if not reach <= MOST_RADII:
+            distance = f"{reach:.3g} mesh radii from its centre"
+            remedy = f"give positions, weights, a clip or a time within {MOST_RADII:g} radii"
+            name = self.geometry.name
+            raise InputError(f"the pose moves vertices of {name} to {distance}: {remedy}")
+        return Space(tuple(center.tolist()), radius, reach if reach > 1.0 + 1e-9 else 1.0)
 
     @cached_property
     def token(self) -> object:
@@ -167,7 +165,7 @@ class MeshPose:
         return object()
 
     @cached_property
-    def levels(self) -> dict[int, MeshPose]:
+    def levels(self) -> dict[int, MeshPose | None]:
         """The pose of simplified geometries, by triangle limit; see :attr:`Geometry.levels`."""
         return {}
 
@@ -181,11 +179,6 @@ class MeshPose:
             geometry.setups[i] if stays and part is stored else TriangleSetup.of(part, self.space)
             for i, (part, stored) in enumerate(zip(self.parts, geometry.parts, strict=True))
         ]
-
-
-def _space(bounds: Floats, radius: float) -> Space:
-    x, y, z = (0.5 * (bounds[0] + bounds[1])).tolist()
-    return Space((x, y, z), radius)
 
 
 def _profile(positions: Floats) -> Floats:

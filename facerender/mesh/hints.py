@@ -30,20 +30,12 @@ _NEAR = 1.5  # largest ratio of an estimated unit and the unit that is meant, wi
 
 _MAP = 128  # largest side of the map's mip level that is compared with the mesh
 _NORMAL_MAP = 256  # largest side of the normal map's mip level that is examined
-_LEAST_FACES = 200  # minimum number of faces of the parts with one map
 _FACES, _VERTICES = 4096, 8192  # maximum numbers of examined faces and vertices
-_HASH = np.array([0.7548776662466927, 0.5698402909980532, 0.4301597090019468])
-_LEAST_SEAM = 100  # minimum number of vertex pairs on seams
 _APART = 0.02  # minimum distance between texture coordinates on the two sides of a seam
-
-_FAINT = 0.1  # a highlight below this fraction of the highlight of default skin is invisible
-
-_Hint = Callable[..., str | None]
 
 
 def gloss_of(material: Material) -> tuple[Any, ...]:
-    """Return the values of a highlight, for :attr:`Geometry.gloss`: highlights that a user sets get
-    no hint."""
+    """Return the values of a highlight, for :attr:`Geometry.gloss`."""
     return material.ks, material.f0, material.m, material.roughness_map
 
 
@@ -54,19 +46,18 @@ def emit_all(mesh: Mesh) -> None:
     results = mesh.geometry.hints
     if results.get("maps") != maps:
         results |= {"maps": maps, "lines": [(h, h(mesh)) for h in (upside_down, green_down)]}
-    for hint, line in results["lines"]:
+    for hint, line in (*results["lines"], (no_ks, no_ks(mesh))):
         emit(mesh, hint, line)
-    emit(mesh, no_ks, no_ks(mesh))
     gloss = mesh.geometry.gloss
     if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
         emit(mesh, faint, faint(mesh))
 
 
-def emit(mesh: Mesh, hint: _Hint, line: str | None) -> None:
+def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
     """Emit the result of a hint: as a warning once for each mesh, and for each image that records
     its warnings."""
     if line is not None:
-        emitted = mesh.geometry.emitted
+        emitted = mesh.geometry.hints.setdefault("emitted", set())
         (note if hint in emitted else warn)(line)
         emitted.add(hint)
 
@@ -90,7 +81,7 @@ def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
     best = 0.0, 0.0
     for texture, pieces in _mapped(mesh).items():
         image = _preview(texture, _MAP, decode)
-        few = sum(len(part.faces) for part, _ in pieces) < _LEAST_FACES
+        few = sum(len(part.faces) for part, _ in pieces) < 200
         if few or image is None or min(image.shape[:2]) < 32:
             continue
         for original, reverse in _agreements(pieces, image):
@@ -136,18 +127,16 @@ def _sample(pieces: _Pieces) -> tuple[Float, Float, Float]:
     """Return the texture coordinates (F, 2) of the centres of some faces, the areas of the faces,
     and their curvature: difference of the vertex normals / size of the face."""
     step = -(-sum(len(part.faces) for part, _ in pieces) // _FACES) or 1
-    centers, areas, curvature = [], [], []
+    samples = []
     for part, uv in pieces:
         faces = part.faces[::step]
-        a, b, c = (part.positions[corner] for corner in faces.T)
-        area = np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
+        area = double_areas(part.positions[faces])
         faces, area = faces[area > 0.0], area[area > 0.0]
         a, b, c = (part.normals[corner] for corner in faces.T)
         turns = sum(np.sqrt(((i - j) ** 2).sum(axis=1)) for i, j in ((a, b), (b, c), (c, a)))
-        centers.append((uv[faces[:, 0]] + uv[faces[:, 1]] + uv[faces[:, 2]]) / 3.0)
-        areas.append(area)
-        curvature.append(turns / np.sqrt(area))
-    return np.concatenate(centers), np.concatenate(areas), np.concatenate(curvature)
+        samples.append((uv[faces].sum(axis=1) / 3.0, area, turns / np.sqrt(area)))
+    centers, areas, curvature = map(np.concatenate, zip(*samples, strict=True))
+    return centers, areas, curvature
 
 
 def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
@@ -156,27 +145,27 @@ def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tupl
     centers, _, curvature = faces
     if not len(curvature) or np.ptp(curvature) == 0.0:
         return 0.0, 0.0
-    detail, curvature_ranks = _contrast(image), _ranks(curvature)
+    detail, ranks = _contrast(image), _ranks(curvature)
     for axis in (0, 1):
         detail = detail + np.roll(detail, 1, axis) + np.roll(detail, -1, axis)
-    original, reverse = (_ranks(_texels(detail, uv)) for uv in _both(centers))
-    return _correlation(curvature_ranks, original), _correlation(curvature_ranks, reverse)
+    original, reverse = (_correlation(ranks, _ranks(_texels(detail, uv))) for uv in _both(centers))
+    return original, reverse
 
 
 def _seam_colours(pieces: _Pieces, image: NDArray[np.uint8]) -> tuple[float, float]:
     """Return the correlation of the colours on the two sides of seams, and the same with reversed
     v. Both are 0 if the larger correlation has no smaller difference of colour."""
     left, right = np.concatenate([_seams(part.positions, uv) for part, uv in pieces], axis=1)
-    if len(left) < _LEAST_SEAM:
+    if len(left) < 100:
         return 0.0, 0.0
-    correlations, jumps = [], []
+    results = []
     for sides in zip(_both(left), _both(right), strict=True):
         a, b = (_texels(image, uv).astype(np.float64) for uv in sides)
-        jumps.append(float(np.abs(a - b).mean()))
         middle = (a + b).mean(axis=0) / 2.0
-        correlations.append(_correlation(a - middle, b - middle))
-    best = int(correlations[1] > correlations[0])
-    return (correlations[0], correlations[1]) if 1.3 * jumps[best] < jumps[1 - best] else (0.0, 0.0)
+        results.append((_correlation(a - middle, b - middle), float(np.abs(a - b).mean())))
+    (original, jump), (reverse, reverse_jump) = results
+    smaller, larger = (reverse_jump, jump) if reverse > original else (jump, reverse_jump)
+    return (original, reverse) if 1.3 * smaller < larger else (0.0, 0.0)
 
 
 def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
@@ -193,7 +182,7 @@ def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> 
 
 def _seams(positions: Float, uv: Float) -> Float:
     """Return the texture coordinates (2, S, 2) of vertices with equal positions."""
-    hashes = positions @ _HASH
+    hashes = positions @ (0.7548776662466927, 0.5698402909980532, 0.4301597090019468)
     order = np.arange(len(hashes))
     if len(order) > _VERTICES:  # a choice by position keeps both sides of a seam
         scaled = hashes * (1e4 / (np.ptp(hashes) or 1.0))
@@ -248,9 +237,9 @@ def green_down(mesh: Mesh, decode: bool = False) -> str | None:
 
     decode : as for :func:`upside_down`
     """
-    for texture in dict.fromkeys(material.normal_map for material in mesh.materials):
-        image = None if texture is None else _preview(texture, _NORMAL_MAP, decode)
-        if texture is None or image is None or min(image.shape[:2]) < 32:
+    for texture in dict.fromkeys(m.normal_map for m in mesh.materials if m.normal_map):
+        image = _preview(texture, _NORMAL_MAP, decode)
+        if image is None or min(image.shape[:2]) < 32:
             continue
         normals = image.astype(np.float32) - np.float32(127.5)
         p, q = np.moveaxis(normals[..., :2] / normals[..., 2:].clip(20.0), -1, 0)
@@ -280,20 +269,16 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     decode : as for :func:`upside_down`
     """
     skin = Material()
-    threshold = _FAINT * skin.ks * skin.f0 / skin.m**2
+    threshold = 0.1 * skin.ks * skin.f0 / skin.m**2  # a highlight below it is invisible
     pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
-    dull = []
-    for i, (part, material) in enumerate(pairs):
-        m = _least_slope(part, material, decode)
-        if 0.0 < material.ks * material.f0 < threshold * m**2:
-            dull.append((i, material.ks, m))
+    slopes = [(material, _least_slope(part, material, decode)) for part, material in pairs]
+    dull = [i for i, (mat, m) in enumerate(slopes) if 0.0 < mat.ks * mat.f0 < threshold * m**2]
     if not dull:
         return None
     areas = [float(double_areas(part.positions[part.faces]).sum()) for part, _ in pairs]
-    weak = [(areas[i], ks, m) for i, ks, m in dull]
-    if sum(area for area, *_ in weak) < 0.5 * sum(areas):
+    if sum(areas[i] for i in dull) < 0.5 * sum(areas):
         return None
-    _, ks, m = max(weak)
+    _, ks, m = max((areas[i], slopes[i][0].ks, slopes[i][1]) for i in dull)
     remedies = [f"--ks {skin.ks:g}"] * (ks < 0.5) + [f"--m {skin.m:g}"] * (m > 2.0 * skin.m)
     return (
         f"{mesh.name} has no visible highlight with ks {ks:.2g} and m {m:.2g}: give "
@@ -306,18 +291,16 @@ def no_ks(mesh: Mesh) -> str | None:
     pairs = zip(mesh.parts, mesh.materials, strict=True)
     if not any(p.ks_ignored and not p.preset and m.ks == Material.ks for p, m in pairs):
         return None
-    return (
-        f"{mesh.name} has Ks 0 in its MTL, which many exporters write by default: drawn with the "
-        "highlights of skin; pass --ks 0 for none"
-    )
+    cause = f"{mesh.name} has Ks 0 in its MTL, which many exporters write by default"
+    return f"{cause}: drawn with the highlights of skin; pass --ks 0 for none"
 
 
 def _least_slope(part: Part, material: Material, decode: bool) -> float:
     """Return the smallest m of a part over both lobes; 0 if the roughness map is not decoded."""
-    m, texture = material.m, material.roughness_map
-    if texture is not None and coordinates(part, material, "roughness_map") is not None:
+    m = material.m
+    if material.roughness_map and coordinates(part, material, "roughness_map") is not None:
         packed = material.property_map
-        image = _preview(packed or texture, _MAP, decode)
+        image = _preview(packed or material.roughness_map, _MAP, decode)
         if image is None:
             return 0.0
         m = (material.roughness_factor * image[..., 1 if packed else 0].min() / 255.0) ** 2
@@ -346,9 +329,7 @@ def millimetres_of(mesh: Mesh) -> float | None:
     head is 230 mm high, otherwise that length. None for a mesh without height, and for a length
     that the mesh cannot have."""
     height = _head(mesh)
-    if not height > 0.0:
-        return None
-    length = HEAD / height
+    length = HEAD / height if height > 0.0 else 0.0
     if length not in range_of(Geometry, "millimetres"):
         return None
     usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
@@ -371,10 +352,9 @@ def wrong_unit(mesh: Mesh) -> str | None:
     if _HEADS[0] <= height <= _HEADS[1]:
         return None
     length = millimetres_of(mesh)
-    return (
-        f"the head of {mesh.name} is {height:g} mm high if its unit is {mesh.millimetres:g} mm: "
-        f"{SCALE if length is None else f'give {option(length)}'}"
-    )
+    remedy = SCALE if length is None else f"give {option(length)}"
+    size = f"{height:g} mm high if its unit is {mesh.millimetres:g} mm"
+    return f"the head of {mesh.name} is {size}: {remedy}"
 
 
 def _head(mesh: Mesh) -> float:
@@ -385,9 +365,7 @@ def _head(mesh: Mesh) -> float:
 
 
 def no_shadows(environment: bool) -> str:
-    """Return the hint that shadows are asked for in a scene without lights.
-
-    environment : whether the scene has an environment map
-    """
+    """Return the hint that shadows are asked for in a scene without lights, but perhaps with an
+    environment map."""
     cause = "an environment map casts no shadows" if environment else "the scene has no lights"
     return f"--shadows has no effect, because {cause}: give --occlusion or a --light"

@@ -6,15 +6,15 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_type, each_of, parameters, shown, warn
-from facerender.material import Alpha, Material, changed, check_maps, without_effect
-from facerender.mesh.arrays import piece_of, unit_or
+from facerender.errors import InputError, check_type, each_of, number_of, parameters, shown, warn
+from facerender.material import MAPS, Alpha, Material, changed, check_maps, without_effect
+from facerender.mesh.arrays import indices_of, linear_colors, split_at_seams, unit_or
 from facerender.mesh.geometry import Geometry, MeshPose
 from facerender.mesh.part import Part, Region, Space
 from facerender.mesh.repair import Piece, clean, unique, used
@@ -60,10 +60,9 @@ class Mesh:
     __getstate__ = parameters
 
     def __repr__(self) -> str:
-        count = len(self.parts)
         triangles = sum(len(part.faces) for part in self.parts)
-        parts = f"{count} part{'s' * (count > 1)}, {triangles} triangles"
-        return f"<Mesh {self.name!r}, {parts}, radius {self.radius:.4g}>"
+        counts = f"{number_of(len(self.parts), 'part')}, {triangles} triangles"
+        return f"<Mesh {self.name!r}, {counts}, radius {self.radius:.4g}>"
 
     @classmethod
     def of(
@@ -76,15 +75,14 @@ class Mesh:
         """Return a mesh in the reference pose, in which ``double_sided`` of the materials is set.
         Parts that share a material share the result, unless only one of them is closed."""
         geometry = Geometry.of(name, parts, millimetres)
-        variants: dict[tuple[Material, bool], Material] = {}
-        sided = list(materials)
-        for i, material in enumerate(materials):
-            if material.double_sided is None:
-                key = material, geometry.closed[i]
-                if key not in variants:
-                    variants[key] = replace(material, double_sided=not geometry.closed[i])
-                sided[i] = variants[key]
-        return cls(geometry, tuple(sided))
+
+        @cache
+        def sided(material: Material, closed: bool) -> Material:
+            return replace(material, double_sided=not closed)
+
+        pairs = enumerate(materials)
+        complete = (sided(m, geometry.closed[i]) if m.double_sided is None else m for i, m in pairs)
+        return cls(geometry, tuple(complete))
 
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
@@ -92,10 +90,9 @@ class Mesh:
         piece without a name is numbered, unless it is the only one: the third is ``part3``."""
         several = len(pieces) > 1
         names = (piece.name or f"part{i}" * several for i, piece in enumerate(pieces, 1))
-        shared = {field.name for field in fields(Part)} & {field.name for field in fields(Piece)}
         parts = []
         for piece, part_name in zip(pieces, unique(names), strict=True):
-            values = {name: getattr(piece, name) for name in shared}
+            values: dict[str, Any] = {f.name: getattr(piece, f.name, None) for f in fields(Part)}
             faces = np.ascontiguousarray(piece.faces, dtype=np.uint32)
             parts.append(Part(**values | {"faces": faces, "name": part_name}))
         return cls.of(name, parts, [piece.material for piece in pieces], millimetres)
@@ -139,8 +136,27 @@ class Mesh:
             maps without texture coordinates
         """
         check_type("name of a mesh", name, str, "text")
-        piece = piece_of(positions, faces, uv, uv_faces, normals, colors, material)
-        piece.name = name
+        check_type("material", material, Material | None, "a facerender.Material or None")
+        places = rows_of("positions", positions, (3,))
+        count = len(places)
+        hint = "; cut polygons into triangles"
+        corners = indices_of("faces", faces, count, "vertex", "a face uses vertex", hint)
+        if material is None:
+            material = Material() if colors is None else Material(albedo=(1.0, 1.0, 1.0))
+        maps = [name for name in MAPS if getattr(material, name) is not None]
+        if uv is None and maps:
+            raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
+        if uv is None and uv_faces is not None:
+            raise InputError("uv_faces without uv: give uv as well")
+        piece = Piece(places, corners, material=material, name=name)
+        if normals is not None:
+            piece.normals = rows_of("normals", normals, (3,), count=count)
+        if colors is not None:
+            piece.colors = linear_colors(colors, count)
+        if uv is not None and uv_faces is not None:
+            piece = split_at_seams(piece, rows_of("uv", uv, (2,)), uv_faces)
+        elif uv is not None:
+            piece.uv = rows_of("uv", uv, (2,), count=count)
         with np.errstate(all="ignore"):  # clean() drops faces that cause overflow
             return cls.assembled(clean([piece], name), name, millimetres)
 
@@ -158,9 +174,7 @@ class Mesh:
         ------
         InputError : no part matches a name, or no part remains
         """
-        names, hidden = names_of("parts", parts), names_of("hide", hide)
-        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
-        remaining = sorted(chosen - {i for name in hidden for i in self.called(name)})
+        remaining = sorted(self._chosen(parts) - self._named("hide", hide))
         if not remaining:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(remaining) == len(self.parts):
@@ -171,7 +185,13 @@ class Mesh:
         geometry = replace(mesh.geometry, rotation=self.geometry.rotation)
         posed = tuple(self.parts[i] for i in remaining)
         pose = self.pose and MeshPose(geometry, posed, geometry.bounds)
-        return replace(mesh, geometry=geometry, pose=pose)
+        return Mesh(geometry, mesh.materials, pose)
+
+    def _named(self, option: str, names: str | Iterable[str]) -> set[int]:
+        return {i for name in names_of(option, names) for i in self.called(name)}
+
+    def _chosen(self, names: str | Iterable[str]) -> set[int]:
+        return self._named("parts", names) or {*range(len(self.parts))}
 
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
@@ -284,10 +304,8 @@ class Mesh:
         ------
         InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
-        names = names_of("parts", parts)
-        chosen = {i for name in names for i in self.called(name)} or {*range(len(self.parts))}
         table = changes if preset is None else {"preset": preset, **changes}
-        return self._changed(chosen, table)
+        return self._changed(self._chosen(parts), table)
 
     def with_skin(self, **changes: Any) -> Mesh:
         """Return a copy of the mesh in which ``changes`` replace fields of the skin's materials;
@@ -321,25 +339,21 @@ class Mesh:
         -----
         FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
         """
-        places = _rows_of_parts(self, "positions", positions)
-        part_normals = _rows_of_parts(self, "normals", normals)
-        with np.errstate(all="ignore"):  # MeshPose refuses positions that cause overflow
+        arrays = {"positions": positions, "normals": normals}
+        columns = [_rows_of_parts(self, *pair) for pair in arrays.items()]
+        with np.errstate(all="ignore"):  # moved() refuses positions that cause overflow
             if (rotation := self.geometry.rotation) is not None:
-                places, part_normals = (
-                    [None if row is None else row @ rotation.T for row in rows]
-                    for rows in (places, part_normals)
-                )
-            return moved(self, places, part_normals)
+                columns = [[r if r is None else r @ rotation.T for r in rows] for rows in columns]
+        return moved(self, *columns)
 
     def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
-        updates = {i: changed(self.materials[i], changes) for i in chosen}
+        old = {i: self.materials[i] for i in chosen}
+        updates = {i: changed(material, changes) for i, material in old.items()}
         unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
         asked = [key for key, value in unused.items() if changes.get(key, value) != value]
         if asked and not any(material.two_lobes for material in updates.values()):
             warn_of_one_lobe(self.name, asked[0])
-        for fault in without_effect(
-            changes, [self.materials[i] for i in updates], [*updates.values()]
-        ):
+        for fault in without_effect(changes, old.values(), updates.values()):
             warn(f"{fault}: give both for a part of {self.name}")
         materials = tuple(updates.get(i, material) for i, material in enumerate(self.materials))
         return replace(self, materials=materials)
@@ -407,8 +421,7 @@ def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
-    """Return a part's texture coordinates for the named map. None means that the part has none;
-    the map is then ignored."""
+    """Return a part's texture coordinates for the named map; None: the map is ignored."""
     return part.uv2 if material.by_second(name) else part.uv
 
 
@@ -474,55 +487,46 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
     if isinstance(values, Mapping):
         by_index = {i: array for key, array in values.items() for i in mesh.called(str(key))}
         values = [by_index.get(i) for i in range(len(parts))]
-    if isinstance(values, list | tuple) and all(
-        array is None or np.ndim(array) == 2 for array in values
-    ):
-        if len(values) != len(parts):
-            remedy = f"give {len(parts)}, one for each part of {mesh.name}"
-            raise InputError(f"{name} has {len(values)} arrays: {remedy}")
-        return [
-            None if array is None else _of_part(f"{name} of {part.name or mesh.name}", array, part)
-            for array, part in zip(values, parts, strict=True)
-        ]
-    rows: Floats = rows_of(name, values, (3,))
+    several = isinstance(values, list | tuple)
+    if not several or not all(array is None or np.ndim(array) == 2 for array in values):
+        return [*_split(name, values, parts, mesh.name)]
+    if len(values) != len(parts):
+        remedy = f"give {len(parts)}, one for each part of {mesh.name}"
+        raise InputError(f"{name} has {len(values)} arrays: {remedy}")
+    named = [(part, part.name or mesh.name) for part in parts]
+    return [
+        None if array is None else _split(f"{name} of {label}", array, [part], label)[0]
+        for array, (part, label) in zip(values, named, strict=True)
+    ]
+
+
+def _split(name: str, array: Any, parts: Sequence[Part], owner: str) -> list[Floats]:
+    """Return the rows of an array for each part. The array has a row for each vertex of all parts
+    in order, or for each vertex of their file."""
+    rows = rows_of(name, array, (3,))
     counts = [len(part.positions) for part in parts]
     sources = {part.source_count for part in parts if part.sources is not None}
-    if len(rows) in sources and len(sources) == 1:
-        return [
-            rows[:count] if part.sources is None else rows[part.sources]
-            for part, count in zip(parts, counts, strict=True)
-        ]
+    if sources == {len(rows)}:
+        return [rows[: len(p.positions)] if p.sources is None else rows[p.sources] for p in parts]
     if len(rows) != sum(counts):
         expected = " or ".join(map(str, dict.fromkeys((*sources, sum(counts)))))
-        remedy = f"give {expected}, one for each vertex of {mesh.name}"
+        remedy = f"give {expected}, one for each vertex of {owner}"
         raise InputError(f"{name} has {len(rows)} rows: {remedy}")
-    return list(np.split(rows, np.cumsum(counts)[:-1]))
+    return np.split(rows, np.cumsum(counts)[:-1])
 
 
-def _of_part(name: str, array: Any, part: Part) -> NDArray[np.float64]:
-    rows: Floats = rows_of(name, array, (3,))
-    if part.sources is not None and len(rows) == part.source_count:
-        return np.asarray(rows[part.sources])
-    if len(rows) != (count := len(part.positions)):
-        raise InputError(f"{name} has {len(rows)} rows: give {count}, one for each vertex")
-    return rows
-
-
+@np.errstate(all="ignore")  # MeshPose refuses positions that cause overflow
 def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floats | None]) -> Mesh:
     """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
 
-    Parameters
-    ----------
     positions : finite positions (N, 3) of each part; None for a part that stays as it is
     normals : finite normals (N, 3) of each part; None to compute them. A vector of length 0 is
         replaced by the normal of the reference pose
     """
     geometry = mesh.geometry
     if any(part.occlusion is not None for part in geometry.parts):
-        warn(
-            f"the baked occlusion of {mesh.name} remains that of the reference pose: bake it "
-            "for each pose with facerender.with_occlusion, or leave it out"
-        )
+        remedy = "bake it for each pose with facerender.with_occlusion, or leave it out"
+        warn(f"the baked occlusion of {mesh.name} remains that of the reference pose: {remedy}")
     pairs = zip(mesh.parts, positions, strict=True)
     filled = [part.positions if rows is None else rows for part, rows in pairs]
     if any(rows is not None and n is None for rows, n in zip(positions, normals, strict=True)):
@@ -535,13 +539,7 @@ def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floa
             rows = filled[i] if mask is None else np.where(mask, filled[i], mesh.center)
             unit_normals = unit_or(sums[i] if normal is None else normal, stored.normals)
             parts[i] = replace(stored, positions=rows, normals=unit_normals)
-    return _in_pose(mesh, tuple(parts), mesh.bounds)
-
-
-def _in_pose(mesh: Mesh, parts: tuple[Part, ...], bounds: Floats) -> Mesh:
-    pose = MeshPose(mesh.geometry, parts, bounds)
-    _ = pose.space  # refuses vertices that are too far away
-    return replace(mesh, pose=pose)
+    return replace(mesh, pose=MeshPose(geometry, tuple(parts), mesh.bounds))
 
 
 def tracked(mesh: Mesh) -> Mesh:
@@ -556,13 +554,12 @@ def tracked(mesh: Mesh) -> Mesh:
         return mesh
     head = geometry.regions["head"]
     assert head is not None
-    of_head, steps = [], []
-    for part, stored in zip(mesh.parts, geometry.parts, strict=True):
-        mask = used(stored.positions, stored.faces)
-        offsets = np.abs(geometry.space.normalised(stored.positions[mask]) - head.center)
-        across = np.hypot(offsets[:, 0], offsets[:, 2])
-        of_head.append((across <= head.radius) & (offsets[:, 1] <= head.height))
-        steps.append((part.positions - stored.positions)[mask])
-    step, inside = np.concatenate(steps), np.concatenate(of_head)
-    step = np.median(step[inside] if inside.any() else step, axis=0)
-    return _in_pose(mesh, mesh.parts, geometry.bounds + step)
+    masks = [used(part.positions, part.faces) for part in geometry.parts]
+    before, after = (
+        np.concatenate([part.positions[mask] for part, mask in zip(parts, masks, strict=True)])
+        for parts in (geometry.parts, mesh.parts)
+    )
+    across, up, along = np.abs(geometry.space.normalised(before) - head.center).T
+    inside = (np.hypot(across, along) <= head.radius) & (up <= head.height)
+    step = np.median((after - before)[inside if inside.any() else ...], axis=0)
+    return replace(mesh, pose=MeshPose(geometry, mesh.parts, geometry.bounds + step))

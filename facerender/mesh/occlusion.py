@@ -56,9 +56,8 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
     solid = [drawn_alpha(*pair) == "opaque" and not pair[1].transmission for pair in pairs]
     bare = [
-        is_solid
-        and (material.occlusion_map is None or coordinates(part, material, "occlusion_map") is None)
-        for is_solid, (part, material) in zip(solid, pairs, strict=True)
+        is_solid and not (m.occlusion_map and coordinates(part, m, "occlusion_map") is not None)
+        for is_solid, (part, m) in zip(solid, pairs, strict=True)
     ]
     if not any(bare):
         warn(f"{mesh.name} has occlusion maps for all opaque parts: no occlusion is baked")
@@ -79,12 +78,9 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     return Mesh(geometry, mesh.materials, pose)
 
 
-def _values(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], cache: bool
-) -> NDArray[np.float64]:
-    """Return the occlusion of vertices, given as rows (N, 6) of position and normal. Vertices that
-    no face uses get 1. If ``cache`` is true, results are read from and written to the disk cache.
-    """
+def _values(vertices: NDArray[np.float64], faces: Numbers, cache: bool) -> NDArray[np.float64]:
+    """Return the occlusion of vertices, given as rows (N, 6) of position and normal, with the disk
+    cache if ``cache`` is true. Vertices that no face uses get 1."""
     facts = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
     name = digest_of(facts, vertices.data, faces.data) if cache else ""
     if cache and (content := disk_cache.read("occlusion", name)) is not None:

@@ -24,7 +24,7 @@ class Space(NamedTuple):
     reach : radius of a sphere around all vertices of a pose, in the renderer's space; at least 1
     """
 
-    center: tuple[float, float, float]
+    center: tuple[float, ...]
     radius: float
     reach: float = 1.0
 

@@ -13,12 +13,13 @@ from facerender.errors import InputError, check_range, check_type, clipped, show
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
 from facerender.mesh.rig import Clip, Moves, Rig
-from facerender.values.vectors import MOST_RADII, ROTATIONS, SHAPE_WEIGHTS, unit
+from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS, unit
 
 Float = NDArray[np.float64]
 _Rows = list[Float | None]
 
 
+@np.errstate(all="ignore")  # MeshPose refuses positions that cause overflow
 def posed(
     rest: Geometry,
     weights: Mapping[str, float] | None,
@@ -27,13 +28,7 @@ def posed(
     time: float | None,
 ) -> tuple[_Rows, _Rows]:
     """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
-    pose. The normals have any length.
-
-    Parameters
-    ----------
-    rest : the parts in the reference pose
-    weights, joints, clip, time : see :meth:`Mesh.with_pose`
-    """
+    pose. The normals have any length. For the pose see :meth:`Mesh.with_pose`."""
     skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
     if skeleton is None:
         remedy = "give a glTF file with a rig, or leave out the pose"
@@ -51,8 +46,7 @@ def posed(
     for name, angles in rotations.items():
         if any(angles):
             moves.setdefault(known[name], {})["angles"] = angles
-    with np.errstate(all="ignore"):
-        return _evaluated(rest, skeleton.worlds(moves), overrides, moves)
+    return _evaluated(rest, skeleton.worlds(moves), overrides, moves)
 
 
 def _checked(
@@ -132,13 +126,6 @@ def _posed(
     except ValueError as error:
         name = geometry.name
         raise InputError(f"a shape of {name} is damaged ({error}); export it again") from None
-    drawn = places if part.drawn is None else places[part.drawn[:, 0]]
-    reach = float(np.abs(drawn - geometry.space.center).max()) / geometry.radius
-    if not reach <= MOST_RADII:
-        raise InputError(
-            f"the pose moves vertices of {geometry.name} to {reach:.3g} mesh radii from its "
-            f"centre: give weights, a clip or a time within {MOST_RADII:g} radii"
-        )
     if normals is None:
         return places, part.normals
     if not np.isfinite(normals).all():
@@ -156,8 +143,8 @@ def _following(
     behind : positions of the same pose in which these shapes have their stored weights, keyed by
         the part's index; other parts have the same positions
     """
-    stored = [part.positions for part in geometry.parts]
-    moved = [a if b is None else b for a, b in zip(stored, positions, strict=True)]
+    pairs = zip(geometry.parts, positions, strict=True)
+    moved = [part.positions if places is None else places for part, places in pairs]
     lagging = [behind.get(number, places) for number, places in enumerate(moved)]
     means = (_mean_normals(geometry, pose) for pose in (moved, lagging))
     new_normals: _Rows = []

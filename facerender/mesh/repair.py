@@ -14,42 +14,41 @@ from facerender.material import Material
 from facerender.values.vectors import transformed
 
 if TYPE_CHECKING:
+    from facerender.mesh.part import Part
     from facerender.mesh.rig import Rig
+
+Float = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
 # products of areas with positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
-_MOST_UV = 1e6  # largest texture coordinate; float32 fails to resolve texels at far smaller values
 _CURVE_BITS = 10  # for each axis of the curve that orders faces
 _MOST_PIECES = 1024  # limit, because every part needs a draw call in each pass
-# Distance from the median position: minimum for an outlier / 90 % quantile over all vertices.
-_FAR = 32.0
 
 VERTEX_ARRAYS = ("positions", "normals", "uv", "uv2", "colors")
 
 
 @dataclass
 class Piece:
-    """A part before repair. Normals may be missing and faces may be bad.
+    """A :class:`Part` before repair. Normals may be missing and faces may be bad.
 
     out_of_range : number of faces that the loader dropped for invalid vertex indices
     name : name from the file; not necessarily unique
     material_name : name of the material in the file, or ""
-    head, skin, sources, source_count, rig, preset, ks_ignored : see
-        :class:`facerender.mesh.mesh.Part`
     """
 
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64] | None = None
-    uv: NDArray[np.float64] | None = None
-    colors: NDArray[np.float64] | None = None
+    positions: Float
+    faces: Integers
+    normals: Float | None = None
+    uv: Float | None = None
+    colors: Float | None = None
     material: Material = Material()
     out_of_range: int = 0
     name: str = ""
-    uv2: NDArray[np.float64] | None = None
+    uv2: Float | None = None
     material_name: str = ""
-    head: NDArray[np.float64] | None = None
+    head: Float | None = None
     skin: bool = True
     sources: NDArray[np.integer] | None = None
     source_count: int = 0
@@ -58,7 +57,7 @@ class Piece:
     ks_ignored: bool = False
 
 
-def in_space_order(faces: NDArray[np.int64], positions: NDArray[np.float64]) -> NDArray[np.int64]:
+def in_space_order(faces: Integers, positions: Float) -> Integers:
     """Return faces in an order in which most faces are near the previous face. Faces in random
     order take up to 20 % more time to draw, because drivers transform shared vertices again.
 
@@ -97,7 +96,7 @@ def check_count(count: int, name: str) -> None:
         raise InputError(f"{name} has more than {_MOST_PIECES} parts with materials: join some")
 
 
-def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
+def placed(piece: Piece, transform: Float) -> Piece:
     """Return a piece transformed by a matrix (4, 4)."""
     positions, normals, mirrored = transformed(piece.positions, piece.normals, transform)
     faces = piece.faces[:, ::-1] if mirrored else piece.faces
@@ -107,8 +106,6 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
 def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Piece:
     """Return a piece with other faces and copies of its vertices.
 
-    Parameters
-    ----------
     faces : (F, 3), indices into ``vertices``
     vertices : (N,), indices of vertices of the piece; an index may occur more than once
     """
@@ -125,7 +122,7 @@ def subset(piece: Piece, mask: NDArray[np.bool_]) -> Piece:
     return replace(with_faces(piece, inverse.reshape(-1, 3), vertices), out_of_range=0)
 
 
-def with_face_colors(piece: Piece, colors: NDArray[np.float64]) -> Piece:
+def with_face_colors(piece: Piece, colors: Float) -> Piece:
     """Return a piece with a colour (F, 3) for each face: faces share a vertex only if they have the
     same colour."""
     palette, numbers = np.unique(colors, axis=0, return_inverse=True)
@@ -154,12 +151,12 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     return pieces
 
 
-def _corners(piece: Piece) -> NDArray[np.float64]:
+def _corners(piece: Piece) -> Float:
     """Return the positions of the faces' corners, (F, 3, 3)."""
     return np.take(piece.positions, piece.faces, axis=0)  # twice as fast as positions[faces]
 
 
-def joined(groups: NDArray[np.integer], count: int) -> NDArray[np.int64]:
+def joined(groups: NDArray[np.integer], count: int) -> Integers:
     """Return a label for each index below `count`. Indices of one row of `groups`, (N, K), share a
     label: the lowest index of their connected component."""
     labels = np.arange(count)
@@ -174,19 +171,15 @@ def joined(groups: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     return labels
 
 
-def are_closed(
-    positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
-) -> list[bool]:
+def are_closed(parts: Sequence[Part]) -> list[bool]:
     """Return, for each part, whether no back face of it is visible from outside.
 
     These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
     surface may have several parts.
-
-    positions, faces : (N, 3) and (F, 3) for each part
     """
-    everywhere, joint, welded, _ = stacked(positions, faces)
-    owners = np.repeat(np.arange(len(faces)), [len(part) for part in faces])
-    corners, places = welded[joint], everywhere[joint]
+    positions, faces, welded, _ = stacked(parts)
+    owners = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+    corners, places = welded[faces], positions[faces]
     count = int(corners.max()) + 1
     endpoints = corners, corners[:, [1, 2, 0]]
     edges, backwards = ((a * count + b).ravel() for a, b in (endpoints, endpoints[::-1]))
@@ -194,34 +187,34 @@ def are_closed(
     index = np.searchsorted(unique_edges, backwards).clip(max=len(unique_edges) - 1)
     turned = np.where(unique_edges[index] == backwards, counts[index], 0)
     at_hole = (turned != counts[kind]).reshape(-1, 3).any(axis=1)
-    users = np.unique(corners.ravel() * len(faces) + np.repeat(owners, 3))
-    vertices, parts = np.divmod(users, len(faces))
-    pairs = np.stack([parts[:-1], parts[1:]], axis=1)[vertices[:-1] == vertices[1:]]
-    label = joined(pairs, len(faces))
+    users = np.unique(corners.ravel() * len(parts) + np.repeat(owners, 3))
+    vertices, numbers = np.divmod(users, len(parts))
+    pairs = np.stack([numbers[:-1], numbers[1:]], axis=1)[vertices[:-1] == vertices[1:]]
+    label = joined(pairs, len(parts))
     volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
-    inwards = np.bincount(label[owners], volumes, len(faces)) < 0.0
-    has_hole = np.bincount(label[owners], at_hole, len(faces)) > 0.0
+    inwards = np.bincount(label[owners], volumes, len(parts)) < 0.0
+    has_hole = np.bincount(label[owners], at_hole, len(parts)) > 0.0
     return list((~inwards & ~has_hole)[label])
 
 
-def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
+def used(positions: Float, faces: NDArray[Any]) -> NDArray[np.bool_]:
     """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
     mask = np.zeros(len(positions), dtype=bool)
     mask[faces] = True
     return mask
 
 
-def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _face_normals(corners: Float) -> Float:
     """Return normals of triangles (F, 3, 3). Each normal's length is twice the triangle's area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def double_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def double_areas(corners: Float) -> Float:
     """Return the doubled areas (F,) of triangles (F, 3, 3)."""
     return np.asarray(np.linalg.norm(_face_normals(corners), axis=1))
 
 
-def _outwardness(corners: NDArray[np.float64]) -> float:
+def _outwardness(corners: Float) -> float:
     """Return the area-weighted mean cosine between face normals and directions from the mesh's
     centre to the faces. The mean is near 1 for a closed head or an open mask, and near -1 if
     the mesh is inside out."""
@@ -283,7 +276,7 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     middle = np.median(drawn, axis=0)
     distances = np.linalg.norm(drawn - middle, axis=1)
     near = float(np.quantile(distances, 0.9, method="lower"))
-    far = distances > max(_FAR * near, _TINY)
+    far = distances > max(32.0 * near, _TINY)
     if far.any():
         x, y, z = drawn[np.argmax(distances)]
         warn(
@@ -299,7 +292,7 @@ def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
     for piece in pieces:
         for key in ("uv", "uv2"):
             if (uv := getattr(piece, key)) is not None:
-                bad = ~np.asarray((np.abs(uv) <= _MOST_UV).all(axis=1))
+                bad = ~(np.abs(uv) <= 1e6).all(axis=1)  # float32 resolves no texels at far less
                 if bad.any():
                     count += int((bad & used(piece.positions, piece.faces)).sum())
                     setattr(piece, key, np.where(bad[:, None], 0.0, uv))
@@ -315,8 +308,11 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
             length = np.linalg.norm(piece.normals, axis=1)
             good: NDArray[np.bool_] = np.isfinite(length) & (length > 0.0)
             if good[piece.faces].all():
-                piece.normals = piece.normals / np.where(good, length, 1.0)[:, None]
-                _wind_by_normals(piece)
+                normals = piece.normals = piece.normals / np.where(good, length, 1.0)[:, None]
+                # Reverse the winding of each face that faces away from its vertices' normals.
+                a, b, c = (np.take(normals, corner, axis=0) for corner in piece.faces.T)
+                away = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1) < 0.0
+                piece.faces = np.where(away[:, None], piece.faces[:, ::-1], piece.faces)
                 continue
             warn(f"{name} has {int((~good).sum())} normals of zero length: all recomputed")
         without.append(piece)
@@ -324,20 +320,11 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
         _compute_normals(without, name)
 
 
-def _wind_by_normals(piece: Piece) -> None:
-    """Reverse the winding of each face that faces away from the normals of its vertices."""
-    a, b, c = (np.take(np.asarray(piece.normals), corner, axis=0) for corner in piece.faces.T)
-    agreement = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1)
-    piece.faces = np.where((agreement < 0.0)[:, None], piece.faces[:, ::-1], piece.faces)
-
-
 def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     """Compute smooth normals. Vertices at one position share a normal, also across seams and
     materials. Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998),
     so that the result does not depend on the triangulation of flat polygons."""
-    positions, faces, welded, starts = stacked(
-        [piece.positions for piece in pieces], [piece.faces for piece in pieces]
-    )
+    positions, faces, welded, starts = stacked(pieces)
     faces = _wind_consistently(faces, welded[faces], positions, name)
 
     corners = positions[faces]
@@ -345,8 +332,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     unit /= np.linalg.norm(unit, axis=1)[:, None]
     normals = np.zeros((welded.max() + 1, 3))
     for corner in range(3):
-        a = corners[:, (corner + 1) % 3] - corners[:, corner]
-        b = corners[:, (corner + 2) % 3] - corners[:, corner]
+        a, b = (corners[:, (corner + i) % 3] - corners[:, corner] for i in (1, 2))
         angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
         vertices = welded[faces[:, corner]]
         for axis in range(3):
@@ -364,34 +350,30 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
             piece.rig = piece.rig.with_normals(piece.normals)
 
 
-def stacked(
-    positions: Sequence[NDArray[np.float64]], faces: Sequence[NDArray[Any]]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def stacked(parts: Sequence[Part | Piece]) -> tuple[Float, Integers, Integers, Integers]:
     """Return the vertices and the faces of all parts, an index for each position that faces use,
     see :func:`_weld`, and the first vertex of each part."""
-    starts = np.cumsum([0, *map(len, positions)])
-    places = np.concatenate(positions)
-    joint = np.concatenate([part + start for part, start in zip(faces, starts, strict=False)])
+    starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    places = np.concatenate([part.positions for part in parts])
+    joint = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)])
     drawn = used(places, joint)
     welded = np.zeros(len(places), dtype=np.int64)
     welded[drawn] = _weld(places[drawn])
     return places, joint, welded, starts
 
 
-def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
+def _weld(positions: Float) -> Integers:
     """Return an index for each position. Positions that are equal after rounding to about 2^-21 of
     the mesh's extent share an index."""
     low = positions.min(axis=0)
-    extent = float((positions.max(axis=0) - low).max()) or 1.0
+    extent = float(np.ptp(positions, axis=0).max()) or 1.0
     # 2^21 - 2 is even, so that a plane of symmetry is rounded to the middle of a cell.
     cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     return np.asarray(np.unique(keys, return_inverse=True)[1].reshape(-1))
 
 
-def _wind_consistently(
-    faces: NDArray[np.int64], welded: NDArray[np.int64], positions: NDArray[np.float64], name: str
-) -> NDArray[np.int64]:
+def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name: str) -> Integers:
     """Return the faces, wound consistently and outwards in each connected surface.
 
     The windings of two neighbouring faces are consistent if the faces traverse their common edge in

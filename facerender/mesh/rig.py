@@ -10,22 +10,17 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.values.vectors import (
-    rotation_of,
-    transformed,
-)
-
-if TYPE_CHECKING:
-    pass
-
+from facerender.values.vectors import rotation_of, transformed
 
 Float = NDArray[np.float64]
+Array = NDArray[Any]
 Moves = Mapping[int, Mapping[str, Sequence[float]]]
+Values = Sequence[float] | Array | None
 Path = Literal["translation", "rotation", "scale", "weights"]
 Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 
@@ -43,35 +38,29 @@ class Node:
 
     number: int
     parent: int | None = None
-    matrix: Sequence[float] | None = None
-    translation: Sequence[float] | None = None
-    rotation: Sequence[float] | None = None
-    scale: Sequence[float] | None = None
+    matrix: Values = None
+    translation: Values = None
+    rotation: Values = None
+    scale: Values = None
 
     def local(self, moves: Mapping[str, Sequence[float]]) -> Float:
-        """Return the local matrix (4, 4).
-
-        moves : values that replace the stored translation, rotation or scale
-        """
+        """Return the local matrix (4, 4); ``moves`` replace stored translation, rotation, scale."""
         keys = ("matrix", "translation", "rotation", "scale")
         return local_matrix(*(moves.get(key, getattr(self, key)) for key in keys))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Track:
-    """Keys of one property of a node.
+    """Keys of one property, the path, of the node with a number.
 
-    node : number of the node
-    path : name of the property
     times : (K,) float64, in seconds, in increasing order
     values : (K, W); (K, 3, W) with in-tangent, value and out-tangent for a cubic spline
-    interpolation : "LINEAR", "STEP" or "CUBICSPLINE"
     """
 
     node: int
     path: Path
     times: Float
-    values: NDArray[Any]
+    values: Array
     interpolation: Interpolation = "LINEAR"
 
     def at(self, time: float) -> list[float]:
@@ -80,8 +69,8 @@ class Track:
         next_key = int(np.searchsorted(self.times, time, "right"))
         first, last = max(next_key - 1, 0), min(next_key, len(self.times) - 1)
         cubic = self.interpolation == "CUBICSPLINE"
-        keys = ((i, 1) if cubic else i for i in (first, last))
-        a, b = (np.asarray(self.values[key], dtype=np.float64) for key in keys)
+        values = self.values[:, 1] if cubic else self.values
+        a, b = values[first].astype(np.float64), values[last].astype(np.float64)
         if first == last or self.interpolation == "STEP":
             mixed = a
         else:
@@ -112,19 +101,17 @@ def _slerp(a: list[float], b: list[float], u: float) -> list[float]:
         b = [-component for component in b]
     # atan2 is accurate where the arc cosine of the product is not: for nearly equal quaternions.
     arc = 2.0 * math.atan2(math.dist(a, b), math.hypot(*(x + y for x, y in zip(a, b, strict=True))))
-    if math.sin(arc) < 1e-12:
-        first, second = 1.0 - u, u
-    else:
-        first, second = (math.sin(fraction * arc) / math.sin(arc) for fraction in (1.0 - u, u))
+    first, second = 1.0 - u, u
+    if math.sin(arc) >= 1e-12:
+        first, second = (math.sin(share * arc) / math.sin(arc) for share in (first, second))
     return _unit([first * x + second * y for x, y in zip(a, b, strict=True)])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Clip:
-    """An animation.
+    """An animation: tracks of different properties.
 
     name : name from the file, unique among the clips of the file
-    tracks : tracks of different properties
     fault : description of the damage if the clip is damaged, which then has no tracks
     ignored : name of the extension that the clip needs and this package ignores, or ""
     """
@@ -172,8 +159,7 @@ class Skeleton:
             node_moves = moves.get(node.number, {})
             local = node.local(node_moves) if node_moves else self._locals[node.number]
             parent = self.root if node.parent is None else worlds[node.parent]
-            world = local if parent is None else parent @ local
-            worlds[node.number] = world
+            world = worlds[node.number] = local if parent is None else parent @ local
             if node.parent in changes:
                 changes[node.number] = changes[node.parent]
             if "angles" in node_moves:
@@ -207,10 +193,10 @@ class Shape:
     """
 
     name: str
-    rows: NDArray[Any] | None = None
-    moves: NDArray[Any] | None = None
-    normal_rows: NDArray[Any] | None = None
-    normal_moves: NDArray[Any] | None = None
+    rows: Array | None = None
+    moves: Array | None = None
+    normal_rows: Array | None = None
+    normal_moves: Array | None = None
     fault: str = ""
 
 
@@ -226,16 +212,12 @@ class Skin:
 
     joints: tuple[int, ...]
     inverse: Float | None
-    indices: NDArray[Any]
+    indices: Array
     fractions: Float
 
     @classmethod
     def of(
-        cls,
-        joints: tuple[int, ...],
-        inverse: Float | None,
-        indices: NDArray[Any],
-        weights: NDArray[Any],
+        cls, joints: tuple[int, ...], inverse: Float | None, indices: Array, weights: Array
     ) -> Skin:
         """Return a skin of the indices and weights (N, K) of a file. Vertices without weights
         follow their first joint. Raises ValueError if a joint index is out of range."""
@@ -246,12 +228,6 @@ class Skin:
         fractions /= fractions.sum(axis=1, keepdims=True)
         columns = indices.T.astype(np.uint16 if len(joints) < 1 << 16 else np.uint32, order="C")
         return cls(joints, inverse, columns, np.ascontiguousarray(fractions.T))
-
-    def matrices(self, worlds: Mapping[int, Float]) -> Float:
-        """Return the matrices (J, 4, 4) that transform column vectors from mesh space to scene
-        space."""
-        matrices = np.stack([worlds[joint] for joint in self.joints])
-        return matrices if self.inverse is None else matrices @ self.inverse
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -273,8 +249,8 @@ class Rig:
 
     skeleton: Skeleton
     node: int
-    positions: NDArray[Any]
-    normals: NDArray[Any] | None
+    positions: Array
+    normals: Array | None
     weights: tuple[float, ...] = ()
     shapes: tuple[Shape, ...] = ()
     skin: Skin | None = None
@@ -298,10 +274,7 @@ class Rig:
         """Return positions (N, 3) and normals (N, 3) in mesh space. The normals have any length;
         they are None if the part has none or a matrix is singular.
 
-        Parameters
-        ----------
-        worlds : world matrices of the nodes, see :meth:`Skeleton.worlds`
-        weights : a weight for each shape
+        worlds, weights : see :meth:`Skeleton.worlds`; a weight for each shape
         """
         places, normals = morphed(self.positions, self.normals, self.shapes, weights)
         if self.skin is not None:
@@ -317,11 +290,8 @@ class Rig:
         return world if self.offset is None else world @ self.offset
 
     def with_normals(self, normals: Float) -> Rig:
-        """Return a rig with normals that :meth:`posed` maps to the given ones in the stored pose.
-        The normals of the shapes are dropped.
-
-        normals : (N, 3), in mesh space
-        """
+        """Return a rig with normals that :meth:`posed` maps to the given ones, (N, 3), in the
+        stored pose. The normals of the shapes are dropped."""
         worlds = self.skeleton.worlds({})
         if self.skin is None:
             node_normals = normals @ self._matrix(worlds)[:3, :3]
@@ -338,15 +308,10 @@ class Rig:
 
 
 def local_matrix(
-    matrix: Sequence[float] | None = None,
-    translation: Sequence[float] | NDArray[Any] | None = None,
-    rotation: Sequence[float] | NDArray[Any] | None = None,
-    scale: Sequence[float] | NDArray[Any] | None = None,
+    matrix: Values = None, translation: Values = None, rotation: Values = None, scale: Values = None
 ) -> Float:
     """Return the local matrix of a node, (4, 4), for column vectors.
 
-    Parameters
-    ----------
     matrix : 16 numbers in column-major order, applied after the other transforms
     rotation : quaternion x, y, z, w of any length
     """
@@ -362,12 +327,11 @@ def local_matrix(
     return np.asarray(np.array(matrix, dtype=np.float64).reshape(4, 4).T @ local)
 
 
-def _rotation(quaternion: Sequence[float] | NDArray[Any]) -> list[list[float]]:
-    x, y, z, w = (float(component) for component in quaternion)
-    length = math.hypot(x, y, z, w)
+def _rotation(quaternion: Sequence[float] | Array) -> list[list[float]]:
+    length = math.hypot(*map(float, quaternion))
     if not 1e-12 < length < math.inf:
         return [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    x, y, z, w = x / length, y / length, z / length, w / length
+    x, y, z, w = (float(component) / length for component in quaternion)
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -376,11 +340,8 @@ def _rotation(quaternion: Sequence[float] | NDArray[Any]) -> list[list[float]]:
 
 
 def morphed(
-    positions: NDArray[Any],
-    normals: NDArray[Any] | None,
-    shapes: Sequence[Shape],
-    weights: Sequence[float],
-) -> tuple[Float, NDArray[Any] | None]:
+    positions: Array, normals: Array | None, shapes: Sequence[Shape], weights: Sequence[float]
+) -> tuple[Float, Array | None]:
     """Return positions (N, 3) and normals (N, 3) with weighted morph targets added; the normals
     have any length. The arguments do not change. Raises ValueError if a target whose weight is not
     0 is damaged."""
@@ -391,26 +352,18 @@ def morphed(
     for shape, weight in active:
         if shape.fault:
             raise ValueError(shape.fault)
-        _add(places, shape.rows, shape.moves, weight)
-        if normals is not None:
-            _add(normals, shape.normal_rows, shape.normal_moves, weight)
+        for vectors, rows, moves in (
+            (places, shape.rows, shape.moves),
+            (normals, shape.normal_rows, shape.normal_moves),
+        ):
+            if vectors is not None and rows is not None and moves is not None:
+                every = len(rows) == len(vectors)
+                vectors[... if every else rows] += np.multiply(moves, weight, dtype=np.float64)
     return places, normals
 
 
-def _add(
-    vectors: NDArray[Any], rows: NDArray[Any] | None, moves: NDArray[Any] | None, weight: float
-) -> None:
-    if rows is None or moves is None:
-        return
-    step = np.multiply(moves, weight, dtype=np.float64)
-    if len(rows) == len(vectors):
-        vectors += step
-    else:
-        vectors[rows] += step
-
-
 def skinned(
-    positions: Float, normals: NDArray[Any] | None, skin: Skin, worlds: Mapping[int, Float]
+    positions: Float, normals: Array | None, skin: Skin, worlds: Mapping[int, Float]
 ) -> tuple[Float, Float | None, bool]:
     """Return skinned positions and normals, and whether skinning mirrors most vertices. The
     normals have any length, and the direction of the inverse transpose."""
@@ -437,7 +390,9 @@ def skinned(
 
 def _blended(skin: Skin, worlds: Mapping[int, Float]) -> Iterable[tuple[slice, Float]]:
     """Yield slices of the vertices with the first three rows of their blended matrices, (12, n)."""
-    matrices = np.ascontiguousarray(skin.matrices(worlds)[:, :3].reshape(-1, 12).T)
+    matrices = np.stack([worlds[joint] for joint in skin.joints])
+    matrices = matrices if skin.inverse is None else matrices @ skin.inverse
+    matrices = np.ascontiguousarray(matrices[:, :3].reshape(-1, 12).T)
     for start in range(0, skin.indices.shape[1], _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
         blend = np.zeros((12, skin.indices[0, rows].size))

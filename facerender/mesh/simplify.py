@@ -68,9 +68,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
         level = replace(level, pose=replace(mesh.pose, geometry=geometry, parts=geometry.parts))
         pairs = [*zip(mesh.parts, remaining, strict=True)]
         columns = ([getattr(p, n)[rows] for p, rows in pairs] for n in ("positions", "normals"))
-        posed_level = moved(level, *columns).pose
-        assert posed_level is not None
-        mesh.pose.levels[triangles] = posed_level
+        mesh.pose.levels[triangles] = moved(level, *columns).pose
     return replace(level, pose=mesh.pose.levels[triangles])
 
 

@@ -17,11 +17,8 @@ from facerender.errors import InputError, check_range, check_switch, is_number, 
 
 @dataclass(frozen=True)
 class Range:
-    """The numbers from low to high, both included.
+    """The numbers from low to high, both included; high may be infinite.
 
-    Parameters
-    ----------
-    low, high : ends of the range; high may be infinite
     unit : unit of the values, for example "degrees"; "" if there is none
     """
 
@@ -39,12 +36,8 @@ class Range:
         return f"{bounds} {self.unit}".strip()
 
     def check(self, name: str, value: Any) -> Any:
-        """Return the value, converted to the type of the field.
-
-        Raises
-        ------
-        InputError : the value is outside the range or has another type
-        """
+        """Return the value, converted to the type of the field. Raises InputError if it is outside
+        the range or has another type."""
         check_range(name, value, self.low, self.high)
         return value
 
@@ -57,11 +50,10 @@ class IntegerRange(Range):
 
     def check(self, name: str, value: Any) -> Any:
         if value not in self:
+            preposition = "from" if self.high < math.inf else "of"
             is_whole = isinstance(value, Integral) and is_number(value)
-            bounded = is_whole and self.high < math.inf
-            preposition = "" if bounded else "of " if self.high == math.inf else "from "
-            expected = f"{'' if bounded else 'a whole number '}{preposition}{self}"
-            raise InputError(f"{name} = {shown(value)}: give {expected}")
+            kind = "" if is_whole and self.high < math.inf else f"a whole number {preposition} "
+            raise InputError(f"{name} = {shown(value)}: give {kind}{self}")
         return int(value)
 
 
@@ -79,9 +71,8 @@ class SizeRange(IntegerRange):
         if width not in self or height not in self:
             are_whole = all(is_number(side) and isinstance(side, Integral) for side in sides)
             bounds = f"{'' if are_whole else 'whole numbers from '}{self.low:g} to {self.high:.0f}"
-            raise InputError(
-                f"{name} {shown(width)} x {shown(height)}: give {bounds} {self.unit} a side"
-            )
+            size = f"{shown(width)} x {shown(height)}"
+            raise InputError(f"{name} {size}: give {bounds} {self.unit} a side")
         return int(width), int(height)
 
 
@@ -129,15 +120,10 @@ def range_of(kind: type, name: str) -> Range:
 
 
 def check_fields(value: object, prefix: str = "") -> None:
-    """Check and convert the switches of a frozen dataclass and its fields with a range.
+    """Check and convert the switches of a frozen dataclass and its fields with a range. Raises
+    InputError if a value is outside its range, or a switch is neither true nor false.
 
-    Parameters
-    ----------
     prefix : text before the field names in messages, for example "light "
-
-    Raises
-    ------
-    InputError : a value is outside its range, or a switch is neither true nor false
     """
     kind: Any = type(value)
     for name, limits, optional in _checked(kind):

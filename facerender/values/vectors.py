@@ -38,11 +38,9 @@ UPS: dict[str, Vector] = {
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
     """Check that float32 can resolve a position (3,) in the renderer's space, and return it. Raises
     InputError if the absolute value of a coordinate exceeds MOST_RADII."""
-    if not (np.abs(place) <= MOST_RADII).all():
-        raise InputError(
-            f"{name} is {np.abs(place).max():.3g} mesh radii from the mesh's centre: give at most "
-            f"{MOST_RADII:g}"
-        )
+    if not (reach := np.abs(place).max()) <= MOST_RADII:
+        far = f"{name} is {reach:.3g} mesh radii from the mesh's centre"
+        raise InputError(f"{far}: give at most {MOST_RADII:g}")
     return place
 
 
@@ -110,20 +108,16 @@ def rows_of(
         raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
     if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
         expected = " or ".join(map(str, widths))
-        raise InputError(
-            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {expected} "
-            f"numbers{hint}"
-        )
+        problem = f"{name} has the shape {values.shape} and type {values.dtype}"
+        raise InputError(f"{problem}: give rows of {expected} numbers{hint}")
     if not len(values) or count not in (None, len(values)):
         expected = f"{count}, one for each vertex" if count else "at least one"
         raise InputError(f"{name} has {len(values)} rows: give {expected}")
     rows = np.array(values, dtype=np.float64)
     if not (finite := np.isfinite(rows).all(axis=1)).all():
         bad = int(finite.argmin())
-        raise InputError(
-            f"{name}[{bad}] = {rows[bad].tolist()}: {int((~finite).sum())} rows are not finite; "
-            "leave them out"
-        )
+        problem = f"{int((~finite).sum())} rows are not finite"
+        raise InputError(f"{name}[{bad}] = {rows[bad].tolist()}: {problem}; leave them out")
     return rows
 
 
