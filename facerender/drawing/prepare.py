@@ -133,8 +133,8 @@ class Appearance:
 
     materials, lights, ambient, environment : as in the simplified scene
     space : see :class:`facerender.mesh.part.Space`
-    draws : draws of the parts, which the passes add under a key
-    fitting : numbers of samples per pixel that the memory suffices for
+    draws : draws of the parts and other results, which the passes add under a key
+    token : value that no other appearance has
     """
 
     materials: tuple[Material, ...]
@@ -146,7 +146,7 @@ class Appearance:
     lighting: Lighting
     parts: tuple[ResolvedPart, ...]
     draws: dict[Any, Any] = field(default_factory=dict)
-    fitting: set[int] = field(default_factory=set)
+    token: object = field(default_factory=object)
 
     @classmethod
     def of(cls, scene: Scene, shading: Shading, albedo: Kind) -> Appearance:
@@ -221,39 +221,37 @@ class ResolvedScene:
     appearance: Appearance
 
 
-class Appearances:
-    """The appearances of the last frames of one geometry. Consecutive frames mostly differ in the
-    camera or in the pose, and measurements alternate between few shadings."""
-
-    def __init__(self, albedo: Kind) -> None:
-        self.albedo = albedo
-        self._recent: list[tuple[tuple[Any, ...], Appearance]] = []
-
-    def resolve(self, scene: Scene, shading: Shading) -> ResolvedScene:
-        """Return :func:`resolve` of a scene."""
-        mesh = scene.mesh
-        light = scene.lights, scene.ambient, scene.environment
-        key = mesh.geometry.token, mesh.materials, *light, mesh.space, shading
-        look = next((appearance for other, appearance in self._recent if other == key), None)
-        if look is None:
-            look = resolve(scene, shading, self.albedo).appearance
-            others = [pair for pair in self._recent if pair[0][0] is key[0]]
-            self._recent = [(key, look), *others[: _MOST_RECENT - 1]]
-        changes: dict[str, Any] = {
-            name: value
-            for name in ("lights", "ambient", "environment")
-            if (value := getattr(look, name)) is not getattr(scene, name)
-        }
-        if look.materials is not mesh.materials:
-            changes["mesh"] = replace(mesh, materials=look.materials)
-        return ResolvedScene(replace(scene, **changes) if changes else scene, look)
-
-
 def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
     """Remove the features of a scene that the shading leaves out, and sort its lights. For errors
-    see :func:`facerender.drawing.prepare.simplify`."""
-    simple = simplify(scene, shading)
-    return ResolvedScene(simple, Appearance.of(simple, shading, albedo))
+    see :func:`facerender.drawing.prepare.simplify`.
+
+    The geometry owns its recent appearances, because consecutive frames mostly differ in the camera
+    or in the pose, and measurements alternate between few shadings.
+    """
+    mesh = scene.mesh
+    light = scene.lights, scene.ambient, scene.environment
+    key = mesh.materials, *light, mesh.space, shading, albedo
+    recent = mesh.geometry.derived.setdefault("appearances", [])
+    look = next((appearance for other, appearance in recent if other == key), None)
+    if look is None:
+        look = Appearance.of(simplify(scene, shading), shading, albedo)
+        # Appearances with other images would keep these images in memory.
+        images = _images(mesh.materials)
+        others = [pair for pair in recent if _images(pair[0][0]) == images]
+        recent[:] = [(key, look), *others[: _MOST_RECENT - 1]]
+    changes: dict[str, Any] = {
+        name: value
+        for name in ("lights", "ambient", "environment")
+        if (value := getattr(look, name)) is not getattr(scene, name)
+    }
+    if look.materials is not mesh.materials:
+        changes["mesh"] = replace(mesh, materials=look.materials)
+    return ResolvedScene(replace(scene, **changes) if changes else scene, look)
+
+
+def _images(materials: tuple[Material, ...]) -> set[object]:
+    textures = (getattr(material, name) for material in materials for name in MAPS)
+    return {texture.image for texture in textures if texture is not None}
 
 
 _MOST_RECENT = 4

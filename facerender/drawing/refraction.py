@@ -185,9 +185,9 @@ class Refraction:
         mesh, look = resolved.scene.mesh, resolved.appearance
         light = look.lights, look.lighting.order, look.ambient, look.environment
         scene = mesh.token, mesh.space, mesh.materials, *light, look.shading.slope_filter
-        key, cached = (*scene, self.side), look.draws.get("refraction")
-        if cached and cached[0] == key:
-            passes: list[Pass] = cached[1]
+        value, stored = (*scene, self.side), mesh.geometry.derived
+        if "refraction" in stored and stored["refraction"][0] == value:
+            passes: list[Pass] = stored["refraction"][1]
             return passes
         front: list[Draw] = []
         behind: list[Draw] = []
@@ -202,12 +202,12 @@ class Refraction:
         surface = Target(size=size, sampled=True, values="number", number=2)
         map_target = Target(size=size, sampled=True, number=2)
         shared = scene_uniforms(resolved, _NOWHERE)
-        clear = 0.0, 0.0, 0.0, _EMPTY
+        clear, key = (0.0, 0.0, 0.0, _EMPTY), object()
         passes = [
             Pass("refraction_surface", surface, tuple(front), key=key),
             Pass("refraction_map", map_target, tuple(behind), clear, shared, key=key),
         ]
-        look.draws["refraction"] = key, passes
+        stored["refraction"] = value, passes
         return passes
 
 

@@ -39,10 +39,10 @@ from facerender.drawing.passes import (
     with_blended,
 )
 from facerender.drawing.prepare import (
-    Appearances,
     ResolvedScene,
     check_memory,
     reduced,
+    resolve,
     resolved_parts,
     start_maps,
 )
@@ -149,8 +149,7 @@ class Renderer:
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
         self.alpha_threshold = alpha_threshold
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
-        self._appearances = Appearances(self.albedo_kind)
-        self._described: tuple[object, dict[str, str]] = None, {}  # materials, and their metadata
+        self._checked: tuple[object, int] | None = None  # appearance and samples that fit in memory
         # A renderer of another size, for undistorted images, and the other sizes with targets.
         self._resized: Renderer | None = None
         self._sizes: set[tuple[int, int]] = set()
@@ -308,11 +307,14 @@ class Renderer:
 
     def _metadata(self, scene: Scene, shading: Shading) -> dict[str, str]:
         """Return the scene as text. Most frames have the mesh of the frame before."""
-        key = scene.mesh.token, scene.mesh.materials
-        if self._described[0] != key:
-            self._described = key, mesh_metadata(scene.mesh)
-        parts = self._appearances.resolve(scene, shading).appearance.parts
-        return self._described[1] | scene_metadata(scene, parts)
+        look, token = self._resolve(scene, shading).appearance, scene.mesh.token
+        if "mesh" not in look.draws or look.draws["mesh"][0] is not token:
+            look.draws["mesh"] = token, mesh_metadata(scene.mesh)
+        texts: dict[str, str] = look.draws["mesh"][1]
+        return texts | scene_metadata(scene, look.parts)
+
+    def _resolve(self, scene: Scene, shading: Shading) -> ResolvedScene:
+        return resolve(scene, shading, self.albedo_kind)
 
     def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
@@ -361,7 +363,7 @@ class Renderer:
         """
         _check_scene(scene, shading)
         _LIMITS["samples"].check("samples", samples)
-        return samples > 1 and self._can_defer(self._appearances.resolve(scene, shading), samples)
+        return samples > 1 and self._can_defer(self._resolve(scene, shading), samples)
 
     def gbuffer(
         self, scene: Scene, shading: Shading = Shading(), blended: bool = True, cut: bool = False
@@ -405,7 +407,7 @@ class Renderer:
         mask: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": self.alpha_threshold}
         new = (replace(old, **mask) if blends_only(old) else old for old in mesh.materials)
         cut = replace(resolved.scene, mesh=replace(mesh, materials=tuple(new)))
-        return self._appearances.resolve(cut, resolved.appearance.shading)
+        return self._resolve(cut, resolved.appearance.shading)
 
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
@@ -481,15 +483,15 @@ class Renderer:
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
-        resolved = self._appearances.resolve(scene, shading)
+        resolved = self._resolve(scene, shading)
         if not (self.full_maps or self.albedo_kind == "linear-color"):
             smaller = reduced(resolved, view, self.size, self.anisotropy)
             if smaller is not resolved.scene:
-                resolved = self._appearances.resolve(smaller, shading)
+                resolved = self._resolve(smaller, shading)
         at_once, look = min(samples, self.context.most_samples), resolved.appearance
-        if at_once not in look.fitting:
+        if self._checked != (look.token, at_once):
             check_memory(resolved, self.size, at_once, self.memory)
-            look.fitting.add(at_once)
+            self._checked = look.token, at_once
             self._resources.take_coarse(look.parts)
             start_maps(look.parts)
         return resolved
@@ -559,7 +561,7 @@ class Renderer:
         if resized is None or resized.size != size:
             resized = copy(self)
             resized.size, resized._resized = size, None
-            resized._appearances = Appearances(self.albedo_kind)
+            resized._checked = None
             resized._check_size()
             with self._layer_lock, self.context.drawing() as gl:
                 resources = self._resources

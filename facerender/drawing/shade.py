@@ -224,14 +224,17 @@ def with_shadows(
             f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
         )
     texels = _texels(view, size, len(spaces), mesh.space.reach)
-    cached, stored = ("shadows", texels), look.draws
-    if cached not in stored or stored[cached][0] is not mesh.token:
-        cuts, matrices = map(_cut, mesh.materials), (space.matrix.tobytes() for space in spaces)
-        key = mesh.token, mesh.space, *cuts, *matrices
-        target, clear = _target((len(spaces) * texels, texels)), (_EMPTY, 0.0, 0.0, 0.0)
+    cuts, matrices = map(_cut, mesh.materials), (space.matrix.tobytes() for space in spaces)
+    value, stored = (mesh.token, mesh.space, texels, *cuts, *matrices), mesh.geometry.derived
+    if "shadows" not in stored or stored["shadows"][0] != value:
+        target, clear, key = (
+            _target((len(spaces) * texels, texels)),
+            (_EMPTY, 0.0, 0.0, 0.0),
+            object(),
+        )
         shadow_map = Pass("shadow_map", target, _draws(look, texels), clear, key=key)
-        stored[cached] = mesh.token, [shadow_map, *_cones(spaces, texels, key)]
-    result: list[Pass] = [*stored[cached][1]]
+        stored["shadows"] = value, [shadow_map, *_cones(spaces, texels, key)]
+    result: list[Pass] = [*stored["shadows"][1]]
     maps = {"shadow_tiles": (texels, _BLOCKS), "shadow_reach": mesh.space.reach}
     for step in passes:
         uniforms = {**step.uniforms, **maps}

@@ -122,9 +122,9 @@ class Geometry:
         return {}
 
     @cached_property
-    def hints(self) -> dict[Any, Any]:
-        """Results of the last maps that hints examined, and the hints that were emitted; see
-        :func:`facerender.mesh.hints.emit_all`."""
+    def derived(self) -> dict[str, Any]:
+        """What hints and drawing derive from the geometry with recent materials. It is freed with
+        the geometry, so that no renderer keeps a mesh alive."""
         return {}
 
 

@@ -43,10 +43,10 @@ def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
     maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
-    results = mesh.geometry.hints
-    if results.get("maps") != maps:
-        results |= {"maps": maps, "lines": [(h, h(mesh)) for h in (upside_down, green_down)]}
-    for hint, line in (*results["lines"], (no_ks, no_ks(mesh))):
+    derived = mesh.geometry.derived
+    if "hints" not in derived or derived["hints"][0] != maps:
+        derived["hints"] = maps, [(hint, hint(mesh)) for hint in (upside_down, green_down)]
+    for hint, line in (*derived["hints"][1], (no_ks, no_ks(mesh))):
         emit(mesh, hint, line)
     gloss = mesh.geometry.gloss
     if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
@@ -57,7 +57,7 @@ def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
     """Emit the result of a hint: as a warning once for each mesh, and for each image that records
     its warnings."""
     if line is not None:
-        emitted = mesh.geometry.hints.setdefault("emitted", set())
+        emitted = mesh.geometry.derived.setdefault("emitted", set())
         (note if hint in emitted else warn)(line)
         emitted.add(hint)
 

@@ -126,6 +126,11 @@ class Texture:
         self._packed: deque[Texture] = deque(maxlen=_MOST_PACKED)
         self._chains: _Chains = self._image.shared.setdefault((None, 0), _Chains())
 
+    @property
+    def image(self) -> object:
+        """The image, which textures that differ in sampling, channel and levels share."""
+        return self._image
+
     def __getstate__(self) -> tuple[Any, ...]:
         """Pickle the decoded image instead of its source."""
         return self.name, self.texels(), self.wrap, self.nearest, self.profile
