@@ -31,6 +31,7 @@ BASES = {
     "plan": ("head.obj", "--budget", "1/255", "--size", "16"),
     "batch": ("jobs.csv", "-o", "out"),
     "explore": ("head.obj", "-o", "x.html"),
+    "info": ("head.obj",),
     "measure": ("--quick", "-o", "out"),
     "compare": ("a.npy", "a.npy"),
     "shaders flatten": ("cook_torrance", "--lobe", "exact"),
@@ -155,6 +156,7 @@ def test_text_in_place_of_a_number(command, option, folder, capsys):
     own = {"size": "give N or WxH", "weight": "give NAME=WEIGHT", "target": "give 3 numbers"}
     own |= {
         "joint": "give NAME=X,Y,Z",
+        "rotate": "give three numbers",
         "ambient": "give 1 or 3 numbers",
         "background": "give 3 numbers",
     }

@@ -371,7 +371,7 @@ def test_input_out_of_range_shows_the_range(page):
 def test_m_of_a_term_applies_to_the_skin(browser, tmp_path):
     mesh = row("a", "eye")
     eye = replace(mesh.parts[1], skin=False)
-    mesh = replace(mesh.with_material("eye", m=0.125), parts=(mesh.parts[0], eye))
+    mesh = with_geometry(mesh.with_material("eye", m=0.125), parts=(mesh.parts[0], eye))
     with opened(browser, write(tmp_path, Job(lights=PLAIN), mesh), "#a=m:0.5;ks:0.25") as page:
         _, surfaces = probed(page, [(x, 0.5) for x in np.linspace(0.0, 0.99, 50)])
     found = {each["a"]["part"]: each["a"] for each in surfaces}

@@ -20,6 +20,7 @@ from facerender.batch.outputs import draw
 from facerender.commands import main
 from facerender.images.files import read_image
 from facerender.scene.detail import LevelOfDetail
+from facerender.scene.light import light_space
 from facerender.scene.view import view_of
 from facerender.texture.texture import Texture
 from tests.awkward_files import MINI_HEAD
@@ -201,11 +202,18 @@ class TestDrawing:
         assert (still[256:] != opened[256:]).sum() > 100
 
     def test_far_vertices_are_neither_clipped_nor_change_the_framing(self, head):
-        """The radius of the renderer's space grows with the mesh."""
+        """The range of depths and the shadow maps cover all vertices."""
         moved = head.with_positions([part.positions * (1.0, 1.0, 3.0) for part in head.parts])
-        assert moved.radius > head.radius
+        assert moved.radius == head.radius
+        scene = fr.Scene(moved, fr.Camera(90.0))
+        spaces = [light_space(light, moved.space).matrix for light in scene.lights]
         for part in moved.parts:
-            assert np.linalg.norm(moved.normalised(part.positions), axis=1).max() <= 1.0 + 1e-9
+            points = np.column_stack(
+                [moved.normalised(part.positions), np.ones(len(part.positions))]
+            )
+            clip = points @ view_of(scene, 1.0).matrix
+            assert (np.abs(clip[:, 2]) <= clip[:, 3] * (1.0 + 1e-9)).all()
+            assert all(np.abs(points @ space).max() <= 1.0 + 1e-9 for space in spaces)
         for frame in ("all", "head", "face"):
             a, b = (
                 view_of(fr.Scene(mesh, fr.Camera(frame=frame)), 1.0).extrinsics(mesh)

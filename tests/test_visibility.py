@@ -16,11 +16,13 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import main
 from facerender.drawing import passes
+from facerender.drawing.prepare import resolve
 from facerender.drawing.program import IN_ROW
 from facerender.images.image import linear_to_srgb
 from facerender.material import Material
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
+from facerender.mesh.setup import TriangleSetup
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 from tests.meshes import with_geometry
 from tests.test_alpha import quad
@@ -295,9 +297,9 @@ def test_choice_of_deferred_shading(head):
 
 
 def test_meshes_too_large_for_deferring_are_drawn_forward(head):
-    assert passes.can_defer(fr.Scene(head), 16384)
+    assert passes.can_defer(resolve(fr.Scene(head), fr.Shading()), 16384)
     too_few = (len(head.parts[0].faces) - 1) // IN_ROW
-    assert not passes.can_defer(fr.Scene(head), too_few)
+    assert not passes.can_defer(resolve(fr.Scene(head), fr.Shading()), too_few)
 
 
 # --- sides and order of triangles -----------------------------------------------------------------
@@ -381,14 +383,14 @@ def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, 
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, camera, PLAIN_THREE)
     assert two_sides(mesh) == [False]
-    images, counts, facing = [], [], passes.TriangleSetup.facing
+    images, counts, facing = [], [], TriangleSetup.facing
 
     def counted(*arguments):
         chosen = facing(*arguments)
         counts.append(len(chosen))
         return chosen
 
-    monkeypatch.setattr(passes.TriangleSetup, "facing", counted)
+    monkeypatch.setattr(TriangleSetup, "facing", counted)
     for edge_on in (passes._EDGE_ON, 1.0):
         monkeypatch.setattr(passes, "_EDGE_ON", edge_on)
         with fr.Renderer((96, 96), samples=samples, backend=egl) as renderer:

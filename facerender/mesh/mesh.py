@@ -48,6 +48,8 @@ class Mesh:
     pose: MeshPose | None = None
 
     def __post_init__(self) -> None:
+        check_type("geometry", self.geometry, Geometry, "the geometry of a Mesh")
+        check_type("pose", self.pose, MeshPose | None, "the pose of a Mesh, or None")
         materials = each_of("materials", self.materials, Material, "several facerender.Material")
         if not 0 < len(self.geometry.parts) == len(materials):
             raise InputError(
