@@ -614,7 +614,7 @@ def test_every_effect_agrees_with_float64(wide):
     ):
         agrees(wide, fr.Scene(mesh, camera(20.0), **settings), shading)
     scatters = [replace(each, scattering="skin") for each in mesh.materials[:CLEAR]]
-    skin = replace(mesh, materials=(*scatters, mesh.materials[CLEAR]), millimetres=8.0)
+    skin = with_geometry(mesh, materials=(*scatters, mesh.materials[CLEAR]), millimetres=8.0)
     frame, _ = agrees(wide, fr.Scene(skin, camera(20.0), EYE_LIGHTS), bound=1e-3)
     plain = wide.render(fr.Scene(mesh, camera(20.0), EYE_LIGHTS)).linear
     assert 0.0 < np.abs(frame - plain).mean() < 0.05
