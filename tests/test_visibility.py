@@ -20,6 +20,7 @@ from facerender.drawing.prepare import resolve
 from facerender.drawing.program import IN_ROW
 from facerender.images.image import linear_to_srgb
 from facerender.material import Material
+from facerender.mesh import setup
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
 from facerender.mesh.setup import TriangleSetup
@@ -391,8 +392,8 @@ def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, 
         return chosen
 
     monkeypatch.setattr(TriangleSetup, "facing", counted)
-    for edge_on in (passes._EDGE_ON, 1.0):
-        monkeypatch.setattr(passes, "_EDGE_ON", edge_on)
+    for edge_on in (setup._EDGE_ON, 1.0):
+        monkeypatch.setattr(setup, "_EDGE_ON", edge_on)
         with fr.Renderer((96, 96), samples=samples, backend=egl) as renderer:
             images.append(renderer.render(scene).linear)
     np.testing.assert_array_equal(*images)

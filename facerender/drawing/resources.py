@@ -93,7 +93,7 @@ class Uploaded:
     def draw(
         self, gl: moderngl.Context, program: moderngl.Program, order: NDArray[np.int64] | None
     ) -> None:
-        """Draw the triangles with a program, or those of an order; see :class:`Draw`."""
+        """Draw all triangles with a program, or the triangles of an order; see :class:`Draw`."""
         if order is None:
             self.array(gl, program).render()
             return

@@ -5,18 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError
 from facerender.images.image import srgb_to_linear
+from facerender.mesh.part import Part
 from facerender.mesh.repair import Piece, stacked, with_faces
 from facerender.values.vectors import rows_of
-
-if TYPE_CHECKING:
-    from facerender.mesh.part import Part
 
 Float = NDArray[np.float64]
 Column = NDArray[np.floating[Any]]

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, parameters
 from facerender.mesh import framing
 from facerender.mesh.arrays import Corners
-from facerender.mesh.part import Part, Region, Space
-from facerender.mesh.repair import are_closed, used
+from facerender.mesh.part import Part, Region, Space, used
+from facerender.mesh.repair import are_closed
 from facerender.mesh.setup import TriangleSetup
 from facerender.values.ranges import Range, check_fields, ranged
 from facerender.values.vectors import MOST_RADII, unit
@@ -123,8 +123,8 @@ class Geometry:
 
     @cached_property
     def derived(self) -> dict[str, Any]:
-        """What hints and drawing derive from the geometry with recent materials. It is freed with
-        the geometry, so that no renderer keeps a mesh alive."""
+        """Results that hints and drawing derive from the geometry with recent materials. They are
+        freed with the geometry, so that no renderer keeps a mesh alive."""
         return {}
 
 

@@ -16,8 +16,8 @@ from facerender.errors import InputError, check_type, each_of, number_of, parame
 from facerender.material import MAPS, Alpha, Material, changed, check_maps, without_effect
 from facerender.mesh.arrays import indices_of, linear_colors, split_at_seams, unit_or
 from facerender.mesh.geometry import Geometry, MeshPose
-from facerender.mesh.part import Part, Region, Space
-from facerender.mesh.repair import Piece, clean, unique, used
+from facerender.mesh.part import Part, Region, Space, used
+from facerender.mesh.repair import Piece, clean, unique
 from facerender.mesh.setup import TriangleSetup
 from facerender.values.ranges import IntegerRange
 from facerender.values.vectors import rows_of

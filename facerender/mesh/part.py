@@ -5,15 +5,20 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.mesh.repair import used
-
 if TYPE_CHECKING:
     from facerender.mesh.rig import Rig
+
+
+def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
+    mask = np.zeros(len(positions), dtype=bool)
+    mask[faces] = True
+    return mask
 
 
 class Space(NamedTuple):

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, warn
 from facerender.material import Material
+from facerender.mesh.part import Part, used
 from facerender.values.vectors import transformed
 
 if TYPE_CHECKING:
-    from facerender.mesh.part import Part
     from facerender.mesh.rig import Rig
 
 Float = NDArray[np.float64]
@@ -195,13 +195,6 @@ def are_closed(parts: Sequence[Part]) -> list[bool]:
     inwards = np.bincount(label[owners], volumes, len(parts)) < 0.0
     has_hole = np.bincount(label[owners], at_hole, len(parts)) > 0.0
     return list((~inwards & ~has_hole)[label])
-
-
-def used(positions: Float, faces: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
-    mask = np.zeros(len(positions), dtype=bool)
-    mask[faces] = True
-    return mask
 
 
 def _face_normals(corners: Float) -> Float:

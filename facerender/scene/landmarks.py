@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, check_type, clipped, each_of, reason, shown
 from facerender.mesh.mesh import Mesh
-from facerender.mesh.repair import used
+from facerender.mesh.part import used
 from facerender.scene.file import MOST_BYTES
 from facerender.scene.view import View
 from facerender.system.files import read_file

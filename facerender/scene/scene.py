@@ -48,7 +48,7 @@ def background_of(value: Any) -> Vector | None:
     InputError if the text has another form, or a value is outside its range."""
     if value is None or (isinstance(value, str) and value == "none"):
         return None
-    numbers = numbers_in(value.split(",")) if isinstance(value, str) else value
+    numbers = tuple(numbers_in(value.split(","))) if isinstance(value, str) else value
     if isinstance(value, str) and len(numbers) != 3:
         raise InputError(
             f"background = {shown(value)}: give 3 numbers in linear RGB, or none for a transparent "
