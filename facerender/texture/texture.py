@@ -142,7 +142,8 @@ class Texture:
     def _with(self, **attributes: Any) -> Texture:
         """Return a texture with other attributes. Textures of equal texels share mip chains."""
         texture = Texture.__new__(Texture)
-        vars(texture).update(vars(self), **attributes)
+        for name, value in (vars(self) | attributes).items():
+            setattr(texture, name, value)
         key = texture._channel, texture._omitted
         texture._chains = texture._image.shared.setdefault(key, _Chains())
         return texture
