@@ -61,7 +61,7 @@ PYTHON: dict[str, tuple[Range, Raises]] = {
     **fields_of(fr.Material, "m", "f0", "ks", "kd", "second_slope", "lobe_weight"),
     **fields_of(fr.Material, "normal_strength"),
     **fields_of(fr.ImageSettings, "size", "samples", "anisotropy", "alpha_threshold"),
-    **fields_of(fr.MeshFile, "millimetres", "triangles"),
+    **fields_of(fr.MeshFile, "millimetres", "triangles", "rotate"),
     **fields_of(partial(fr.Scene, fr.load_mesh(MINI_HEAD)), "ambient", "background"),
     **fields_of(fr.Camera, "fov", "target"),
     **fields_of(fr.Pose, "time"),
@@ -95,6 +95,7 @@ FORMS: dict[str, Callable[[Any], tuple[str, Any]]] = {
     "background": lambda x: (f"{x!r},0,0", (x, 0.0, 0.0)),
     "weight": lambda x: (f"jawOpen={x!r}", x),
     "joint": lambda x: (f"head=0,{x!r},0", [0.0, x, 0.0]),
+    "rotate": lambda x: (f"{x!r},0,0", [x, 0.0, 0.0]),
 }
 
 
