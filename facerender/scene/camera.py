@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_type, short_repr, shown
 from facerender.values.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
-from facerender.values.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector, numbers_in
+from facerender.values.vectors import (
+    AZIMUTHS,
+    ELEVATIONS,
+    POSITIONS,
+    Vector,
+    numbers_in,
+    pyrr_rotations,
+)
 
 Float = NDArray[np.float64]
 Coefficients = tuple[float, ...]
@@ -409,9 +416,7 @@ def _rotation(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:
         return rotation
     if abs(np.linalg.norm(rotation) - 1.0) > _NOT_ROTATED:
         raise InputError(f"{name} = {shown(value)}: give a quaternion of length 1")
-    from pyrr import matrix33  # 16 ms, and most cameras have no quaternion
-
-    return np.asarray(matrix33.create_from_quaternion(rotation, dtype=np.float64))
+    return np.asarray(pyrr_rotations().create_from_quaternion(rotation, dtype=np.float64))
 
 
 def _numbers(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:

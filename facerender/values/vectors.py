@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
@@ -66,13 +67,22 @@ def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
     return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
 
 
+def pyrr_rotations() -> Any:
+    """Return the module ``pyrr.matrix33``, whose import takes 16 ms: most scenes need no rotation."""
+    with warnings.catch_warnings():
+        # The docstrings of pyrr 0.10.3 have invalid escape sequences, of which Python warns when it
+        # compiles them.
+        warnings.simplefilter("ignore")
+        from pyrr import matrix33
+    return matrix33
+
+
 def rotation_of(angles: ArrayLike) -> NDArray[np.float64]:
     """Return the matrix (3, 3), for column vectors, of rotations about x, then y, then z.
 
     angles : (3,), in degrees; the axes are fixed. Multiples of 90 degrees give exact elements
     """
-    from pyrr import matrix33  # 16 ms, and most scenes have no angles
-
+    matrix33 = pyrr_rotations()
     x, y, z = np.radians(np.fmod(angles, 360.0))
     turns = matrix33.create_from_z_rotation(z) @ matrix33.create_from_y_rotation(y)
     matrix: NDArray[np.float64] = turns @ matrix33.create_from_x_rotation(x)
