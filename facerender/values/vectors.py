@@ -68,7 +68,7 @@ def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
 
 
 def pyrr_rotations() -> Any:
-    """Return the module ``pyrr.matrix33``, whose import takes 16 ms: most scenes need no rotation."""
+    """Return the module ``pyrr.matrix33``. Its import takes 16 ms, and few scenes need it."""
     with warnings.catch_warnings():
         # The docstrings of pyrr 0.10.3 have invalid escape sequences, of which Python warns when it
         # compiles them.
