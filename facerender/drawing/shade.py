@@ -224,8 +224,9 @@ def with_shadows(
             f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
         )
     texels = _texels(view, size, len(spaces), mesh.space.reach)
-    cuts, matrices = map(_cut, mesh.materials), (space.matrix.tobytes() for space in spaces)
-    value, stored = (mesh.token, mesh.space, texels, *cuts, *matrices), mesh.geometry.derived
+    lights = ((space.matrix.tobytes(), space.tan_radius) for space in spaces)
+    value = mesh.token, mesh.space, texels, *map(_cut, mesh.materials), *lights
+    stored = mesh.geometry.derived
     if "shadows" not in stored or stored["shadows"][0] != value:
         target, clear, key = (
             _target((len(spaces) * texels, texels)),
