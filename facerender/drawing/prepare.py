@@ -23,6 +23,7 @@ import numpy as np
 
 from facerender.errors import InputError
 from facerender.material import MAPS, PROPERTY_MAPS, Alpha, Material
+from facerender.mesh.geometry import Latest
 from facerender.mesh.mesh import Mesh, coordinates, drawn_alpha, slope_range
 from facerender.mesh.part import Part, Space
 from facerender.scene.light import Light, LightSpace, disc_of, light_space
@@ -145,7 +146,7 @@ class Appearance:
     shading: Shading
     lighting: Lighting
     parts: tuple[ResolvedPart, ...]
-    draws: dict[Any, Any] = field(default_factory=dict)
+    draws: Latest = field(default_factory=Latest)
     token: object = field(default_factory=object)
 
     @classmethod
@@ -215,15 +216,15 @@ class Appearance:
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScene:
-    """A simplified scene with its appearance; see :func:`resolve`."""
+    """A simplified scene with its appearance."""
 
     scene: Scene
     appearance: Appearance
 
 
-def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
-    """Remove the features of a scene that the shading leaves out, and sort its lights. For errors
-    see :func:`facerender.drawing.prepare.simplify`.
+def appearance_of(scene: Scene, shading: Shading, albedo: Kind = "color") -> Appearance:
+    """Return the appearance of a scene without the features that the shading leaves out. For errors
+    see :func:`simplify`.
 
     The geometry owns its recent appearances, because consecutive frames mostly differ in the camera
     or in the pose, and measurements alternate between few shadings.
@@ -239,6 +240,12 @@ def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedS
         images = _images(mesh.materials)
         others = [pair for pair in recent if _images(pair[0][0]) == images]
         recent[:] = [(key, look), *others[: _MOST_RECENT - 1]]
+    return look
+
+
+def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
+    """Return a simplified scene with its appearance; see :func:`appearance_of`."""
+    mesh, look = scene.mesh, appearance_of(scene, shading, albedo)
     changes: dict[str, Any] = {
         name: value
         for name in ("lights", "ambient", "environment")

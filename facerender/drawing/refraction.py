@@ -147,13 +147,11 @@ class Refraction:
     def of(cls, resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Refraction:
         """Return the maps for an image of a view. A texel covers at most half a pixel, except in
         images of an eye alone."""
-        mesh, stored = resolved.scene.mesh, resolved.appearance.draws
+        mesh, look = resolved.scene.mesh, resolved.appearance
         refracting = [material.refracts for material in mesh.materials]
         setups = [*compress(mesh.setups, refracting)]
-        if "regions" not in stored or stored["regions"][0] != setups:
-            regions = map(regions_of, setups)
-            stored["regions"] = setups, tuple(next(regions) if r else () for r in refracting)
-        parts = stored["regions"][1]
+        regions = iter(look.draws.of("regions", setups, lambda: [*map(regions_of, setups)]))
+        parts = tuple(next(regions) if refracts else () for refracts in refracting)
         pixels = max(region.pixels(view.matrix, size) for regions in parts for region in regions)
         side = 2 ** int(np.ceil(np.log2(np.clip(2.0 * pixels, *_SIDES))))
         return cls(parts, side, np.asarray(resolved.scene.background or (0.0, 0.0, 0.0)))
@@ -185,10 +183,12 @@ class Refraction:
         mesh, look = resolved.scene.mesh, resolved.appearance
         light = look.lights, look.lighting.order, look.ambient, look.environment
         scene = mesh.token, mesh.space, mesh.materials, *light, look.shading.slope_filter
-        value, stored = (*scene, self.side), mesh.geometry.derived
-        if "refraction" in stored and stored["refraction"][0] == value:
-            passes: list[Pass] = stored["refraction"][1]
-            return passes
+        value, make = (*scene, self.side), lambda: self._passes(resolved)
+        passes: list[Pass] = mesh.geometry.derived.of("refraction", value, make)
+        return passes
+
+    def _passes(self, resolved: ResolvedScene) -> list[Pass]:
+        look = resolved.appearance
         front: list[Draw] = []
         behind: list[Draw] = []
         program, side = Program("refraction_surface.frag"), self.side
@@ -203,12 +203,10 @@ class Refraction:
         map_target = Target(size=size, sampled=True, number=2)
         shared = scene_uniforms(resolved, _NOWHERE)
         clear, key = (0.0, 0.0, 0.0, _EMPTY), object()
-        passes = [
+        return [
             Pass("refraction_surface", surface, tuple(front), key=key),
             Pass("refraction_map", map_target, tuple(behind), clear, shared, key=key),
         ]
-        stored["refraction"] = value, passes
-        return passes
 
 
 _NOWHERE = View(np.zeros(3), np.zeros(3), np.eye(4))

@@ -40,6 +40,7 @@ from facerender.drawing.passes import (
 )
 from facerender.drawing.prepare import (
     ResolvedScene,
+    appearance_of,
     check_memory,
     reduced,
     resolve,
@@ -307,10 +308,8 @@ class Renderer:
 
     def _metadata(self, scene: Scene, shading: Shading) -> dict[str, str]:
         """Return the scene as text. Most frames have the mesh of the frame before."""
-        look, token = self._resolve(scene, shading).appearance, scene.mesh.token
-        if "mesh" not in look.draws or look.draws["mesh"][0] is not token:
-            look.draws["mesh"] = token, mesh_metadata(scene.mesh)
-        texts: dict[str, str] = look.draws["mesh"][1]
+        mesh, look = scene.mesh, appearance_of(scene, shading, self.albedo_kind)
+        texts: dict[str, str] = look.draws.of("mesh", mesh.token, lambda: mesh_metadata(mesh))
         return texts | scene_metadata(scene, look.parts)
 
     def _resolve(self, scene: Scene, shading: Shading) -> ResolvedScene:

@@ -191,9 +191,10 @@ class Resources:
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
-        for cache in vars(self).values():
-            if isinstance(cache, dict | WeakKeyDictionary):
-                cache.clear()
+        textures = self.panoramas, self.textures
+        objects = self.parts, self.programs, self.targets, self.scopes, self.screen_arrays
+        for cache in (*textures, *objects, self.images_held):
+            cache.clear()
         self.context.gl.gc()
 
     def settle(self) -> None:

@@ -226,21 +226,21 @@ def with_shadows(
     texels = _texels(view, size, len(spaces), mesh.space.reach)
     lights = ((space.matrix.tobytes(), space.tan_radius) for space in spaces)
     value = mesh.token, mesh.space, texels, *map(_cut, mesh.materials), *lights
-    stored = mesh.geometry.derived
-    if "shadows" not in stored or stored["shadows"][0] != value:
-        target, clear, key = (
-            _target((len(spaces) * texels, texels)),
-            (_EMPTY, 0.0, 0.0, 0.0),
-            object(),
-        )
-        shadow_map = Pass("shadow_map", target, _draws(look, texels), clear, key=key)
-        stored["shadows"] = value, [shadow_map, *_cones(spaces, texels, key)]
-    result: list[Pass] = [*stored["shadows"][1]]
+    shadows = mesh.geometry.derived.of("shadows", value, lambda: _shadow_passes(look, texels))
+    result: list[Pass] = [*shadows]
     maps = {"shadow_tiles": (texels, _BLOCKS), "shadow_reach": mesh.space.reach}
     for step in passes:
         uniforms = {**step.uniforms, **maps}
         result.append(replace(step, uniforms=uniforms, key=step.key and (step.key, texels)))
     return result
+
+
+def _shadow_passes(look: Appearance, texels: int) -> list[Pass]:
+    """Return the passes that draw the shadow maps, and what is derived from the maps."""
+    spaces, key = look.light_spaces, object()
+    target, clear = _target((len(spaces) * texels, texels)), (_EMPTY, 0.0, 0.0, 0.0)
+    shadow_map = Pass("shadow_map", target, _draws(look, texels), clear, key=key)
+    return [shadow_map, *_cones(spaces, texels, key)]
 
 
 def _target(size: tuple[int, int], number: int = 0) -> Target:

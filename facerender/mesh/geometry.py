@@ -7,7 +7,7 @@ that value."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,16 @@ from facerender.values.vectors import MOST_RADII, unit
 
 Floats = NDArray[np.float64]
 Level = tuple["Geometry", list[NDArray[np.int64]]]
+
+
+class Latest(dict[Any, Any]):
+    """Results by name, each with the value that it was made for."""
+
+    def of(self, name: str, value: Any, make: Callable[[], Any]) -> Any:
+        """Return the result of a name; make it if the last one was made for another value."""
+        if name not in self or self[name][0] != value:
+            self[name] = value, make()
+        return self[name][1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +132,10 @@ class Geometry:
         return {}
 
     @cached_property
-    def derived(self) -> dict[str, Any]:
+    def derived(self) -> Latest:
         """Results that hints and drawing derive from the geometry with recent materials. They are
         freed with the geometry, so that no renderer keeps a mesh alive."""
-        return {}
+        return Latest()
 
 
 @dataclass(frozen=True, eq=False)

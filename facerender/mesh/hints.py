@@ -43,10 +43,9 @@ def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
     maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
-    derived = mesh.geometry.derived
-    if "hints" not in derived or derived["hints"][0] != maps:
-        derived["hints"] = maps, [(hint, hint(mesh)) for hint in (upside_down, green_down)]
-    for hint, line in (*derived["hints"][1], (no_ks, no_ks(mesh))):
+    of_maps = upside_down, green_down
+    lines = mesh.geometry.derived.of("hints", maps, lambda: [(h, h(mesh)) for h in of_maps])
+    for hint, line in (*lines, (no_ks, no_ks(mesh))):
         emit(mesh, hint, line)
     gloss = mesh.geometry.gloss
     if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from facerender.errors import InputError, check_known, check_type, short_repr, shown
@@ -108,12 +108,17 @@ class Scene:
         if environment is not None and not isinstance(environment, Environment):
             environment = load_environment(environment)
         lights, ambient = default_light(lights, ambient, environment is not None)
-        values = (
-            *(mesh, camera_of(camera), lights_of(lights), ambient),
-            *(background_of(background), environment, before),
-        )
-        for field, value in zip(fields(Scene), values, strict=True):
-            object.__setattr__(self, field.name, value)
+        values = {
+            "mesh": mesh,
+            "camera": camera_of(camera),
+            "lights": lights_of(lights),
+            "ambient": ambient,
+            "background": background_of(background),
+            "environment": environment,
+            "before": before,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
         check_fields(self)
 
 
