@@ -10,6 +10,7 @@ Mesh            from_arrays creates a mesh; with_material changes materials, sel
 Material        reflectance of a part; a Texture is a map from a file, an array or a Pillow image
 simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion, and
                 tracked makes cameras follow a moving head
+find_face       finds the eyes and the direction of a face on a mesh in any orientation: a Face
 Scene           mesh, Camera, Light, ambient light, background and environment; accepts names of the
                 command line, such as "three-quarter", "key" and "studio"; load_scene reads a file
 Environment     environment map from a Panorama; load_environment reads a file, an EnvironmentFile
@@ -55,7 +56,9 @@ if TYPE_CHECKING:
     from facerender.images.animation import save_animation as save_animation
     from facerender.loading import load_mesh as load_mesh
     from facerender.material import Material as Material
+    from facerender.mesh.face import Face as Face
     from facerender.mesh.mesh import Mesh as Mesh
+    from facerender.mesh.mesh import find_face as find_face
     from facerender.mesh.mesh import tracked as tracked
     from facerender.mesh.occlusion import with_occlusion as with_occlusion
     from facerender.mesh.simplify import simplified as simplified
@@ -97,7 +100,8 @@ _HOMES = {
     "images.animation": ("save_animation",),
     "loading": ("load_mesh",),
     "material": ("Material",),
-    "mesh.mesh": ("Mesh", "tracked"),
+    "mesh.face": ("Face",),
+    "mesh.mesh": ("Mesh", "find_face", "tracked"),
     "mesh.occlusion": ("with_occlusion",),
     "mesh.simplify": ("simplified",),
     "planning.plan": ("Plan", "plan"),

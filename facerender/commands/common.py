@@ -203,7 +203,8 @@ class Options:
     def add_axes(self) -> None:
         """Add --up and --rotate."""
         text = "axis of the mesh file that points up"
-        self.add_option("--up", text, "y", choices=tuple(UPS))
+        note = "auto turns a face upright that is found on the surface"
+        self.add_option("--up", text, "y", note, choices=(*UPS, "auto"))
         text = "rotate the mesh about x, then y, then z, after --up"
         note = "Poses, files of vertices and cameras of the mesh file follow"
         self.add_option("--rotate X,Y,Z", text, "0,0,0", note, ROTATIONS, type=parse_angles)

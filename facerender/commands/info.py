@@ -68,7 +68,7 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
     """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm.
     Lengths of clips are in seconds, or None for a damaged clip."""
     size = mesh.bounds[1] - mesh.bounds[0]
-    millimetres, skin = mesh.millimetres, mesh.skin
+    millimetres, skin, face = mesh.millimetres, mesh.skin, mesh.geometry.framing.face
     parts = [
         {**_part(number + 1, *pair), "skin": number in skin}
         for number, pair in enumerate(zip(mesh.parts, mesh.materials, strict=True))
@@ -81,7 +81,15 @@ def facts_of(mesh: Mesh) -> dict[str, Any]:
         "radius": mesh.radius,
         "millimetres": millimetres,
         "size_mm": None if millimetres is None else (size * millimetres).tolist(),
-        "millimetres_of_a_head": hints.millimetres_of(mesh),
+        "unit": hints.unit_of(mesh) if millimetres is None else None,
+        "face": face
+        and {
+            "score": round(face.score, 3),
+            "eyes": face.eyes.tolist(),
+            "eye_distance": face.eye_distance,
+            "up": face.up.tolist(),
+            "front": face.front.tolist(),
+        },
         "parts": parts,
         "shapes": list(mesh.shapes),
         "joints": list(mesh.joints),
@@ -122,6 +130,7 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         f"{facts['triangles']} triangles",
         f"from ({low}) to ({high})",
         _size(facts),
+        _face(facts),
     ]
     few = len(parts) <= _MOST_ROWS
     lines += _table([_HEAD_OF_TABLE, *map(_row, parts)]) if few else _table_of_groups(parts)
@@ -196,9 +205,18 @@ def _size(facts: dict[str, Any]) -> str:
         size_mm = " x ".join(f"{extent:.4g}" for extent in facts["size_mm"])
         return f"{size} units of {facts['millimetres']:g} mm: {size_mm} mm"
     text = f"{size} units of unknown length"
-    if (length := facts["millimetres_of_a_head"]) is None:
-        return text
-    return f"{text}: for a head of about {hints.HEAD:g} mm, give {hints.option(length)}"
+    return f"{text}: {facts['unit']}" if facts["unit"] else text
+
+
+def _face(facts: dict[str, Any]) -> str:
+    """Return the face in words."""
+    if (face := facts["face"]) is None:
+        return "no face found"
+    left, right = (" ".join(f"{x:.4g}" for x in eye) for eye in face["eyes"])
+    return (
+        f"face with score {face['score']:.2f}: eyes at ({left}) and ({right}), "
+        f"{face['eye_distance']:.4g} units apart"
+    )
 
 
 def _factors(part: dict[str, Any]) -> str:

@@ -69,8 +69,8 @@ def add_scene(
     text, note = "camera; repeat for several views", f"Give {WHERE}. Ranges: {', '.join(orbit)}"
     scene.add_option("--camera CAMERA", text, "front", note, action="append")
     note = (
-        "auto is the head if a head is found on a clearly larger mesh, otherwise all. Names of "
-        "parts and joints in the file, or else the shape of the mesh, define head and face"
+        "auto is the head if a face is found on a clearly larger mesh, otherwise all. Without a "
+        "face on the surface, names of parts and joints, or else the outline, define the head"
     )
     text = "region of the mesh that an orbiting camera frames"
     scene.add_option("--frame", text, Camera.frame, note, choices=FRAMES)
@@ -413,6 +413,8 @@ def _file_cameras(
     source = source_of(options.mesh)
     if options.mesh is None or source.suffix not in GLTF:
         raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
+    if options.up == "auto":
+        raise InputError(f"--camera {place} needs the axis of the file: give --up z, not auto")
     axes = axes_of(options.up or "y", options.rotate or (0.0, 0.0, 0.0))
     cameras = gltf_cameras(source.content, source.name, axes)
     if not colon:

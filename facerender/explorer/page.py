@@ -60,7 +60,7 @@ def drawable(mesh: Mesh) -> Mesh:
     opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
     numbers = opaque or range(len(alphas))
     stored, posed = ([parts[n] for n in numbers] for parts in (mesh.geometry.parts, mesh.parts))
-    left = replace(mesh.geometry, parts=tuple(stored), known_regions=mesh.regions)
+    left = replace(mesh.geometry, parts=tuple(stored), known_framing=mesh.geometry.framing)
     materials = (mesh.materials[number] for number in numbers)
     return Mesh(
         left,

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import (
     InputError,
+    check_known,
     check_path,
     check_switch,
     check_type,
@@ -39,12 +40,13 @@ from facerender.loading.source import (
     no_faces,
     source_of,
 )
+from facerender.mesh.face import Surface, find_faces
 from facerender.mesh.hints import gloss_of
 from facerender.mesh.mesh import Mesh, names_of
 from facerender.mesh.repair import Piece, clean, in_space_order, placed
 from facerender.system.files import read_file
 from facerender.texture.texture import LARGE, Texture, with_green_turned
-from facerender.values.vectors import ROTATIONS
+from facerender.values.vectors import ROTATIONS, UPS, axes_of
 
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
     Map = Path_ | Texture | NDArray[Any] | Image
 else:
     MeshSource = Map = Any
+_Axes: TypeAlias = NDArray[np.float64] | None
 _MAPS = ("albedo_map", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
@@ -111,7 +114,8 @@ def load_mesh(
     double_sided : draw the back faces of all parts. By default, the material of a glTF file decides
         (doubleSided); in other formats, the back faces of closed surfaces are not drawn
     up : axis of the file that points up: "y", "z", "x", "-y", "-z" or "-x". The shortest rotation
-        turns it to y: for "z", a face that looks along -y then looks to +z
+        turns it to y: for "z", a face that looks along -y then looks to +z. "auto" turns the face
+        that :func:`facerender.find_face` finds upright, so that it looks to +z
     rotate : three angles in [-3600, 3600] degrees, by which the mesh is rotated about x, then y,
         then z after ``up``. Poses follow; ``Mesh.geometry.rotation`` is the whole rotation
 
@@ -129,13 +133,14 @@ def load_mesh(
     for name, value in (switches | {"double_sided": double_sided}).items():
         check_switch(name, value)
     selected = names_of("parts", parts), names_of("hide", hide)
+    check_known("up", up, (*UPS, "auto"))
     angles = ROTATIONS.check("rotate", rotate)
     options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected, up, angles)
     if is_object(source):
         name, textures = name_of(source), _opened(maps)
         with np.errstate(all="ignore"):
-            pieces = pieces_of(source, name, options.axes)
-            mesh = _assembled(pieces, name, millimetres_of(source), textures, options)
+            pieces, axes = _turned(partial(pieces_of, source, name), name, options)
+            mesh = _assembled(pieces, name, millimetres_of(source), textures, options, axes)
     else:
         mesh = _loaded(source_of(source, kind), maps, options, cache)
     if double_sided:
@@ -182,7 +187,7 @@ def _loaded(
     with noting() as warnings:
         mesh, references = _read(source, _opened(maps, contents), options)
     if cache != "read":
-        mesh = replace(mesh, geometry=replace(mesh.geometry, known_regions=mesh.regions))
+        mesh = replace(mesh, geometry=replace(mesh.geometry, known_framing=mesh.geometry.framing))
         mesh_cache.store(entry, mesh, references.files, "albedo_map" in maps, warnings)
     return mesh
 
@@ -215,9 +220,31 @@ def _read(
     check_format(source.content, source.suffix, source.name)
     references = References(source.name, source.folder, options.allow_outside)
     with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        pieces = _pieces(source, references, "albedo_map" in textures, options.axes)
+        read = partial(_pieces, source, references, "albedo_map" in textures)
+        pieces, axes = _turned(read, source.name, options)
         millimetres = 1000.0 if source.suffix in GLTF else None
-        return _assembled(pieces, source.name, millimetres, textures, options), references
+        mesh = _assembled(pieces, source.name, millimetres, textures, options, axes)
+    return mesh, references
+
+
+def _turned(
+    read: Callable[[_Axes], Sequence[Piece]], name: str, options: LoadOptions
+) -> tuple[Sequence[Piece], _Axes]:
+    """Return the pieces of a mesh in mesh space, and their axes; see :func:`axes_of`.
+
+    read : returns the pieces turned by axes. With ``up="auto"`` the mesh is read twice, because
+        poses of a glTF file follow the axes
+    """
+    upright = None
+    if options.up == "auto":
+        corners = np.concatenate([piece.positions[piece.faces] for piece in read(None)])
+        corners = corners[np.isfinite(corners).all(axis=(1, 2))]
+        if faces := find_faces(Surface(corners - corners.mean(axis=(0, 1)))):
+            upright = faces[0].upright()
+        else:
+            warn(f"no face was found on {name}: it stays as it is; give its axis, as in --up z")
+    axes = axes_of(options.up, options.rotate, upright)
+    return read(axes), axes
 
 
 def _pieces(
@@ -262,6 +289,7 @@ def _assembled(
     millimetres: float | None,
     textures: Mapping[str, Texture],
     options: LoadOptions,
+    axes: _Axes,
 ) -> Mesh:
     pieces = clean(raw_pieces, name)
     mark_skin(pieces)
@@ -273,7 +301,7 @@ def _assembled(
             if options.flip_v and (uv := getattr(piece, key)) is not None:
                 setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
     mesh = Mesh.assembled(pieces, name, millimetres).select(options.parts, options.hide)
-    if (axes := options.axes) is not None:
+    if axes is not None:
         mesh = replace(mesh, geometry=replace(mesh.geometry, rotation=axes[:3, :3]))
     return _mapped(mesh, textures, options.normal_map_y)
 

@@ -32,7 +32,7 @@ from facerender.system import cache
 from facerender.system.files import digest_of
 from facerender.texture.mips import Kind, Levels
 from facerender.texture.texture import LARGE, Texture, pack
-from facerender.values.vectors import Vector, axes_of
+from facerender.values.vectors import Vector
 
 _FOLDER = "meshes"
 _ALIGNMENT = 64
@@ -50,6 +50,7 @@ _CHAINS: dict[str, Kind] = {
 _MODULES = {
     **{"Geometry": "mesh.geometry", "Material": "material", "Mesh": "mesh.mesh"},
     **dict.fromkeys(("Part", "Region"), "mesh.part"),
+    **{"Face": "mesh.face", "Framing": "mesh.framing"},
     **dict.fromkeys(("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track"), "mesh.rig"),
 }
 
@@ -65,11 +66,6 @@ class LoadOptions(NamedTuple):
     hide: tuple[str, ...]
     up: str
     rotate: Vector
-
-    @property
-    def axes(self) -> NDArray[np.float64] | None:
-        """Result of :func:`axes_of`."""
-        return axes_of(self.up, self.rotate)
 
 
 def entry_name(source: Source, maps: Mapping[str, tuple[str, bytes]], options: LoadOptions) -> str:

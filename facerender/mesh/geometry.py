@@ -7,7 +7,7 @@ that value."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, parameters
-from facerender.mesh import framing
 from facerender.mesh.arrays import Corners
-from facerender.mesh.part import Part, Region, Space, used
+from facerender.mesh.framing import Framing, framing_of
+from facerender.mesh.part import Part, Space, used
 from facerender.mesh.repair import are_closed
 from facerender.mesh.setup import TriangleSetup
 from facerender.values.ranges import Range, check_fields, ranged
@@ -51,7 +51,7 @@ class Geometry:
         vertical axis through the centre of the bounds: distance from the axis and height, in the
         renderer's space
     millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
-    known_regions : result of :attr:`regions` if it is known, as from the cache; None to compute it
+    known_framing : result of :attr:`framing` if it is known, as from the cache; None to compute it
     rotation : (3, 3), for column vectors, from the axes of the file to mesh space; None if they are
         equal. See :func:`facerender.load_mesh`
     gloss : for each part, the highlight of the material in the file; None if the mesh was not
@@ -64,7 +64,7 @@ class Geometry:
     radius: float
     profile: Floats
     millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
-    known_regions: Mapping[str, Region | None] | None = None
+    known_framing: Framing | None = None
     rotation: Floats | None = None
     gloss: tuple[Any, ...] | None = None
 
@@ -95,9 +95,10 @@ class Geometry:
         return object()
 
     @cached_property
-    def regions(self) -> Mapping[str, Region | None]:
-        """The regions "head", "face" and "auto", see :func:`framing.regions_of`."""
-        return self.known_regions or framing.regions_of(self.parts, self.space, self.profile)
+    def framing(self) -> Framing:
+        """The face, and the regions that cameras frame. The search takes about as long as the
+        file's reading; a camera that frames no region does not need it."""
+        return self.known_framing or framing_of(self.parts, self.space, self.profile)
 
     @property
     def shapes(self) -> tuple[str, ...]:

@@ -18,15 +18,17 @@ from facerender.mesh.part import Part
 from facerender.mesh.repair import double_areas
 from facerender.texture.texture import Texture
 from facerender.values.ranges import range_of
+from facerender.values.vectors import axis_of
 
 Float = NDArray[np.float64]
 _Pieces = Sequence[tuple[Part, Float]]
 
-HEAD = 230.0  # height of a head in mm, from chin to crown
-_HEADS = (100.0, 600.0)  # plausible heights of a head in mm, also with hair or a hat
-_RADII = (40.0, 1200.0)  # plausible radii of a mesh in mm, from a small head to a whole person
+# Distance between the eyes in mm: mean of adults, and range from small children to the largest
+# adults. Source: Dodgson (2004), "Variation and extrema of human interpupillary distance".
+EYE_DISTANCE, _EYE_DISTANCES = 63.0, (40.0, 80.0)
+_HEAD = 230.0  # height of a head in mm, from chin to crown
 _UNITS = {1.0: "mm", 10.0: "cm", 25.4: "inches", 1000.0: "m"}
-_NEAR = 1.5  # largest ratio of an estimated unit and the unit that is meant, with hair or a hat
+_NEAR = 1.5  # largest ratio of an estimated unit and the unit that is meant
 
 _MAP = 128  # largest side of the map's mip level that is compared with the mesh
 _NORMAL_MAP = 256  # largest side of the normal map's mip level that is examined
@@ -37,6 +39,12 @@ _APART = 0.02  # minimum distance between texture coordinates on the two sides o
 def gloss_of(material: Material) -> tuple[Any, ...]:
     """Return the values of a highlight, for :attr:`Geometry.gloss`."""
     return material.ks, material.f0, material.m, material.roughness_map
+
+
+def emit_framing(mesh: Mesh, frame: str) -> None:
+    """Emit the hints on a face that a camera frames; see :func:`emit`."""
+    emit(mesh, guessed, guessed(mesh, frame))
+    emit(mesh, turned, turned(mesh))
 
 
 def emit_all(mesh: Mesh) -> None:
@@ -64,7 +72,8 @@ def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
 def of_mesh(mesh: Mesh) -> list[str]:
     """Return all hints on a mesh. Decodes the maps."""
     of_maps = upside_down(mesh, True), green_down(mesh, True)
-    return [hint for hint in (*of_maps, no_ks(mesh), faint(mesh, True), wrong_unit(mesh)) if hint]
+    others = no_ks(mesh), faint(mesh, True), turned(mesh), wrong_unit(mesh)
+    return [hint for hint in (*of_maps, *others) if hint]
 
 
 def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
@@ -323,44 +332,77 @@ def too_clear(mesh: Mesh, threshold: float) -> str | None:
     )
 
 
-def millimetres_of(mesh: Mesh) -> float | None:
-    """Return the probable length of a mesh unit in mm: a usual unit near the length with which the
-    head is 230 mm high, otherwise that length. None for a mesh without height, and for a length
-    that the mesh cannot have."""
-    height = _head(mesh)
-    length = HEAD / height if height > 0.0 else 0.0
+def millimetres_of(mesh: Mesh) -> tuple[float, bool] | None:
+    """Return the probable length of a mesh unit in mm, and whether it is certain: a usual unit with
+    which the eyes have a usual distance. Without a face, the head is assumed to be 230 mm high, and
+    the length is a guess. None for a length that no mesh can have."""
+    framing = mesh.geometry.framing
+    if (face := framing.face) is not None:
+        length = EYE_DISTANCE / face.eye_distance
+    else:
+        head = framing.regions["head"]
+        height = 2.0 * head.height * mesh.radius if head else 0.0
+        length = _HEAD / height if height > 0.0 else 0.0
     if length not in range_of(Geometry, "millimetres"):
         return None
     usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
-    return usual if 1.0 / _NEAR < length / usual < _NEAR else float(f"{length:.2g}")
+    if 1.0 / _NEAR < length / usual < _NEAR:
+        return usual, face is not None
+    return float(f"{length:.2g}"), False
 
 
-SCALE = "scale the mesh to mm"  # remedy for a mesh without a probable length of its unit
-
-
-def option(length: float) -> str:
-    """Return the option that sets the length of a mesh unit in mm."""
-    return f"--millimetres {length:g}" + (f" ({_UNITS[length]})" if length in _UNITS else "")
+def unit_of(mesh: Mesh) -> str | None:
+    """Return the option that sets the length of a mesh unit, with the reason; None if the length is
+    not probable."""
+    if (result := millimetres_of(mesh)) is None:
+        return None
+    length, certain = result
+    option = f"--millimetres {length:g}" + (f" ({_UNITS[length]})" if length in _UNITS else "")
+    if certain:
+        return f"give {option} for an eye distance of about {EYE_DISTANCE:g} mm"
+    return f"{option} is a guess: measure the mesh"
 
 
 def wrong_unit(mesh: Mesh) -> str | None:
-    """Return a hint if the mesh has a unit with which it cannot be a head or a person."""
-    if mesh.millimetres is None or _RADII[0] <= mesh.radius * mesh.millimetres <= _RADII[1]:
+    """Return a hint if the mesh has a unit with which its eyes cannot be the eyes of a person."""
+    face, millimetres = mesh.geometry.framing.face, mesh.millimetres
+    if face is None or millimetres is None:
         return None
-    height = float(f"{_head(mesh) * mesh.millimetres:.3g}")
-    if _HEADS[0] <= height <= _HEADS[1]:
+    distance = face.eye_distance * millimetres
+    if _EYE_DISTANCES[0] / _NEAR <= distance <= _EYE_DISTANCES[1] * _NEAR:
         return None
-    length = millimetres_of(mesh)
-    remedy = SCALE if length is None else f"give {option(length)}"
-    size = f"{height:g} mm high if its unit is {mesh.millimetres:g} mm"
-    return f"the head of {mesh.name} is {size}: {remedy}"
+    size = f"{distance:.3g} mm apart if its unit is {millimetres:g} mm"
+    return f"the eyes of {mesh.name} are {size}: {unit_of(mesh) or 'scale the mesh to mm'}"
 
 
-def _head(mesh: Mesh) -> float:
-    """Return the height of the head in mesh units."""
-    head = mesh.regions["head"]
-    assert head is not None
-    return 2.0 * head.height * mesh.radius
+def turned(mesh: Mesh) -> str | None:
+    """Return a hint if the face of a mesh does not look along +z with y up."""
+    geometry = mesh.geometry
+    if (face := geometry.framing.face) is None:
+        return None
+    up, front = axis_of(face.up), axis_of(face.front)
+    if (up, front) == ("y", "z"):
+        return None
+    option, (_, angle, _) = "--up auto", face.turn(up)
+    if geometry.rotation is None:
+        options = [f"--up {up}"] * (up != "y") + [f"--rotate 0,{angle:g},0"] * (angle != 0.0)
+        option = f"{' '.join(options)}, or --up auto"
+    pose = f"looks along {front}, and the top of the head is along {up}"
+    return f"the face of {mesh.name} {pose}: give {option} (up='auto')"
+
+
+def guessed(mesh: Mesh, frame: str) -> str | None:
+    """Return a hint if a camera frames a face that was not found on the surface.
+
+    frame : region that a camera frames
+    """
+    framing = mesh.geometry.framing
+    if framing.face is not None or mesh.regions[frame] is None:
+        return None
+    if not framing.source:
+        return f"no face was found on {mesh.name}: frame {frame} shows the whole mesh"
+    cause = f"its head is a guess from {framing.source}"
+    return f"no face was found on {mesh.name}, and {cause}: look at the image, or give --target"
 
 
 def no_shadows(environment: bool) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import InputError, check_type, each_of, number_of, parameters, shown, warn
 from facerender.material import MAPS, Alpha, Material, changed, check_maps, without_effect
 from facerender.mesh.arrays import indices_of, linear_colors, split_at_seams, unit_or
+from facerender.mesh.face import Face
 from facerender.mesh.geometry import Geometry, MeshPose
 from facerender.mesh.part import Part, Region, Space, used
 from facerender.mesh.repair import Piece, clean, unique
@@ -240,8 +241,8 @@ class Mesh:
 
     @property
     def regions(self) -> Mapping[str, Region | None]:
-        """Regions that a camera may frame; see :attr:`Geometry.regions`."""
-        return self.geometry.regions
+        """Regions that a camera may frame; see :class:`facerender.mesh.framing.Framing`."""
+        return self.geometry.framing.regions
 
     @property
     def space(self) -> Space:
@@ -544,6 +545,16 @@ def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floa
     return replace(mesh, pose=MeshPose(geometry, tuple(parts), mesh.bounds))
 
 
+def find_face(mesh: Mesh) -> Face | None:
+    """Return the face on the surface of a mesh in the reference pose; None if none is found.
+
+    The search needs no texture, no names and no orientation. See :mod:`facerender.mesh.face` for
+    the method. A mesh finds its face once.
+    """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+    return mesh.geometry.framing.face
+
+
 def tracked(mesh: Mesh) -> Mesh:
     """Return a posed mesh with a camera framing that follows the head.
 
@@ -554,7 +565,7 @@ def tracked(mesh: Mesh) -> Mesh:
     geometry = mesh.geometry
     if mesh.pose is None:
         return mesh
-    head = geometry.regions["head"]
+    head = geometry.framing.regions["head"]
     assert head is not None
     masks = [used(part.positions, part.faces) for part in geometry.parts]
     before, after = (

@@ -197,21 +197,21 @@ def are_closed(parts: Sequence[Part]) -> list[bool]:
     return list((~inwards & ~has_hole)[label])
 
 
-def _face_normals(corners: Float) -> Float:
+def face_normals(corners: Float) -> Float:
     """Return normals of triangles (F, 3, 3). Each normal's length is twice the triangle's area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def double_areas(corners: Float) -> Float:
     """Return the doubled areas (F,) of triangles (F, 3, 3)."""
-    return np.asarray(np.linalg.norm(_face_normals(corners), axis=1))
+    return np.asarray(np.linalg.norm(face_normals(corners), axis=1))
 
 
 def _outwardness(corners: Float) -> float:
     """Return the area-weighted mean cosine between face normals and directions from the mesh's
     centre to the faces. The mean is near 1 for a closed head or an open mask, and near -1 if
     the mesh is inside out."""
-    normals = _face_normals(corners)
+    normals = face_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     outward = middles - np.average(middles, axis=0, weights=areas)
@@ -304,7 +304,7 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
                 normals = piece.normals = piece.normals / np.where(good, length, 1.0)[:, None]
                 # Reverse the winding of each face that faces away from its vertices' normals.
                 a, b, c = (np.take(normals, corner, axis=0) for corner in piece.faces.T)
-                away = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1) < 0.0
+                away = (face_normals(_corners(piece)) * (a + b + c)).sum(axis=1) < 0.0
                 piece.faces = np.where(away[:, None], piece.faces[:, ::-1], piece.faces)
                 continue
             warn(f"{name} has {int((~good).sum())} normals of zero length: all recomputed")
@@ -321,7 +321,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     faces = _wind_consistently(faces, welded[faces], positions, name)
 
     corners = positions[faces]
-    unit = _face_normals(corners)
+    unit = face_normals(corners)
     unit /= np.linalg.norm(unit, axis=1)[:, None]
     normals = np.zeros((welded.max() + 1, 3))
     for corner in range(3):
@@ -394,7 +394,7 @@ def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name
 
     corners = positions[faces]
     middle = corners.mean(axis=1)
-    outward = (_face_normals(corners) * (middle - middle.mean(axis=0))).sum(axis=1)
+    outward = (face_normals(corners) * (middle - middle.mean(axis=0))).sum(axis=1)
     score = np.bincount(label, np.concatenate([outward, -outward]), 2 * n)
     turn = score[label[n:]] > score[label[:n]]
     if not turn.any():

@@ -105,7 +105,7 @@ def _simplify(mesh: Geometry, triangles: int) -> Level:
         ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
         remaining.append(kept)
-    return replace(mesh, parts=tuple(parts), known_regions=mesh.regions), remaining
+    return replace(mesh, parts=tuple(parts), known_framing=mesh.framing), remaining
 
 
 def _vertices(mesh: Geometry, index: int) -> Float:

@@ -128,7 +128,7 @@ def _determinant(slopes: Float) -> Float:
     return np.asarray(slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0])
 
 
-Frame = Literal["auto", "all", "head", "face"]
+Frame = Literal["auto", "all", "head", "face", "eyes"]
 Pose = tuple[float, float, float, float]
 Matrix = NDArray[np.float64]
 Size = int | tuple[int, int]

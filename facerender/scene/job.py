@@ -91,7 +91,7 @@ class MeshFile:
                 object.__setattr__(self, name, os.fspath(path))
         check_normal_map_y(self.normal_map_y)
         if self.up is not None:
-            check_known("mesh up", self.up, UPS)
+            check_known("mesh up", self.up, (*UPS, "auto"))
         check_fields(self, "mesh ")
 
     @cached_property

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facerender.errors import InputError
-from facerender.mesh.hints import HEAD, SCALE, emit, millimetres_of, option, wrong_unit
+from facerender.mesh.hints import emit, unit_of, wrong_unit
 from facerender.scene.scene import Scene
 from facerender.scene.view import target_of, view_of
 from facerender.terms.transport import Gaussians, wide_gaussians
@@ -42,10 +42,8 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     if not any(profiles_of_parts):
         return None
     if mesh.millimetres is None:
-        remedy = f"{SCALE}, and give {option(1.0)}"
-        if (length := millimetres_of(mesh)) is not None:
-            remedy = f"give {option(length)} for a head of {HEAD:g} mm "
-            remedy += f"(load_mesh(..., millimetres={length:g}))"
+        remedy = unit_of(mesh) or "scale the mesh to mm, and give --millimetres 1"
+        remedy += " (load_mesh(..., millimetres=...))"
         cause = f"scattering needs the size of {mesh.name}, which does not specify its unit"
         raise InputError(f"{cause}: {remedy}")
     emit(mesh, wrong_unit, wrong_unit(mesh))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
 from facerender.material import Material
+from facerender.mesh.hints import emit_framing
 from facerender.mesh.mesh import Mesh, largest_opacity
 from facerender.mesh.part import Part, Region
 from facerender.scene.camera import Camera, Frame, distort
@@ -159,6 +160,8 @@ def view_of(scene: Scene, aspect: float) -> View:
     mesh, camera = scene.mesh, scene.camera
     if camera.extrinsics is not None:
         return _placed(mesh, camera, aspect)
+    if camera.frame != "all" and None in (camera.position, camera.target):
+        emit_framing(mesh, camera.frame)
     target = target_of(mesh, camera)
     if camera.position is None:
         framed = region_of(mesh, camera.frame) or mesh

@@ -90,17 +90,28 @@ def rotation_of(angles: ArrayLike) -> NDArray[np.float64]:
     return np.where(np.abs(matrix - exact) < 1e-15, exact + 0.0, matrix)
 
 
-def axes_of(up: str, rotate: ArrayLike) -> NDArray[np.float64] | None:
+def axis_of(vector: NDArray[np.float64]) -> str:
+    """Return the axis nearest to the direction of a vector (3,), one of UPS."""
+    index = int(np.abs(vector).argmax())
+    return "-" * bool(vector[index] < 0.0) + "xyz"[index]
+
+
+def axes_of(
+    up: str, rotate: ArrayLike, upright: NDArray[np.float64] | None = None
+) -> NDArray[np.float64] | None:
     """Return the matrix (4, 4) from the axes of a file to mesh space; None if it changes nothing.
 
     up, rotate : see :func:`facerender.load_mesh`, also for the errors
+    upright : rotation (3, 3) for ``up="auto"``; None for none
     """
-    check_known("up", up, UPS)
+    check_known("up", up, (*UPS, "auto"))
     angles = ROTATIONS.check("rotate", rotate)
     if up == "y" and not any(angles):
         return None  # without the import of pyrr
+    if up != "auto":
+        upright = rotation_of(UPS[up])
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation_of(angles) @ rotation_of(UPS[up])
+    matrix[:3, :3] = rotation_of(angles) @ (np.eye(3) if upright is None else upright)
     return None if (matrix == np.eye(4)).all() else matrix
 
 

@@ -24,7 +24,7 @@ from facerender.commands import main
 from facerender.drawing import shade
 from facerender.errors import FacerenderError, InputError
 from facerender.images.files import read_image
-from facerender.mesh import framing
+from facerender.mesh import face
 from facerender.scene.environment import EnvironmentFile, load_environment
 from facerender.scene.file import load_scene
 from facerender.scene.vertices import posed
@@ -33,11 +33,11 @@ from tests.verification.fuzz import seeds
 SLOW = 10.0  # seconds of processor time per input; waiting is limited by HANGS
 LARGE = 1 << 30  # bytes of resident memory that one input may add
 LONGEST = 600  # characters in a message, which has one line
-# Smaller values of constants (module, name, value): points for framing and texels of shadow maps
+# Smaller values of constants (module, name, value): points for the face and texels of shadow maps
 # take most of the time.
 REDUCED = (
-    (framing, "_SAMPLES", framing._SAMPLES // 16),
-    (framing, "_FACE_SAMPLES", framing._FACE_SAMPLES // 16),
+    (face, "_POINTS", face._POINTS // 16),
+    (face, "_LOCAL", face._LOCAL // 16),
     (shade, "_FEWEST_TEXELS", shade._FEWEST_TEXELS // 8),
     (shade, "_BLOCKS", shade._BLOCKS // 8),
 )
