@@ -62,7 +62,7 @@ else:
 _Axes: TypeAlias = NDArray[np.float64] | None
 # The result of the search, so that the first image of the built-in head need not wait for it.
 _BUILT_IN_FACE = Face(
-    np.array([(-0.0306, 0.0005, 0.0842), (0.031, 0.0009, 0.0838)]),
+    np.array([(-0.0308, 0.0007, 0.084), (0.0308, 0.0007, 0.084)]),
     np.array([0.0, 1.0, 0.0]),
     np.array([0.0, 0.0, 1.0]),
     0.0616,

@@ -154,7 +154,7 @@ def find_faces(surface: Surface, least: float = _CLEAR) -> list[Face]:
     for score, pose in sorted(results, key=lambda result: -result[0]):
         (tip,), (axes,), (size,) = pose
         eyes = tip + size * _product(_EYES, axes)
-        least_score = least if axes[1, 1] > -0.5 else max(least, _CLEAR_ON_HEAD)
+        least_score = max(least, _CLEAR_ON_HEAD) if axes[1, 1] < -0.8 else least
         if score >= least_score and all(np.abs(f.eyes - eyes).max() > 2.0 * size for f in faces):
             distance = float(size * (_EYES[1, 0] - _EYES[0, 0]))
             faces.append(Face(eyes, axes[1], axes[2], distance, score))
@@ -382,7 +382,7 @@ class _Map:
         self.squares = (self.changes[:, :, None] * self.changes[:, None]).reshape(len(x), -1)
 
     def _quadratic(self, maps: Float) -> Float:
-        return _product(np.einsum("nk,qk->nq", maps, self.basis), self.basis)
+        return _product(_product(maps, self.basis.T), self.basis)
 
     def residual(self, heights: Float) -> Float:
         """Return weighted heights (N, K) without their best quadratic surface. Outliers count
@@ -483,9 +483,11 @@ def _reliefs(coarse: bool) -> list[_Relief]:
 def _polar() -> tuple[_Map, Float]:
     """Return the first relief at the places of polar maps, ring by ring, and what correlation uses
     of it (K, angles) for each roll."""
-    relief = _reliefs(coarse=False)[0]
+    relief = _reliefs(coarse=True)[0]
     places = np.stack([np.outer(_RINGS, column).ravel() for column in (_COS, _SIN)])
-    column, row = ((places + _HALF) * (_CELLS / 2.0 / _HALF)).astype(np.int64).clip(0, _CELLS - 1)
+    column, row = (
+        ((places + _HALF) * (relief.count / 2.0 / _HALF)).astype(np.int64).clip(0, relief.count - 1)
+    )
     heights, *slopes = relief.columns[:, row, column]
     weights = np.repeat(2.0 * np.sqrt(_RINGS / _RINGS[-1]), _ANGLES)
     polar = _Map(places, heights, np.stack(slopes), weights)
