@@ -256,6 +256,7 @@ def _turned(
         if faces := find_faces(Surface(corners - corners.mean(axis=(0, 1)))):
             *_, upright = upright_of(faces[0].axes)
         else:
+            upright = np.eye(3)
             warn(f"no face was found on {name}: it stays as it is; give its axis, as in --up z")
     axes = axes_of(options.up, options.rotate, upright)
     return read(axes), axes

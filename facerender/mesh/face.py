@@ -212,9 +212,7 @@ def _fitted(points: Float, pose: _Poses, times: int) -> _Poses:
     relief, best = _reliefs(coarse=True)[0], (-1.0, pose)
     for _ in range(times):
         heights = relief.on_disc(_raster(points[:, ::3], pose, relief.count))[None]
-        best = max(
-            best, (float(relief.map.correlation(heights)[0]), pose), key=lambda each: each[0]
-        )
+        best = max(best, (float(relief.map.correlation(heights)[0]), pose), key=lambda fit: fit[0])
         pose = relief.map.step(heights, pose)
     return best[1]
 
@@ -301,9 +299,9 @@ class _Grid:
         self.index = np.full(number.size, -1, np.int32)
         self.index[cells] = np.arange(len(cells))
         keep = self.index[keys] >= 0
-        index, each = self.index[keys[keep]], number[cells]
+        index, sizes = self.index[keys[keep]], number[cells]
         self.mean, self.normal = (
-            np.stack([np.bincount(index, row[keep], len(cells)) / each for row in rows], axis=1)
+            np.stack([np.bincount(index, row[keep], len(cells)) / sizes for row in rows], axis=1)
             for rows in (points, normals)
         )
         for step in self.steps:
@@ -328,7 +326,7 @@ class _Grid:
         self.tips = _Poses(self.mean[peaks], axes, np.full(len(peaks), size))
 
     def _keys(self, cells: Any) -> NDArray[np.int64]:
-        """Return the numbers of cells from three coordinates in cells; outside, those of a side."""
+        """Return the numbers of cells from three coordinates in cells, clipped to the grid."""
         columns = zip(cells, self.last, self.steps, strict=True)
         keys = (np.clip(c, 0, end).astype(np.int32) * np.int32(step) for c, end, step in columns)
         return np.asarray(sum(keys))
@@ -433,7 +431,7 @@ class _Relief:
         self.map = _Map(np.stack([x, y])[:, self.disc], columns[0], columns[1:], weights)
 
     def on_disc(self, heights: Float) -> Float:
-        return np.nan_to_num(heights, nan=_FLOOR)[self.disc]
+        return np.asarray(np.nan_to_num(heights, nan=_FLOOR)[self.disc])
 
     def bands_of(self, heights: Float) -> _Bands:
         """Return for each band of a map the differences and the weights."""
@@ -452,7 +450,7 @@ class _Relief:
         return bands
 
     def similarity(self, bands: _Bands) -> tuple[float, float]:
-        """Return the mean correlation of bands with those of the relief, and the amplitude of the
+        """Return the mean correlation of bands with the relief's bands, and the amplitude of the
         finest band, 1 as in the relief."""
         results = []
         for mask in self.masks:
@@ -463,7 +461,7 @@ class _Relief:
                 a, b = (values - (weights * values).sum() for values in (band, relief))
                 ab, aa, bb = ((weights * values).sum() for values in (a * b, a * a, b * b))
                 results.append((share * ab / math.sqrt(aa * bb + 1e-12), ab / (bb + 1e-9)))
-        return sum(each for each, _ in results) / len(results), results[0][1]
+        return sum(value for value, _ in results) / len(results), results[0][1]
 
 
 @cache

@@ -85,15 +85,13 @@ def framing_of(
         regions = _of_face(face, space, points)
     else:
         pairs = zip(parts, corners, strict=True)
-        named = np.concatenate([_named(part, each, space) for part, each in pairs])
+        named = np.concatenate([_named(*pair, space) for pair in pairs])
         source = "the names of its parts or joints" if named.any() else "its outline"
         chosen = np.flatnonzero(named if named.any() else ~named)
         head = _above_neck(surface.sampled(_SAMPLES, chosen)[0])
         if head is None:
-            whole = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
-            return Framing(
-                None, dict.fromkeys(("head", "face", "eyes"), whole) | {"auto": None}, ""
-            )
+            mesh = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
+            return Framing(None, dict.fromkeys(("head", "face", "eyes"), mesh) | {"auto": None}, "")
         regions = _guessed(head)
         clear = _has_nose(head) or (bool(named.any()) and _has_eyes(parts))
     largest = 2.0 * _LARGER * np.array([regions["head"].radius, regions["head"].height])
@@ -172,34 +170,41 @@ def _above_neck(points: Float) -> Float | None:
         np.maximum.at(high, rows, column)
         sizes.append(np.where(high > low, high - low, 0.0))
     wide, largest, narrowest, neck = sizes[0], 0.0, np.inf, -1
-    for row, each in enumerate(np.sqrt(sizes[0] * sizes[1])):
+    for row, length in enumerate(np.sqrt(sizes[0] * sizes[1])):
         height = (row + 1) * step
-        if height < _HEADS[0] * largest or (each > largest and narrowest > _NECK * largest):
+        if height < _HEADS[0] * largest or (length > largest and narrowest > _NECK * largest):
             if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
                 neck, narrowest = row, 0.0  # shoulders without a visible neck
                 break
-            largest, narrowest, neck = max(largest, each), np.inf, -1
+            largest, narrowest, neck = max(largest, length), np.inf, -1
             continue
-        if each < narrowest:
-            narrowest, neck = each, row
-        visible = narrowest <= _NECK * largest and each > _WIDENED * narrowest
+        if length < narrowest:
+            narrowest, neck = length, row
+        visible = narrowest <= _NECK * largest and length > _WIDENED * narrowest
         if height > _HEADS[1] * largest or visible:
             break
     return points[:, rows <= neck] if narrowest <= _NECK * largest else points
 
 
 def _has_nose(head: Float) -> bool:
-    """Return whether the middle of a head with points (3, N) protrudes as a nose does."""
+    """Return whether the middle of a head with points (3, N) protrudes as a nose does, in the row
+    where it protrudes most from its sides and from the front of the other rows."""
     x, y, z = head
     side, middle = _RIDGE * min(np.ptp(x), np.ptp(y)), (x.max() + x.min()) / 2.0
-    rows = ((y.max() - y) / (np.ptp(y) / _NOSE_ROWS)).astype(np.int64)
+    rows = ((y.max() - y) * (_NOSE_ROWS / max(np.ptp(y), 1e-12))).astype(np.int64)
     fronts = np.full((2, _NOSE_ROWS + 1), -np.inf)
     for front, (near, far) in zip(fronts, ((0.0, 0.4), (0.7, 1.3)), strict=True):
         inside = (np.abs(x - middle) >= near * side) & (np.abs(x - middle) <= far * side)
         np.maximum.at(front, rows[inside], z[inside])
-    with np.errstate(invalid="ignore"):
-        ridge = (fronts[0] - fronts[1])[_NOSE_ROWS // 3 : _NOSE_ROWS * 4 // 5] / side
-    return bool(0.35 <= np.max(ridge, where=np.isfinite(ridge), initial=0.0) <= 2.0)
+    front, beside = fronts[:, np.isfinite(fronts).all(axis=0)]
+    front, beside = (
+        column[len(front) * 3 // 10 : len(front) * 4 // 5] for column in (front, beside)
+    )
+    if not len(front) or side < 1e-6:
+        return False
+    ridge = (front - beside) / side
+    nose = (np.minimum(ridge, 1.0) + (front - front.max()) / side).argmax()
+    return bool(0.35 <= ridge[nose] <= 2.0)
 
 
 def _guessed(head: Float) -> dict[str, Region]:

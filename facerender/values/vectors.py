@@ -122,16 +122,14 @@ def axes_of(
     """Return the matrix (4, 4) from the axes of a file to mesh space; None if it changes nothing.
 
     up, rotate : see :func:`facerender.load_mesh`, also for the errors
-    upright : rotation (3, 3) for ``up="auto"``; None for none
+    upright : rotation (3, 3) for ``up="auto"``; None for other values of ``up``
     """
-    check_known("up", up, (*UPS, "auto"))
+    check_known("up", up, UPS if upright is None else (*UPS, "auto"))
     angles = ROTATIONS.check("rotate", rotate)
     if up == "y" and not any(angles):
         return None  # without the import of pyrr
-    if up != "auto":
-        upright = rotation_of(UPS[up])
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation_of(angles) @ (np.eye(3) if upright is None else upright)
+    matrix[:3, :3] = rotation_of(angles) @ (rotation_of(UPS[up]) if upright is None else upright)
     return None if (matrix == np.eye(4)).all() else matrix
 
 

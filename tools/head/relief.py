@@ -46,8 +46,8 @@ def relief(points: Floats) -> Floats:
     np.maximum.at(top, cells, z)
     front = z > top[cells] - 0.15
     with np.errstate(invalid="ignore"):
-        heights = np.bincount(cells[front], z[front], CELLS * CELLS)
-        heights /= np.bincount(cells[front], minlength=CELLS * CELLS)
+        total = np.bincount(cells[front], z[front], CELLS * CELLS)
+        heights = total / np.bincount(cells[front], minlength=CELLS * CELLS)
     heights = heights.reshape(CELLS, CELLS)
     return np.asarray((heights + heights[:, ::-1]) / 2.0)
 
@@ -57,7 +57,7 @@ def at(heights: Floats, x: Floats, y: Floats) -> Floats:
     row, column = ((c + HALF) * (CELLS / 2.0 / HALF) - 0.5 for c in (y, x))
     outside = (row < -0.5) | (row > CELLS - 0.5) | (column < -0.5) | (column > CELLS - 0.5)
     row, column = row.clip(0, CELLS - 1.001), column.clip(0, CELLS - 1.001)
-    (i, j), (u, v) = np.int64([row, column]), np.modf([row, column])[0]
+    i, j, u, v = row.astype(int), column.astype(int), row % 1.0, column % 1.0
     low, high = (heights[k, j] * (1.0 - v) + heights[k, j + 1] * v for k in (i, i + 1))
     return np.where(outside, np.nan, low * (1.0 - u) + high * u)
 
