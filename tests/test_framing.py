@@ -23,6 +23,8 @@ CHIN, CROWN, BROW = -0.105, 0.116, 0.01
 # chin, where the profile has receded by 6 mm, as at landmark 8 of ICT-FaceKit.
 TRICHION, MENTON = (0.0, 0.01 * HAIRLINE[0][1], 0.084), (0.0, -0.11, 0.0848)
 
+EYES = (-0.0313, 0.0, 0.082), (0.0322, 0.0, 0.082)
+
 known = cache(person)
 
 
@@ -41,6 +43,10 @@ def test_face_of_a_person_is_found(name):
     assert BROW + 0.03 < high < CROWN + 0.015
     assert abs(mesh.to_mesh_space(region.center)[0]) < 0.006
     assert 0.045 < region.radius * mesh.radius < 0.09
+    assert (face := fr.find_face(mesh)) is not None
+    assert np.linalg.norm(face.eyes - EYES, axis=1).max() < 0.02
+    assert 0.045 < face.eye_distance < 0.09
+    assert min(face.up[1], face.front[2]) > 0.97
 
 
 @pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
@@ -318,12 +324,17 @@ def test_regions_of_a_flat_box_are_the_box(sizes):
 
 
 def check_regions_are_the_mesh(mesh):
+    """One warning says that no face was found."""
     regions = mesh.regions
     assert regions["auto"] is None
     whole_position = view_of(fr.Scene(mesh), 1.0).position
-    for name in ("head", "face"):
-        position = view_of(fr.Scene(mesh, fr.Camera(frame=name)), 1.0).position
-        np.testing.assert_allclose(position, whole_position, rtol=1e-6)
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        for name in ("head", "face", "eyes"):
+            position = view_of(fr.Scene(mesh, fr.Camera(frame=name)), 1.0).position
+            np.testing.assert_allclose(position, whole_position, rtol=1e-6)
+    (warning,) = caught
+    wanted = f"no face was found on {mesh.name}: frame head shows the whole mesh"
+    assert str(warning.message) == wanted
 
 
 def test_regions_of_a_mesh_with_a_far_vertex_are_the_mesh():
