@@ -36,7 +36,7 @@ Float = NDArray[np.float64]
 RELIEF = 1.4, 56  # the relief covers +-1.4 around the tip of the nose with 56 x 56 cells
 # The eyes in the relief, x to the viewer's right, on average of many heads.
 _EYES = np.array([[-0.475, 0.584, -0.44], [0.475, 0.584, -0.44]])
-CLEAR, CLEAR_OPPOSITE = 0.84, 0.88  # least score of a face; of one that stands on its head
+CLEAR, CLEAR_OPPOSITE = 0.85, 0.88  # least score of a face; of one that stands on its head
 
 _HALF, _CELLS = RELIEF
 _FLOOR = -1.0  # lower parts, and places without surface, count as this height

@@ -31,7 +31,11 @@ _UPRIGHT = 0.8  # least cosine between a face's up and y
 
 _SAMPLES = 1 << 15  # points on the surface without a face
 _ROWS = 128  # rows of a front view, in which the neck is narrow
-_NECK, _WIDENED = 0.85, 1.2  # most width of a neck / of the head; least width below / of the neck
+_HEADS = (0.8, 2.0)  # range: height of a head / its size, the geometric mean of width and depth
+# Most size of a neck / of the head; least size below / of the neck; least width of shoulders / of
+# the rows above.
+_NECK, _WIDENED, _SHOULDERS = 0.88, 1.2, 1.55
+_RIDGE, _NOSE_ROWS = 0.16, 32  # distance of a nose's sides from its middle / width of the head
 _USUAL = {"eyes": (0.4, 0.56), "face": (0.15, 0.9)}  # distance from the crown / height of the head
 _SIDE = 0.36  # half the width of a face / height of its head
 
@@ -85,7 +89,7 @@ def framing_of(parts: Sequence[Part], space: Space, profile: Float) -> Framing:
         whole = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
         return Framing(None, {"auto": None, **dict.fromkeys(("head", "face", "eyes"), whole)}, "")
     source = "its outline" if named.all() else "the names of its parts or joints"
-    clear = not named.all() and _has_eyes(parts)
+    clear = _has_nose(head) or (not named.all() and _has_eyes(parts))
     return Framing(None, _with_auto(_guessed(head), surface, clear), source)
 
 
@@ -168,17 +172,37 @@ def _above_neck(points: Float) -> Float | None:
         np.minimum.at(low, rows, column)
         np.maximum.at(high, rows, column)
         sizes.append(np.where(high > low, high - low, 0.0))
-    size = np.sqrt(sizes[0] * sizes[1])
-    largest, neck = 0.0, -1
+    wide, size = sizes[0], np.median([sizes[0] * sizes[1]], axis=0) ** 0.5
+    largest, narrowest, neck = 0.0, np.inf, -1
     for row, each in enumerate(size):
-        below = (row + 1) * step
-        if neck < 0 and (below < largest or each > _NECK * largest):
-            largest = max(largest, each)
-        elif neck < 0 or each < size[neck]:
-            neck = row
-        elif each > _WIDENED * size[neck]:
-            return points[:, rows <= neck]
-    return points
+        height = (row + 1) * step
+        if height < _HEADS[0] * largest or (each > largest and narrowest > _NECK * largest):
+            if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
+                neck, narrowest = row, 0.0  # shoulders without a visible neck
+                break
+            largest, narrowest, neck = max(largest, each), np.inf, -1
+            continue
+        if each < narrowest:
+            narrowest, neck = each, row
+        if height > _HEADS[1] * largest or _WIDENED * narrowest < min(
+            each, _WIDENED * _NECK * largest
+        ):
+            break
+    return points[:, rows <= neck] if narrowest <= _NECK * largest else points
+
+
+def _has_nose(head: Float) -> bool:
+    """Return whether the middle of a head with points (3, N) protrudes as a nose does."""
+    x, y, z = head
+    side, middle = _RIDGE * min(np.ptp(x), np.ptp(y)), (x.max() + x.min()) / 2.0
+    rows = ((y.max() - y) / (np.ptp(y) / _NOSE_ROWS)).astype(np.int64)
+    fronts = np.full((2, _NOSE_ROWS + 1), -np.inf)
+    for front, (near, far) in zip(fronts, ((0.0, 0.4), (0.7, 1.3)), strict=True):
+        inside = (np.abs(x - middle) >= near * side) & (np.abs(x - middle) <= far * side)
+        np.maximum.at(front, rows[inside], z[inside])
+    with np.errstate(invalid="ignore"):
+        ridge = (fronts[0] - fronts[1])[_NOSE_ROWS // 3 : _NOSE_ROWS * 4 // 5] / side
+    return bool(0.35 <= np.max(ridge, where=np.isfinite(ridge), initial=0.0) <= 2.0)
 
 
 def _guessed(head: Float) -> dict[str, Region]:
