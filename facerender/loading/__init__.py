@@ -31,6 +31,7 @@ from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, 
 from facerender.loading.gltf_document import damaged
 from facerender.loading.mesh_cache import LoadOptions
 from facerender.loading.source import (
+    BUILT_IN,
     GLTF,
     References,
     Source,
@@ -40,13 +41,14 @@ from facerender.loading.source import (
     no_faces,
     source_of,
 )
-from facerender.mesh.face import Surface, find_faces
+from facerender.mesh.face import Face, Surface, find_faces
+from facerender.mesh.framing import framing_of
 from facerender.mesh.hints import gloss_of
 from facerender.mesh.mesh import Mesh, names_of
 from facerender.mesh.repair import Piece, clean, in_space_order, placed
 from facerender.system.files import read_file
 from facerender.texture.texture import LARGE, Texture, with_green_turned
-from facerender.values.vectors import ROTATIONS, UPS, axes_of
+from facerender.values.vectors import ROTATIONS, UPS, axes_of, upright_of
 
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
@@ -58,6 +60,14 @@ if TYPE_CHECKING:
 else:
     MeshSource = Map = Any
 _Axes: TypeAlias = NDArray[np.float64] | None
+# The result of the search, so that the first image of the built-in head need not wait for it.
+_BUILT_IN_FACE = Face(
+    np.array([(-0.0306, 0.0005, 0.0842), (0.031, 0.0009, 0.0838)]),
+    np.array([0.0, 1.0, 0.0]),
+    np.array([0.0, 0.0, 1.0]),
+    0.0616,
+    1.06,
+)
 _MAPS = ("albedo_map", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
@@ -224,6 +234,10 @@ def _read(
         pieces, axes = _turned(read, source.name, options)
         millimetres = 1000.0 if source.suffix in GLTF else None
         mesh = _assembled(pieces, source.name, millimetres, textures, options, axes)
+    if source.path == BUILT_IN and axes is None and not (options.parts or options.hide):
+        geometry = mesh.geometry
+        framing = framing_of(geometry.parts, geometry.space, geometry.profile, _BUILT_IN_FACE)
+        mesh = replace(mesh, geometry=replace(geometry, known_framing=framing))
     return mesh, references
 
 
@@ -240,7 +254,7 @@ def _turned(
         corners = np.concatenate([piece.positions[piece.faces] for piece in read(None)])
         corners = corners[np.isfinite(corners).all(axis=(1, 2))]
         if faces := find_faces(Surface(corners - corners.mean(axis=(0, 1)))):
-            upright = faces[0].upright()
+            *_, upright = upright_of(faces[0].axes)
         else:
             warn(f"no face was found on {name}: it stays as it is; give its axis, as in --up z")
     axes = axes_of(options.up, options.rotate, upright)

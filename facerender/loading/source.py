@@ -52,6 +52,7 @@ _BEGINNINGS = (
     (b"\x7fELF", "a program", "give a mesh"),
 )
 _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
+BUILT_IN = data_dir("assets") / "head.glb"
 FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
@@ -86,7 +87,7 @@ def source_of(source: Any, kind: str | None = None) -> Source:
         return source
     folder, path = None, Path("bytes")
     if source is None:
-        source = data_dir("assets") / "head.glb"
+        source = BUILT_IN
     if from_path := isinstance(source, str | os.PathLike):
         check_path("mesh file", source)
         path = Path(source)

@@ -22,8 +22,8 @@ Float = NDArray[np.float64]
 # Regions of a face in distances between the eyes, from the middle of the eyes: lower end, upper end
 # and half the width. Source: Farkas (1994), "Anthropometry of the head and face".
 _REGIONS = {"eyes": (-0.63, 0.63, 1.1), "face": (-1.775, 1.1, 1.137)}
-# Limits of the head with its hair, also in front and behind.
-_HEAD, _DEPTH = (-1.85, 3.2, 2.3), (-4.1, 1.35)
+# Ranges of the head with its hair, to the viewer's right, up and front.
+_HEAD = (-2.3, 2.3), (-1.85, 3.2), (-4.1, 1.35)
 _MARGIN = 1.095  # with the margin of the view, the face fills 87.5 % of the image
 _LARGER = 1.3  # least height or width of a mesh that is more than a head / of its head
 
@@ -66,55 +66,54 @@ class Framing:
     source: str
 
 
-def framing_of(parts: Sequence[Part], space: Space, profile: Float) -> Framing:
+def framing_of(
+    parts: Sequence[Part], space: Space, profile: Float, face: Face | None = None
+) -> Framing:
     """Find the face of a mesh and its regions.
 
     parts, space, profile : see :class:`facerender.mesh.geometry.Geometry`
+    face : in mesh space, if it is known
     """
     corners = [space.normalised(part.positions)[part.faces] for part in parts]
-    surface = Surface(np.concatenate(corners))
-    if faces := find_faces(surface):
-        face = faces[0]
-        regions = _of_face(face, surface)
-        eyes = face.eyes * space.radius + space.center
-        face = replace(face, eyes=eyes, eye_distance=face.eye_distance * space.radius)
-        return Framing(face, _with_auto(regions, surface, len(faces) == 1), "")
-    named = np.concatenate(
-        [_named(part, each, space) for part, each in zip(parts, corners, strict=True)]
-    )
-    if not named.any():
-        named[:] = not any(names_head(part.name) for part in parts)
-    head = _above_neck(surface.sampled(_SAMPLES, np.flatnonzero(named))[0]) if named.any() else None
-    if head is None:
-        whole = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
-        return Framing(None, {"auto": None, **dict.fromkeys(("head", "face", "eyes"), whole)}, "")
-    source = "its outline" if named.all() else "the names of its parts or joints"
-    clear = _has_nose(head) or (not named.all() and _has_eyes(parts))
-    return Framing(None, _with_auto(_guessed(head), surface, clear), source)
+    surface, source, clear = Surface(np.concatenate(corners)), "", True
+    points = np.ascontiguousarray(surface.corners.reshape(-1, 3).T)
+    if face is None and (faces := find_faces(surface)):
+        clear = len(faces) == 1
+        eyes = faces[0].eyes * space.radius + space.center
+        face = replace(faces[0], eyes=eyes, eye_distance=faces[0].eye_distance * space.radius)
+    if face is not None:
+        regions = _of_face(face, space, points)
+    else:
+        pairs = zip(parts, corners, strict=True)
+        named = np.concatenate([_named(part, each, space) for part, each in pairs])
+        source = "the names of its parts or joints" if named.any() else "its outline"
+        chosen = np.flatnonzero(named if named.any() else ~named)
+        head = _above_neck(surface.sampled(_SAMPLES, chosen)[0])
+        if head is None:
+            whole = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
+            return Framing(
+                None, dict.fromkeys(("head", "face", "eyes"), whole) | {"auto": None}, ""
+            )
+        regions = _guessed(head)
+        clear = _has_nose(head) or (bool(named.any()) and _has_eyes(parts))
+    largest = 2.0 * _LARGER * np.array([regions["head"].radius, regions["head"].height])
+    larger = (np.ptp(points[:2], axis=1) > largest).any()
+    return Framing(face, {"auto": regions["head"] if larger and clear else None, **regions}, source)
 
 
-def _with_auto(
-    regions: dict[str, Region], surface: Surface, clear: bool
-) -> Mapping[str, Region | None]:
-    """Return regions with "auto": the head, if it is clear and the mesh is larger."""
-    head = regions["head"]
-    low, high = surface.bounds
-    larger = high[0] - low[0] > 2.0 * _LARGER * head.radius
-    larger = larger or high[1] - low[1] > 2.0 * _LARGER * head.height
-    return {"auto": head if larger and clear else None, **regions}
-
-
-def _of_face(face: Face, surface: Surface) -> dict[str, Region]:
-    """Return the regions of a face in the renderer's space."""
-    middle, unit = face.eyes.mean(axis=0), face.eye_distance
-    places = (surface.corners.reshape(-1, 3) - middle) @ face.axes.T / unit
-    low, high, side = _HEAD
-    inside = (places[:, 1] > low) & (places[:, 1] < high) & (np.abs(places[:, 0]) < side)
-    inside &= (places[:, 2] > _DEPTH[0]) & (places[:, 2] < _DEPTH[1])
-    regions = {"head": _cylinder(surface.corners.reshape(-1, 3)[inside])}
+def _of_face(face: Face, space: Space, points: Float) -> dict[str, Region]:
+    """Return the regions of a face, from points (3, N) of the mesh in the renderer's space."""
+    middle = space.normalised(face.eyes).mean(axis=0)
+    unit = face.eye_distance / space.radius
+    away = (points - middle[:, None]) / unit
+    inside = np.ones(len(away[0]), dtype=bool)
+    for axis, (low, high) in zip(face.axes, _HEAD, strict=True):
+        along = away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2]
+        inside &= (along > low) & (along < high)
+    regions = {"head": _cylinder(points[:, inside])}
     for name, (low, high, side) in _REGIONS.items():
         height, radius = _MARGIN * (high - low) / 2.0, _MARGIN * side
-        if face.up[1] < _UPRIGHT:  # the cylinder stays upright: it contains any direction
+        if face.up[1] < _UPRIGHT:  # the cylinder stays upright, and contains any direction
             height = radius = max(height, radius)
         center = middle + unit * ((low + high) / 2.0 * face.up - radius * face.front)
         regions[name] = Region(center, unit * radius, unit * height)
@@ -122,8 +121,8 @@ def _of_face(face: Face, surface: Surface) -> dict[str, Region]:
 
 
 def _cylinder(points: Float) -> Region:
-    """Return the upright cylinder that bounds points (N, 3)."""
-    x, y, z = np.ascontiguousarray(points.T)
+    """Return the upright cylinder that bounds points (3, N)."""
+    x, y, z = points
     center = np.array([(c.min() + c.max()) / 2.0 for c in (x, y, z)])
     radius = float(np.hypot(x - center[0], z - center[2]).max())
     return Region(center, radius, float(y.max() - y.min()) / 2.0)
@@ -172,9 +171,8 @@ def _above_neck(points: Float) -> Float | None:
         np.minimum.at(low, rows, column)
         np.maximum.at(high, rows, column)
         sizes.append(np.where(high > low, high - low, 0.0))
-    wide, size = sizes[0], np.median([sizes[0] * sizes[1]], axis=0) ** 0.5
-    largest, narrowest, neck = 0.0, np.inf, -1
-    for row, each in enumerate(size):
+    wide, largest, narrowest, neck = sizes[0], 0.0, np.inf, -1
+    for row, each in enumerate(np.sqrt(sizes[0] * sizes[1])):
         height = (row + 1) * step
         if height < _HEADS[0] * largest or (each > largest and narrowest > _NECK * largest):
             if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
@@ -184,9 +182,8 @@ def _above_neck(points: Float) -> Float | None:
             continue
         if each < narrowest:
             narrowest, neck = each, row
-        if height > _HEADS[1] * largest or _WIDENED * narrowest < min(
-            each, _WIDENED * _NECK * largest
-        ):
+        visible = narrowest <= _NECK * largest and each > _WIDENED * narrowest
+        if height > _HEADS[1] * largest or visible:
             break
     return points[:, rows <= neck] if narrowest <= _NECK * largest else points
 
@@ -207,7 +204,7 @@ def _has_nose(head: Float) -> bool:
 
 def _guessed(head: Float) -> dict[str, Region]:
     """Return the regions of a head with points (3, N), by usual proportions."""
-    region = _cylinder(head.T)
+    region = _cylinder(head)
     top, height = region.center[1] + region.height, 2.0 * region.height
     regions = {"head": region}
     for name, (high, low) in _USUAL.items():

@@ -18,7 +18,7 @@ from facerender.mesh.part import Part
 from facerender.mesh.repair import double_areas
 from facerender.texture.texture import Texture
 from facerender.values.ranges import range_of
-from facerender.values.vectors import axis_of
+from facerender.values.vectors import axis_of, upright_of
 
 Float = NDArray[np.float64]
 _Pieces = Sequence[tuple[Part, Float]]
@@ -383,8 +383,9 @@ def turned(mesh: Mesh) -> str | None:
     up, front = axis_of(face.up), axis_of(face.front)
     if (up, front) == ("y", "z"):
         return None
-    option, (_, angle, _) = "--up auto", face.turn(up)
+    option = "--up auto"
     if geometry.rotation is None:
+        _, angle, _ = upright_of(face.axes)
         options = [f"--up {up}"] * (up != "y") + [f"--rotate 0,{angle:g},0"] * (angle != 0.0)
         option = f"{' '.join(options)}, or --up auto"
     pose = f"looks along {front}, and the top of the head is along {up}"

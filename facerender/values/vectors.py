@@ -96,6 +96,26 @@ def axis_of(vector: NDArray[np.float64]) -> str:
     return "-" * bool(vector[index] < 0.0) + "xyz"[index]
 
 
+def upright_of(axes: NDArray[np.float64]) -> tuple[str, float, NDArray[np.float64]]:
+    """Return how a face is turned upright, so that it looks along +z with y up.
+
+    axes : (3, 3), rows right, up and front of the face
+
+    Returns
+    -------
+    up : nearest axis, for ``load_mesh(up=...)``
+    angle : multiple of 90 degrees to rotate about y after ``up``
+    rotation : (3, 3), for column vectors: these two rotations if they leave at most 15 degrees,
+        otherwise that of the face itself
+    """
+    up = axis_of(axes[1])
+    x, _, z = rotation_of(UPS[up]) @ axes[2]
+    angle = 90.0 * round(-math.degrees(math.atan2(x, z)) / 90.0) % 360.0
+    rotation = rotation_of((0.0, angle, 0.0)) @ rotation_of(UPS[up])
+    cosine = ((rotation * axes).sum() - 1.0) / 2.0
+    return up, angle, rotation if cosine >= math.cos(math.radians(15.0)) else axes
+
+
 def axes_of(
     up: str, rotate: ArrayLike, upright: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64] | None:
