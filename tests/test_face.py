@@ -16,7 +16,7 @@ import trimesh
 from trimesh.creation import box, capsule, cylinder, icosphere, torus
 
 import facerender as fr
-from facerender.mesh.face import CLEAR, Face, Surface, candidates, find_faces
+from facerender.mesh.face import Face, Surface, find_faces
 from facerender.scene.view import shifted, view_of
 from tests.awkward_files import MINI_HEAD
 from tests.people import body, head_shape, mesh_of
@@ -76,10 +76,10 @@ def check(face: Face | None, rotation: Any = None, scale: float = 1.0, move: Any
     assert np.linalg.norm(face.eyes - eyes, axis=1).max() < 0.5 * DISTANCE * scale
     assert 0.7 < face.eye_distance / (DISTANCE * scale) < 1.43
     apart = np.linalg.norm(face.eyes[1] - face.eyes[0])
-    assert apart == pytest.approx(face.eye_distance, rel=1e-6)
+    assert apart == pytest.approx(face.eye_distance, rel=1e-4)
     np.testing.assert_allclose(face.axes @ face.axes.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(face.axes) > 0.0
-    assert CLEAR <= face.score < 1.2
+    assert 0.84 < face.score < 1.2
     return face
 
 
@@ -100,6 +100,10 @@ def test_the_built_in_head_is_found_accurately() -> None:
     assert face.eye_distance == pytest.approx(DISTANCE, rel=0.05)
     assert face.score > 1.0
     assert min(face.up[1], face.front[2]) > np.cos(np.radians(3.0))
+    known = check(fr.find_face(fr.load_mesh()))  # without a search
+    np.testing.assert_allclose(known.eyes, face.eyes, atol=0.03 * DISTANCE)
+    assert known.eye_distance == pytest.approx(face.eye_distance, rel=0.03)
+    assert known.score == pytest.approx(face.score, abs=0.03)
 
 
 @pytest.mark.parametrize(
@@ -160,9 +164,9 @@ def test_one_of_two_heads_is_found() -> None:
 
 def test_the_result_does_not_depend_on_the_processor() -> None:
     code = (
-        "import facerender as fr; from facerender.mesh.face import Surface, candidates\n"
+        "import facerender as fr; from facerender.mesh.face import Surface, find_faces\n"
         f"part = fr.load_mesh({str(MINI_HEAD)!r}).parts[0]\n"
-        "for face in candidates(Surface(part.positions[part.faces])):\n"
+        "for face in find_faces(Surface(part.positions[part.faces]), 0.0):\n"
         "    print([each.tolist() for each in vars(face).values() if hasattr(each, 'tolist')])\n"
         "    print(face.eye_distance, face.score)"
     )
@@ -183,7 +187,7 @@ def test_the_result_does_not_depend_on_the_processor() -> None:
         for setting in settings
     ]
     part = fr.load_mesh(MINI_HEAD).parts[0]
-    faces = candidates(Surface(part.positions[part.faces]))
+    faces = find_faces(Surface(part.positions[part.faces]), 0.0)
     assert all(repr(face.eyes.tolist()) in outputs[0] for face in faces)
     assert all(f"{face.eye_distance} {face.score}\n" in outputs[0] for face in faces)
     assert len(faces) == len(outputs[0].splitlines()) / 2 > 0
