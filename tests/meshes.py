@@ -13,5 +13,5 @@ def with_geometry(
     mesh: fr.Mesh, materials: Sequence[fr.Material] | None = None, **values: Any
 ) -> fr.Mesh:
     """Return a mesh in the reference pose whose geometry has other values, such as ``parts``."""
-    geometry = replace(mesh.geometry, known_regions=None, **values)
+    geometry = replace(mesh.geometry, known_framing=None, **values)
     return fr.Mesh(geometry, mesh.materials if materials is None else tuple(materials))

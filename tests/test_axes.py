@@ -239,7 +239,7 @@ def test_other_commands(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
-        ({"up": "w"}, "unknown (mesh )?up 'w'; known: y, z, x, -y, -z, -x"),
+        ({"up": "w"}, "unknown (mesh )?up 'w'; known: y, z, x, -y, -z, -x, auto"),
         ({"rotate": 90}, r"rotate = 90: give three numbers in \[-3600, 3600\]"),
         ({"rotate": (0, 4000, 0)}, r"rotate = \(0, 4000, 0\): give three numbers in"),
         ({"rotate": (0, float("nan"), 0)}, "give three numbers in"),
@@ -260,3 +260,162 @@ def test_invalid_options_are_refused(tmp_path, capsys):
     (tmp_path / "a.json").write_text("{}")
     with pytest.raises(fr.InputError, match="leave up and rotate out"):
         fr.load_cameras(tmp_path / "a.json", up="z")
+
+
+# For each pose of a head in a file: what the file has of x, y and z as in IN_FILE, the axes along
+# which the face looks and the top of the head is, and the options that turn it upright.
+POSES = {
+    "lying": (IN_FILE["z"], "-y", "z", "--up z"),
+    "on its face": (IN_FILE["-z"], "y", "-z", "--up -z"),
+    "upside down": (IN_FILE["-y"], "z", "-y", "--up -y"),
+    "on its head": ([(1, 0, 0), (0, -1, 0), (0, 0, -1)], "-z", "-y", "--up -y --rotate 0,180,0"),
+    "away": ([(-1, 0, 0), (0, 1, 0), (0, 0, -1)], "-z", "y", "--rotate 0,180,0"),
+    "to +x": ([(0, 0, 1), (0, 1, 0), (-1, 0, 0)], "x", "y", "--rotate 0,270,0"),
+    "to -x": ([(0, 0, -1), (0, 1, 0), (1, 0, 0)], "-x", "y", "--rotate 0,90,0"),
+    "lying to +x": ([(0, 0, 1), (1, 0, 0), (0, 1, 0)], "x", "z", "--up z --rotate 0,270,0"),
+}
+
+
+def posed_obj(path, axes):
+    head = files.mini_head()
+    return files.write_obj(path, head.with_positions(head.positions @ np.transpose(axes)))
+
+
+def keywords(options):
+    words = options.split()
+    found = dict(zip(words[::2], words[1::2], strict=True))
+    angles = [float(angle) for angle in found.get("--rotate", "0,0,0").split(",")]
+    return {"up": found.get("--up", "y"), "rotate": angles}
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize("pose", POSES)
+def test_a_warning_names_the_options_that_turn_a_face_upright(pose, tmp_path, renderer):
+    axes, front, up, options = POSES[pose]
+    path = posed_obj(tmp_path / "a.obj", axes)
+    mesh = fr.load_mesh(path)
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        wrong = [renderer.render(fr.Scene(mesh, fr.Camera(azimuth))) for azimuth in (0.0, 30.0)]
+    (warning,) = caught
+    assert str(warning.message) == (
+        f"the face of a.obj looks along {front}, and the top of the head is along {up}: "
+        f"give {options}, or --up auto (up='auto')"
+    )
+    upright = fr.load_mesh(posed_obj(tmp_path / "b.obj", np.eye(3)))
+    expected = renderer.render(fr.Scene(upright)).srgb8()
+    assert np.abs(np.subtract(wrong[0].srgb8(), expected, dtype=float)).max() > 20
+    for found in (fr.load_mesh(path, **keywords(options)), fr.load_mesh(path, up="auto")):
+        assert_equal(found.parts, upright.parts, "parts")
+        np.testing.assert_array_equal(renderer.render(fr.Scene(found)).srgb8(), expected)
+
+
+def test_the_command_line_turns_a_face_upright(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    posed_obj(Path("a.obj"), IN_FILE["z"])
+    posed_obj(Path("b.obj"), np.eye(3))
+    images = []
+    for words in (["a.obj"], ["a.obj", "--up", "z"], ["a.obj", "--up", "auto"], ["b.obj"]):
+        line = ["render", *words, "--frame", "eyes", "--size", "64", "-o", "a.png"]
+        assert main(line) == 0
+        assert ("give --up z, or --up auto" in capsys.readouterr().err) is (words == ["a.obj"])
+        images.append(np.asarray(Image.open("a.png")))
+    assert (images[0] != images[3]).any()
+    assert_equal(images[1], images[3], "--up z")
+    assert_equal(images[2], images[3], "--up auto")
+    assert main(["info", "a.obj"]) == 0
+    assert "hint: the face of a.obj looks along -y" in capsys.readouterr().out
+    assert main(["info", "a.obj", "--up", "auto", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert not [hint for hint in found["hints"] if "looks along" in hint]
+    np.testing.assert_allclose(found["face"]["front"], (0.0, 0.0, 1.0), atol=0.1)
+
+
+def test_a_face_at_an_odd_angle_is_turned_upright():
+    """The axes of the face replace those of the file, also for trimesh objects and shapes."""
+    turn = trimesh.transformations.rotation_matrix(np.radians(37.0), (1.0, -2.0, 0.5))[:3, :3]
+    turn = turn @ np.transpose(IN_FILE["x"])
+    head = files.mini_head()
+    positions = np.asarray(head.positions @ turn.T, dtype=np.float32)
+    shift = np.asarray(np.maximum(head.positions, 0.0) * (0.0, 0.0, 0.5) @ turn.T, np.float32)
+    file = Glb({"mesh": 0})
+    primitive = file.primitive(positions, head.faces)
+    primitive["targets"] = [{"POSITION": file.add(shift)}]
+    file.mesh(primitive)
+    instance = trimesh.Trimesh(positions, head.faces, process=False)
+    for source in (file.content(), instance, trimesh.Scene(instance)):
+        mesh = fr.load_mesh(source, up="auto")
+        rotation = mesh.geometry.rotation
+        error = rotation @ turn
+        assert np.degrees(np.arccos((np.trace(error) - 1.0) / 2.0)) < 5.0
+        np.testing.assert_allclose(mesh.parts[0].positions, positions @ rotation.T, atol=1e-6)
+        face = fr.find_face(mesh)
+        assert face is not None
+        assert min(face.up[1], face.front[2]) > np.cos(np.radians(5.0))
+        if mesh.shapes:
+            moved = mesh.with_pose({"shape1": 1.0}).parts[0].positions
+            expected = (positions + shift) @ rotation.T
+            np.testing.assert_allclose(moved, expected, atol=1e-6)
+    assert mesh.shapes or fr.load_mesh(file.content(), up="auto").shapes == ("shape1",)
+
+
+def test_up_auto_follows_shapes_along_axes():
+    head = files.mini_head()
+    file = Glb()
+    document, file.binary = files.gltf(head)
+    file.document = document = deepcopy(document)
+    target = {"POSITION": file.add(np.maximum(head.positions, 0.0) * (0.0, 0.0, 0.5))}
+    document["meshes"][0]["primitives"][0]["targets"] = [target]
+    plain = fr.load_mesh(file.content())
+    turned = fr.load_mesh(below_z_up(file.content()), up="auto")
+    assert turned.shapes == plain.shapes != ()
+    for a, b in zip(poses_of(plain), poses_of(turned), strict=True):
+        np.testing.assert_allclose(a.parts[0].positions, b.parts[0].positions, rtol=0, atol=1e-14)
+    assert fr.load_mesh(file.content(), up="auto").geometry.rotation is None
+    further = fr.load_mesh(below_z_up(file.content()), up="auto", rotate=ANGLES)
+    expected = ROTATION @ turned.geometry.rotation
+    np.testing.assert_allclose(further.geometry.rotation, expected, atol=1e-15)
+
+
+def test_up_auto_without_a_face(tmp_path):
+    shape = trimesh.creation.box((1.0, 2.0, 3.0))
+    path = tmp_path / "box.stl"
+    path.write_bytes(shape.export(file_type="stl"))
+    plain = fr.load_mesh(path)
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        mesh = fr.load_mesh(path, up="auto")
+    (warning,) = caught
+    assert str(warning.message) == (
+        "no face was found on box.stl: it stays as it is; give its axis, as in --up z"
+    )
+    assert_equal(mesh.parts, plain.parts, "parts")
+    assert mesh.geometry.rotation is None
+
+
+def test_up_auto_is_stored_in_the_cache(tmp_path, cache_folder, monkeypatch):
+    path = posed_obj(tmp_path / "a.obj", IN_FILE["z"])
+    file = fr.MeshFile(str(path), up="auto")
+    first = fr.load_mesh(path, up="auto", cache=True)
+    wait_for_cache()
+    monkeypatch.setattr("facerender.loading.find_faces", None)
+    monkeypatch.setattr("facerender.mesh.framing.find_faces", None)
+    cached = fr.load_mesh(path, up="auto", cache=True)
+    assert_equal(with_geometry(first), with_geometry(cached), "mesh")
+    assert fr.find_face(cached) is not None
+    assert fr.Job.from_dict(fr.Job(file).as_dict()).mesh == file
+
+
+def test_cameras_of_a_file_need_its_axis(tmp_path, capsys):
+    """The face is found on the mesh only, and the cameras would not follow."""
+    document, binary = deepcopy(files.gltf(files.mini_head()))
+    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.4, "znear": 0.1}}]
+    document["nodes"].append({"camera": 0, "translation": [0.05, 0.0, 0.8]})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    path = tmp_path / "a.glb"
+    path.write_bytes(join_glb(document, binary))
+    line = ["render", str(path), "--camera", "gltf", "--size", "32", "-o", str(tmp_path / "a.png")]
+    assert main(line) == 0
+    capsys.readouterr()
+    assert main([*line, "--up", "auto"]) == 2
+    assert "give --up z, not auto" in capsys.readouterr().err
+    with pytest.raises(fr.InputError, match="auto"):
+        fr.load_cameras(path, up="auto")

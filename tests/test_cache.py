@@ -64,9 +64,10 @@ def textured(folder):
 
 
 def assert_same(mesh, other):
-    """Check that meshes are bitwise equal, including their regions and the mip levels of their
+    """Check that meshes are bitwise equal, including face, regions and the mip levels of their
     maps."""
     assert_equal(with_geometry(mesh), with_geometry(other), "mesh")
+    assert_equal(fr.find_face(mesh), fr.find_face(other), "face")
     for name, region in mesh.regions.items():
         assert_equal(region, other.regions[name], name)
     for materials in zip(mesh.materials, other.materials, strict=True):
@@ -133,11 +134,16 @@ def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
         assert part.positions.flags.writeable
 
 
-def test_regions_are_found_once(tmp_path, monkeypatch):
+def test_a_face_is_found_once(tmp_path, monkeypatch):
     path = files.write_gltf(tmp_path / "head.gltf", mini_head())
-    load(path)
-    monkeypatch.setattr("facerender.mesh.framing.regions_of", None)
-    assert load(path).with_material(m=0.2).regions["head"] is not None
+    face = fr.find_face(load(path))
+    monkeypatch.setattr("facerender.mesh.geometry.framing_of", None)
+    mesh = load(path).with_material(m=0.2)
+    assert mesh.regions["eyes"] is not None
+    assert face is not None
+    assert_equal(fr.find_face(mesh), face, "face")
+    with pytest.raises(TypeError):  # the search is not called elsewhere
+        fr.find_face(fr.load_mesh(path))
 
 
 @pytest.mark.slow
@@ -338,8 +344,11 @@ def test_other_users_cannot_read_the_folder(place):
 
 
 @pytest.mark.slow
-def test_entries_that_are_cut_anywhere(reads, place):
+def test_entries_that_are_cut_anywhere(reads, place, monkeypatch):
+    """One search for a face suffices for hundreds of meshes."""
     plain = fr.load_mesh(MINI_HEAD)
+    framing = plain.geometry.framing
+    monkeypatch.setattr("facerender.mesh.geometry.framing_of", lambda *_: framing)
     load(MINI_HEAD)
     (entry,) = entries(place)
     good = entry.read_bytes()

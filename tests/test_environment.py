@@ -422,7 +422,9 @@ def test_scattering_needs_the_size_of_the_mesh(head, renderer, tmp_path, mini_ob
     assert head.millimetres == 1000.0
     mesh = fr.load_mesh(mini_obj)
     assert mesh.millimetres is None
-    with pytest.raises(fr.InputError, match=r"needs the size of head.obj, .* give --millimetres"):
+    with pytest.raises(
+        fr.InputError, match=r"needs the size of head.obj, .*: --millimetres .* is a guess"
+    ):
         renderer.render(fr.Scene(mesh.with_material(scattering="skin")))
     assert fr.load_mesh(mini_obj, millimetres=2.0).millimetres == 2.0
     assert fr.MeshFile(str(mini_obj), millimetres=2.0).load().millimetres == 2.0
@@ -430,7 +432,7 @@ def test_scattering_needs_the_size_of_the_mesh(head, renderer, tmp_path, mini_ob
         with pytest.raises(fr.InputError, match="millimetres = .*: give a"):
             fr.load_mesh(mini_obj, millimetres=size)
     large = with_geometry(head, millimetres=1e5).with_material(scattering="skin")
-    with pytest.warns(fr.FacerenderWarning, match=r"give --millimetres 1000 \(m\)$"):
+    with pytest.warns(fr.FacerenderWarning, match=r"give --millimetres 1000 \(m\) for an eye dist"):
         renderer.render(fr.Scene(large))
 
 

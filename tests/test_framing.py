@@ -23,6 +23,8 @@ CHIN, CROWN, BROW = -0.105, 0.116, 0.01
 # chin, where the profile has receded by 6 mm, as at landmark 8 of ICT-FaceKit.
 TRICHION, MENTON = (0.0, 0.01 * HAIRLINE[0][1], 0.084), (0.0, -0.11, 0.0848)
 
+EYES = (-0.0313, 0.0, 0.082), (0.0322, 0.0, 0.082)
+
 known = cache(person)
 
 
@@ -41,6 +43,10 @@ def test_face_of_a_person_is_found(name):
     assert BROW + 0.03 < high < CROWN + 0.015
     assert abs(mesh.to_mesh_space(region.center)[0]) < 0.006
     assert 0.045 < region.radius * mesh.radius < 0.09
+    assert (face := fr.find_face(mesh)) is not None
+    assert np.linalg.norm(face.eyes - EYES, axis=1).max() < 0.02
+    assert 0.045 < face.eye_distance < 0.09
+    assert min(face.up[1], face.front[2]) > 0.97
 
 
 @pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
@@ -308,22 +314,44 @@ def test_head_below_a_thin_tip_is_found(width):
     assert 0.8 < height_in_image(mesh, fr.Camera(frame="face"), TRICHION, MENTON) < 0.95
 
 
-@pytest.mark.parametrize("sizes", [(0, 1, 1), (1, 1, 0), (3e-4, 1, 1)])
-def test_regions_of_a_flat_box_are_the_box(sizes):
-    """The front and the back of the thin box are apart, so a row has points of one x only."""
+def flat_box(sizes):
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij")).reshape(3, -1).T * sizes
     faces = [(0, 1, 3), (0, 3, 2), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 3, 7), (2, 7, 6)]
-    mesh = mesh_of("box", [(corners, [*faces, (0, 2, 6), (1, 3, 7)])])
-    check_regions_are_the_mesh(mesh)
+    return mesh_of("box", [(corners, [*faces, (0, 2, 6), (1, 3, 7)])])
+
+
+@pytest.mark.parametrize("sizes", [(0, 1, 1), (1, 1, 0), (1, 0, 1)])
+def test_regions_of_a_flat_box_are_the_box(sizes):
+    check_regions_are_the_mesh(flat_box(sizes))
+
+
+def test_regions_of_a_thin_box_are_a_guess():
+    """The front and the back of the thin box are apart, so a row has points of one x only."""
+    mesh = flat_box((3e-4, 1, 1))
+    assert mesh.regions["auto"] is None
+    assert ends(mesh, region := mesh.regions["head"]) == pytest.approx((-0.5, 0.5), abs=1e-3)
+    assert region.radius * mesh.radius == pytest.approx(0.5, abs=1e-3)
+    with pytest.warns(fr.FacerenderWarning, match="on box, and its head is a guess from its out"):
+        position_of(mesh, "head")
+    for name in ("face", "eyes"):
+        low, high = ends(mesh, mesh.regions[name])
+        assert -0.55 < low < high < 0.55
+
+
+def position_of(mesh, frame):
+    return view_of(fr.Scene(mesh, fr.Camera(frame=frame)), 1.0).position
 
 
 def check_regions_are_the_mesh(mesh):
-    regions = mesh.regions
-    assert regions["auto"] is None
-    whole_position = view_of(fr.Scene(mesh), 1.0).position
-    for name in ("head", "face"):
-        position = view_of(fr.Scene(mesh, fr.Camera(frame=name)), 1.0).position
-        np.testing.assert_allclose(position, whole_position, rtol=1e-6)
+    """One warning says that no face was found."""
+    assert mesh.regions["auto"] is None
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        first = position_of(mesh, "head")
+    assert [str(warning.message) for warning in caught] == [
+        f"no face was found on {mesh.name}: frame head shows the whole mesh"
+    ]
+    for position in (first, position_of(mesh, "face"), position_of(mesh, "eyes")):
+        np.testing.assert_allclose(position, position_of(mesh, "auto"), rtol=1e-6)
 
 
 def test_regions_of_a_mesh_with_a_far_vertex_are_the_mesh():

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import facerender as fr
 from facerender.commands import main
 from facerender.errors import noting
 from facerender.mesh import hints
 from tests.awkward_files import MINI_HEAD, mini_head, write_glb, write_obj
+from tests.people import ball, body
 from tests.test_batch import draw, reused, rows, table  # noqa: F401  # fixtures
 from tests.verification.cache import wait_for_cache
 from tests.verification.scan import load_scan
@@ -194,23 +197,79 @@ def test_small_dull_parts_give_no_hint():
     assert hints.faint(fr.Mesh.of("two", [*head.parts, small], [dull, *head.materials]))
 
 
+def proposal(length, unit):
+    return f"give --millimetres {length} ({unit}) for an eye distance of about 63 mm"
+
+
 @pytest.mark.first_case
 @pytest.mark.parametrize(
     ("scale", "remedy"),
     [
-        *[(1.0, None), (10.0, "96"), (100.0, "10 (cm)"), (1000.0, "1 (mm)"), (1400.0, "1 (mm)")],
-        (39.4, "25.4 (inches)"),
+        (1.0, None),
+        (10.0, r"--millimetres (9\d|10\d|1e\+02) is a guess: measure the mesh"),
+        (39.4, re.escape(proposal(25.4, "inches"))),
+        (100.0, re.escape(proposal(10, "cm"))),
+        *[(scale, re.escape(proposal(1, "mm"))) for scale in (1000.0, 1400.0)],
     ],
 )
 def test_unit_of_a_glb(scale, remedy, tmp_path, capsys):
     head = mini_head()
     path = write_glb(tmp_path / "a.glb", replace(head, positions=scale * head.positions))
     found = hints.wrong_unit(fr.load_mesh(path))
-    assert found is None if remedy is None else f": give --millimetres {remedy}" in (found or "")
+    expected = f"mm apart if its unit is 1000 mm: {remedy}$"
+    assert found is None if remedy is None else re.search(expected, found or "")
     assert main(["info", str(path)]) == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("hint: ") is (remedy is not None)
-    millimetres = float((remedy or "1000").split()[0])
+    millimetres = float(found.split("--millimetres ")[1].split()[0]) if found else 1000.0
     assert hints.wrong_unit(fr.load_mesh(path, millimetres=millimetres)) is None
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize(
+    ("unit", "text"),
+    [
+        (1000.0, proposal(1000, "m")),
+        (10.0, proposal(10, "cm")),
+        (1.0, proposal(1, "mm")),
+        (25.4, proposal(25.4, "inches")),
+        (370.0, "--millimetres [34][0-9]0 is a guess: measure the mesh"),
+    ],
+)
+def test_info_names_the_unit_of_a_face(unit, text, tmp_path, capsys):
+    head = mini_head()
+    path = write_obj(tmp_path / "a.obj", replace(head, positions=head.positions * 1000.0 / unit))
+    assert main(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    text = text if "guess" in text else re.escape(text)
+    assert re.search(f" units of unknown length: {text}\n", out)
+    (line,) = [line for line in out.splitlines() if line.startswith("face with score ")]
+    distance = float(re.fullmatch(r".*eyes at \(.*\) and \(.*\), (.*) units apart", line)[1])
+    assert distance * unit == pytest.approx(62.7, rel=0.02)
+    assert main(["info", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert re.fullmatch(text, found["unit"])
+    assert found["face"]["eye_distance"] == pytest.approx(distance, rel=1e-3)
+    assert found["face"].keys() == {"score", "eyes", "eye_distance", "up", "front"}
+    assert main(["info", str(path), "--json", "--up", "z"]) == 0
+    lying = json.loads(capsys.readouterr().out)["face"]
+    assert lying["eye_distance"] == pytest.approx(distance, rel=0.1)
+
+
+def doll(path):
+    """Write a head without a face on a body."""
+    shapes = [*body((0.2, -0.5, 0.0)), ball((0.0, 0.0, 0.0), (0.08, 0.11, 0.1))]
+    path.write_bytes(trimesh.util.concatenate(shapes).export(file_type="stl"))
+    return path
+
+
+def test_unit_of_a_doll_is_a_guess(tmp_path, capsys):
+    assert main(["info", str(doll(tmp_path / "doll.stl"))]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r": --millimetres 1000 \(m\) is a guess: measure the mesh\n", out)
+    assert "\nno face found\n" in out
+    assert "hint" not in out
+    assert main(["info", str(tmp_path / "doll.stl"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["face"] is None
 
 
 def test_a_unit_beyond_the_limits_is_not_proposed(tmp_path, capsys, renderer):
@@ -222,6 +281,45 @@ def test_a_unit_beyond_the_limits_is_not_proposed(tmp_path, capsys, renderer):
     assert " units of unknown length\n" in capsys.readouterr().out
     with pytest.raises(fr.InputError, match="unit: scale the mesh to mm, and give --millimetres 1"):
         renderer.render(fr.Scene(fr.load_mesh(path).with_skin(scattering="skin")))
+
+
+def test_a_face_that_was_not_found_is_a_guess(tmp_path, renderer):
+    """Each mesh warns once, and each image that records its warnings has the line."""
+    mesh = fr.load_mesh(doll(tmp_path / "doll.stl"))
+    line = (
+        "no face was found on doll.stl, and its head is a guess from its outline: look at the "
+        "image, or give --target"
+    )
+    renderer.render(fr.Scene(mesh))  # the default frames the whole mesh
+    with pytest.warns(fr.FacerenderWarning) as caught:
+        renderer.render(fr.Scene(mesh, fr.Camera(frame="face")))
+    assert [str(warning.message) for warning in caught] == [line]
+    for frame in ("head", "face", "eyes"):
+        with noting() as noted:
+            renderer.render(fr.Scene(mesh, fr.Camera(frame=frame)))
+        assert noted == [line]
+    with noting() as noted:
+        renderer.render(fr.Scene(mesh, fr.Camera(frame="all")))
+    assert noted == []
+    part = replace(mesh.parts[0], name="Head")
+    named = fr.Mesh.of("named", [part], mesh.materials)
+    with pytest.warns(fr.FacerenderWarning, match="a guess from"):
+        renderer.render(fr.Scene(named, fr.Camera(frame="eyes")))
+
+
+@pytest.mark.slow
+def test_records_of_a_batch_have_the_guess(table, draw, tmp_path):  # noqa: F811
+    path = str(doll(tmp_path / "doll.stl"))
+    jobs = [*rows(2, mesh=path, **{"camera.frame": "head"}), {**rows(1, mesh=path)[0], "id": "all"}]
+    result = draw(table(jobs), "out")
+    assert (result["status"], result["err"]) == (0, "")
+    lines = (tmp_path / "out/jobs.jsonl").read_text().splitlines()
+    records = {each["id"]: each.get("warnings", []) for each in map(json.loads, lines)}
+    assert records.pop("all") == []
+    assert len(records) == 2
+    for warnings in records.values():
+        (line,) = warnings
+        assert line.startswith("no face was found on doll.stl, and its head is a guess from")
 
 
 @pytest.mark.slow

@@ -37,8 +37,8 @@ EXACT = {
         "material, parts, shading, planned, ambient, background, pose, before, image"
     ),
     "render tri.obj --scattering skin -o x.png": (
-        "scattering needs the size of tri.obj, which does not specify its unit: give "
-        "--millimetres 230 for a head of 230 mm (load_mesh(..., millimetres=230))"
+        "scattering needs the size of tri.obj, which does not specify its unit: "
+        "--millimetres 230 is a guess: measure the mesh (load_mesh(..., millimetres=...))"
     ),
     "render --budget 1 -o x.png": (
         "budget '1' has no unit: give a fraction of the display's range such as 1/255, 0.5%, or "

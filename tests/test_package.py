@@ -179,7 +179,7 @@ def contents(wheel: Path) -> dict[str, bytes]:
 @pytest.mark.wheel
 def test_wheel_has_the_committed_files_of_the_package(wheel, built):
     listed = subprocess.run(
-        ["git", "ls-files", "facerender", "shaders", "assets/head.glb"],
+        ["git", "ls-files", "facerender", "shaders", "assets/head.glb", "assets/relief.npy"],
         cwd=ROOT,
         check=True,
         capture_output=True,

@@ -273,7 +273,7 @@ def test_info_prints_the_content_of_a_file(tmp_path, capsys):
     size = part["maps"]["albedo_map"]["size"]
     assert tuple(size) == mesh.materials[0].albedo_map.size  # type: ignore[union-attr]
     assert part["maps"]["albedo_map"]["encoding"] == "srgb"
-    header, line = run(capsys, "info", path)[1].splitlines()[4:6]
+    header, line = run(capsys, "info", path)[1].splitlines()[5:7]
     assert re.split("  +", header) == ["part", "triangles", "skin", "preset", "maps", "material"]
     assert re.split("  +", line) == [
         *("Head", str(facts["triangles"]), "yes", "-", f"albedo {size[0]}"),
@@ -288,7 +288,7 @@ def test_info_prints_repairs_and_a_size_for_heads(tmp_path, capsys):
     status, out, err = run(capsys, "info", path)
     assert (status, err) == (0, "")
     assert "warning: a.obj has 3 degenerate faces: dropped\n" in out
-    assert "--millimetres 1000 (m)\n" in out
+    assert ": give --millimetres 1000 (m) for an eye distance of about 63 mm\n" in out
     assert json.loads(run(capsys, "info", path, "--json")[1])["millimetres"] is None
     status, out, err = run(capsys, "info", tmp_path / "b.obj")
     assert (status, out) == (2, "")

@@ -164,7 +164,7 @@ class TestDrawing:
         """Also after other poses, which share the vertex buffers."""
         monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
         moved = head.with_positions(waved(head))
-        geometry = replace(head.geometry, parts=moved.parts, known_regions=head.regions)
+        geometry = replace(head.geometry, parts=moved.parts, known_framing=head.geometry.framing)
         alone = fr.Mesh(geometry, head.materials)
         with fr.Renderer((128, 128), samples=1, backend=egl) as renderer:
             first = renderer.render(fr.Scene(head)).linear
