@@ -244,7 +244,7 @@ def test_info_names_the_unit_of_a_face(unit, text, tmp_path, capsys):
     assert re.search(f" units of unknown length: {text}\n", out)
     (line,) = [line for line in out.splitlines() if line.startswith("face with score ")]
     distance = float(re.fullmatch(r".*eyes at \(.*\) and \(.*\), (.*) units apart", line)[1])
-    assert distance * unit == pytest.approx(62.7, rel=0.02)
+    assert distance * unit == pytest.approx(62.7, rel=0.06)
     assert main(["info", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert re.fullmatch(text, found["unit"])
