@@ -13,6 +13,8 @@ from facerender.scene.scene import Scene
 from facerender.scene.view import target_of, view_of
 from facerender.terms.transport import Gaussians, wide_gaussians
 
+_RADII = (40.0, 1200.0)  # plausible radii of a mesh in mm, from a small head to a person
+
 
 @dataclass(frozen=True)
 class Scattering:
@@ -46,8 +48,9 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
         remedy += " (load_mesh(..., millimetres=...))"
         cause = f"scattering needs the size of {mesh.name}, which does not specify its unit"
         raise InputError(f"{cause}: {remedy}")
-    emit(mesh, wrong_unit, wrong_unit(mesh))
     millimetres = mesh.radius * mesh.millimetres
+    if not _RADII[0] <= millimetres <= _RADII[1]:  # the search for the face takes time
+        emit(mesh, wrong_unit, wrong_unit(mesh))
     camera, view = scene.camera, view_of(scene, size[0] / size[1])
     distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))
     pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)
