@@ -21,7 +21,7 @@ Float = NDArray[np.float64]
 
 # Regions of a face in distances between the eyes, from the middle of the eyes: lower end, upper end
 # and half the width. Source: Farkas (1994), "Anthropometry of the head and face".
-_REGIONS = {"eyes": (-0.63, 0.63, 1.1), "face": (-1.775, 1.1, 1.137)}
+_REGIONS = {"eyes": (-0.5, 0.5, 0.85), "face": (-1.775, 1.1, 1.137)}
 # Ranges of the head with its hair, to the viewer's right, up and front.
 _HEAD = (-2.3, 2.3), (-1.85, 3.2), (-4.1, 1.35)
 _MARGIN = 1.095  # with the margin of the view, the face fills 87.5 % of the image
