@@ -3,6 +3,7 @@ FACERENDER_REQUIRE_ALL is set, as in CI, it fails."""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import shutil
@@ -18,6 +19,8 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, Context, create_context
+from facerender.mesh import framing
+from facerender.mesh.face import Surface
 from facerender.pricing.cost import Interval
 from facerender.system import meshoptimizer
 from tests.verification import chromium
@@ -45,6 +48,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if test in begun:
                 item.add_marker("slow")
             begun.add(test)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def search_each_surface_once() -> Iterator[None]:
+    """Keep the faces of each surface: hundreds of tests load the same head, and a search takes half
+    a second."""
+    search, results = framing.find_faces, dict[bytes, list[fr.Face]]()
+
+    def find_faces(surface: Surface) -> list[fr.Face]:
+        key = hashlib.sha256(surface.corners.tobytes()).digest()
+        if key not in results:
+            results[key] = search(surface)
+        return results[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(framing, "find_faces", find_faces)
+        yield
 
 
 @cache

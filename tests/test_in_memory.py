@@ -465,6 +465,7 @@ def everything():
         "EnvironmentFile": fr.EnvironmentFile("studio", 30.0),
         "FacerenderError": fr.FacerenderError("wrong"),
         "FacerenderWarning": fr.FacerenderWarning("mended"),
+        "Face": fr.find_face(mesh),
         "Frame": frame,
         "GBuffer": gbuffer,
         "ImageSettings": fr.ImageSettings((3, 4)),
