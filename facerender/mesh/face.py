@@ -68,6 +68,9 @@ class Face:
     eye_distance: float
     score: float
 
+    def __repr__(self) -> str:
+        return f"<Face with score {self.score:.2f}, eyes {self.eye_distance:.4g} apart>"
+
     @property
     def axes(self) -> Float:
         """Rotation (3, 3), for column vectors, to a face that looks along +z with y up."""
