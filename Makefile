@@ -5,7 +5,7 @@
 # make fuzz MINUTES=10   fuzz all file readers; inputs that cause errors are in out/fuzz
 # make docs        regenerate the tables of README and docs from their data
 # make site        build the documentation as a web site in out/site
-# make head        regenerate assets/head.glb
+# make head        regenerate assets/head.glb and assets/relief.npy
 # make lines       print the lines of code by package
 # make npm         build the npm package of the shaders in out/npm
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   install the GLSL library for pkg-config and CMake
@@ -53,6 +53,7 @@ site: .venv/installed-dev
 
 head: .venv/installed-dev
 	$(VENV)/python -m tools.head -o assets/head.glb
+	$(VENV)/python -m tools.head.relief -o assets/relief.npy
 
 lines:
 	@git ls-files facerender shaders tools benchmarks tests | grep -E '\.(py|js|css|html|glsl|frag|vert)$$' \
