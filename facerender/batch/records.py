@@ -28,6 +28,7 @@ from facerender import __version__
 from facerender.batch.jobs import FILES, Row, file_name
 from facerender.errors import InputError
 from facerender.loading.source import named_files, source_of
+from facerender.mesh.face import RELIEFS
 from facerender.scene.job import MESH_PATHS
 from facerender.system.files import TEMPORARY, CannotUse, data_dir, digest_of, reported
 
@@ -305,6 +306,7 @@ def code_version() -> str:
     folders = *lower, "glsl", "drawing"
     paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
     paths += (_PACKAGE / name for name in ("batch/outputs.py", "material.py"))
+    paths.append(RELIEFS)  # the frame of a camera depends on them
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
     return digest_of(__version__, *(path.read_bytes() for path in paths))
 

@@ -251,9 +251,12 @@ def _turned(
     """
     upright = None
     if options.up == "auto":
-        corners = np.concatenate([piece.positions[piece.faces] for piece in read(None)])
+        # Pieces are not cleaned yet: they may have invalid indices and positions.
+        corners = np.concatenate(
+            [np.take(piece.positions, piece.faces, axis=0, mode="clip") for piece in read(None)]
+        )
         corners = corners[np.isfinite(corners).all(axis=(1, 2))]
-        if faces := find_faces(Surface(corners - corners.mean(axis=(0, 1)))):
+        if len(corners) and (faces := find_faces(Surface(corners - corners.mean(axis=(0, 1))))):
             *_, upright = upright_of(faces[0].axes)
         else:
             upright = np.eye(3)

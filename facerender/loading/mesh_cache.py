@@ -27,6 +27,7 @@ from facerender import __version__
 from facerender.errors import FacerenderError, warn
 from facerender.loading.source import Source, content_of
 from facerender.material import MAPS, PROPERTY_MAPS, Material
+from facerender.mesh.face import RELIEFS
 from facerender.mesh.mesh import Mesh
 from facerender.system import cache
 from facerender.system.files import digest_of
@@ -141,7 +142,7 @@ def _code() -> list[tuple[str, int, int]]:
     paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "mesh", "texture", "values"):
         paths += sorted((_PACKAGE / folder).glob("*.py"))
-    paths += [_PACKAGE / "material.py", _PACKAGE / "system/files.py"]
+    paths += [_PACKAGE / "material.py", _PACKAGE / "system/files.py", RELIEFS]
     files = ((path, path.stat()) for path in paths)
     return [(str(path), status.st_size, status.st_mtime_ns) for path, status in files]
 

@@ -31,6 +31,8 @@ from facerender.system.files import data_dir
 Float = NDArray[np.float64]
 _Bands = list[tuple[Float, Float]]
 
+RELIEFS = data_dir("assets") / "relief.npy"  # made by ``python -m tools.head.relief``
+
 # Scores of faces. A baby may resemble a face on its head: such a face needs a higher score.
 _CLEAR, _CLEAR_ON_HEAD = 0.85, 0.88
 _HALF, _CELLS = 1.4, 56  # the reliefs cover +-1.4 around the tip of the nose with 56 x 56 cells
@@ -469,12 +471,11 @@ class _Relief:
 
 @cache
 def _reliefs(coarse: bool) -> list[_Relief]:
-    """Return the reliefs of assets/relief.npy, which ``python -m tools.head.relief`` makes: of the
-    built-in head, and a mean with a shorter nose and lower eyes.
+    """Return the reliefs: of the built-in head, and a mean with a flatter nose and lower eyes.
 
     coarse : whether they have half the resolution
     """
-    reliefs = np.load(data_dir("assets") / "relief.npy").astype(np.float64)
+    reliefs = np.load(RELIEFS).astype(np.float64)
     if coarse:
         reliefs = reliefs.reshape(2, _CELLS // 2, 2, _CELLS // 2, 2).mean(axis=(2, 4))
     return [*map(_Relief, reliefs)]
