@@ -103,7 +103,7 @@ def small_images(monkeypatch):
 
 
 @pytest.mark.parametrize("page", pages_with_python(), ids=name)
-@pytest.mark.filterwarnings("ignore:no face was found on arrays")  # files of the test
+@pytest.mark.filterwarnings("ignore:no face was found")  # files of the test
 @pytest.mark.filterwarnings("ignore:.*presets by name")  # trimesh drops transmission
 @pytest.mark.usefixtures("small_images")
 def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monkeypatch):
