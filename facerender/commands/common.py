@@ -26,7 +26,7 @@ from facerender.scene.job import MESH_PATHS, Job, MeshFile, parse_size
 from facerender.system.files import check_file, check_writable, remove_abandoned
 from facerender.system.process import Bar
 from facerender.values.ranges import IntegerRange, Range, range_of
-from facerender.values.vectors import ROTATIONS, UPS
+from facerender.values.vectors import ROTATIONS, UP_NAMES
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
@@ -204,7 +204,7 @@ class Options:
         """Add --up and --rotate."""
         text = "axis of the mesh file that points up"
         note = "auto turns a face upright that is found on the surface"
-        self.add_option("--up", text, "y", note, choices=(*UPS, "auto"))
+        self.add_option("--up", text, "y", note, choices=UP_NAMES)
         text = "rotate the mesh about x, then y, then z, after --up"
         note = "Poses, files of vertices and cameras of the mesh file follow"
         self.add_option("--rotate X,Y,Z", text, "0,0,0", note, ROTATIONS, type=parse_angles)

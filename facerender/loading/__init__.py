@@ -48,7 +48,7 @@ from facerender.mesh.mesh import Mesh, names_of
 from facerender.mesh.repair import Piece, clean, in_space_order, placed
 from facerender.system.files import read_file
 from facerender.texture.texture import LARGE, Texture, with_green_turned
-from facerender.values.vectors import ROTATIONS, UPS, axes_of, upright_of
+from facerender.values.vectors import ROTATIONS, UP_NAMES, axes_of, upright_of
 
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def load_mesh(
     for name, value in (switches | {"double_sided": double_sided}).items():
         check_switch(name, value)
     selected = names_of("parts", parts), names_of("hide", hide)
-    check_known("up", up, (*UPS, "auto"))
+    check_known("up", up, UP_NAMES)
     angles = ROTATIONS.check("rotate", rotate)
     options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected, up, angles)
     if is_object(source):

@@ -96,8 +96,8 @@ class Geometry:
 
     @cached_property
     def framing(self) -> Framing:
-        """The face, and the regions that cameras frame. The search takes about as long as the
-        file's reading; a camera that frames no region does not need it."""
+        """The face, and the regions that cameras frame. The search takes about half a
+        second; a camera that frames no region does not need it."""
         return self.known_framing or framing_of(self.parts, self.space, self.profile)
 
     @property

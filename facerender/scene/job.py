@@ -45,7 +45,7 @@ from facerender.scene.light import Light, lights_of
 from facerender.scene.scene import Only, Scene, background_of, check_only, default_light
 from facerender.scene.shading import Shading
 from facerender.values.ranges import EXPOSURES, check_fields, range_of, ranged
-from facerender.values.vectors import BACKGROUNDS, COLORS, ROTATIONS, UPS, Vector
+from facerender.values.vectors import BACKGROUNDS, COLORS, ROTATIONS, UP_NAMES, Vector
 
 _SCENE_KEYS = [key for key in KEYS if key != "cameras"]
 # The fields of MeshFile that are paths.
@@ -91,7 +91,7 @@ class MeshFile:
                 object.__setattr__(self, name, os.fspath(path))
         check_normal_map_y(self.normal_map_y)
         if self.up is not None:
-            check_known("mesh up", self.up, (*UPS, "auto"))
+            check_known("mesh up", self.up, UP_NAMES)
         check_fields(self, "mesh ")
 
     @cached_property

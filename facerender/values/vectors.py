@@ -34,6 +34,7 @@ UPS: dict[str, Vector] = {
     **{"y": (0.0, 0.0, 0.0), "z": (-90.0, 0.0, 0.0), "x": (0.0, 0.0, 90.0)},
     **{"-y": (0.0, 0.0, 180.0), "-z": (90.0, 0.0, 0.0), "-x": (0.0, 0.0, -90.0)},
 }
+UP_NAMES = (*UPS, "auto")  # values of ``up``; "auto" turns the face upright that is found
 
 
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,7 +125,7 @@ def axes_of(
     up, rotate : see :func:`facerender.load_mesh`, also for the errors
     upright : rotation (3, 3) for ``up="auto"``; None for other values of ``up``
     """
-    check_known("up", up, UPS if upright is None else (*UPS, "auto"))
+    check_known("up", up, UPS if upright is None else UP_NAMES)
     angles = ROTATIONS.check("rotate", rotate)
     if up == "y" and not any(angles):
         return None  # without the import of pyrr
