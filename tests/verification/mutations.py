@@ -4,6 +4,7 @@ and harmless ones. The tests and the table of docs/measurements/comparison.md us
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -35,8 +36,14 @@ DRIVERS = {name: SOFTPIPE | {"GALLIUM_DRIVER": name} for name in ("llvmpipe", "s
 def setting_of(mesh: str, camera: str, samples: int = 1, size: int = SIZE) -> Setting:
     """Return a setting of the built-in "head" or the "scan" with the default lights, without
     shadows."""
-    name, at = f"{mesh}-{camera}", CAMERAS[camera]
-    return Setting(name, "tune", mesh, size, samples, at, PLAIN_THREE, float_albedo=True)
+    at = CAMERAS[camera]
+    setting = Setting(
+        *(f"{mesh}-{camera}", "tune", mesh, size, samples, at, PLAIN_THREE), float_albedo=True
+    )
+    if mesh == "scan":  # a given target and zoom: the tables hold whatever the face finder finds
+        at = replace(at, frame="all", zoom=1.595104)
+        setting = replace(setting, camera=at, target=(-0.0157635, 0.2735361, 0.0537355))
+    return setting
 
 
 def images(make: Make) -> Callable[[Room], Images]:
