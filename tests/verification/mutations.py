@@ -36,14 +36,10 @@ DRIVERS = {name: SOFTPIPE | {"GALLIUM_DRIVER": name} for name in ("llvmpipe", "s
 def setting_of(mesh: str, camera: str, samples: int = 1, size: int = SIZE) -> Setting:
     """Return a setting of the built-in "head" or the "scan" with the default lights, without
     shadows."""
-    at = CAMERAS[camera]
-    setting = Setting(
-        *(f"{mesh}-{camera}", "tune", mesh, size, samples, at, PLAIN_THREE), float_albedo=True
-    )
-    if mesh == "scan":  # a given target and zoom: the tables hold whatever the face finder finds
-        at = replace(at, frame="all", zoom=1.595104)
-        setting = replace(setting, camera=at, target=(-0.0157635, 0.2735361, 0.0537355))
-    return setting
+    name, at, target = f"{mesh}-{camera}", CAMERAS[camera], None
+    if mesh == "scan":  # the tables hold for any result of the face finder
+        at, target = replace(at, frame="all", zoom=1.595104), (-0.0157635, 0.2735361, 0.0537355)
+    return Setting(name, "tune", mesh, size, samples, at, PLAIN_THREE, target, float_albedo=True)
 
 
 def images(make: Make) -> Callable[[Room], Images]:
