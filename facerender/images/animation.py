@@ -39,15 +39,12 @@ _PAPER, _INK = (255, 255, 255), (20, 20, 20)
 def arranged(
     images: Sequence[NDArray[np.uint8]], titles: Sequence[str] = (), columns: int | None = None
 ) -> NDArray[np.uint8]:
-    """Return one image (H, W, 3) with ``images`` in rows, on white.
+    """Return one image (H, W, 3) with ``images`` in rows, on white. Raise InputError if the
+    sheet is too large.
 
-    Parameters
-    ----------
     images : (h, w, 3) each, of one size
     titles : one text above each image; default: no titles
     columns : number of images in a row; default: all, at most :data:`MOST_COLUMNS`
-
-    Raise InputError if the sheet is too large.
     """
     columns = columns or min(len(images), MOST_COLUMNS)
     rows = math.ceil(len(images) / columns)

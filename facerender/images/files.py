@@ -228,7 +228,6 @@ def _read_exr(path: Path, start: bytes, size: int) -> ImageData:
 def _exr_attributes(path: Path, content: bytes) -> dict[bytes, bytes]:
     """Return the header attributes of an EXR file (OpenEXR, "OpenEXR File Layout"). Raise
     InputError for a deep image, several parts or two windows, other errors for a damaged header.
-
     Headers are parsed here because OpenEXR reads some damaged headers as an image of 64 x 64
     pixels: it replaces missing attributes with defaults."""
     if not content.startswith(b"v/1\x01"):
@@ -289,7 +288,6 @@ _DECODERS = ("PNG", "JPEG", "WEBP", "TIFF", "GIF", "BMP", "TGA")
 _MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's modes that are read as they are
 _MODE_NAMES = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
 SRGB_GAMMA = 0.45455  # value of the gAMA chunk of an sRGB PNG
-_LONGEST_EXR = 1 << 24  # largest header of an EXR file, in bytes
 
 
 def read_image(path: str | os.PathLike[str]) -> ImageData:
@@ -307,7 +305,7 @@ def read_image(path: str | os.PathLike[str]) -> ImageData:
     suffix = suffix_of(path, SUFFIXES, "image", "an image file", MAX_BYTES)
     with open_file(path, "an image file", MAX_BYTES) as file:
         size = os.fstat(file.fileno()).st_size
-        content = file.read(_LONGEST_EXR if suffix == ".exr" else size)
+        content = file.read(1 << 24 if suffix == ".exr" else size)  # the header of an EXR file
     if not content:
         raise InputError(f"{path} is empty: save it again")
     check_downloaded(content, f"{path} is")

@@ -65,8 +65,6 @@ HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 class ImageData:
     """A decoded image.
 
-    Attributes
-    ----------
     pixels : (H, W, 1 to 4), row 0 on top; linear float32 (float16 if read from a half-float EXR) or
         sRGB uint8. If there are 2 or 4 channels, the last channel is alpha
     encoding : "linear" or "srgb8"

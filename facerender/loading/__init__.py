@@ -61,13 +61,8 @@ else:
     MeshSource = Map = Any
 _Axes: TypeAlias = NDArray[np.float64] | None
 # The result of the search, so that the first image of the built-in head need not wait for it.
-_BUILT_IN_FACE = Face(
-    np.array([(-0.0308, 0.0007, 0.084), (0.0308, 0.0007, 0.084)]),
-    np.array([0.0, 1.0, 0.0]),
-    np.array([0.0, 0.0, 1.0]),
-    0.0616,
-    1.06,
-)
+_BUILT_IN_EYES = np.array([(-0.0308, 0.0007, 0.084), (0.0308, 0.0007, 0.084)])
+_BUILT_IN_FACE = Face(_BUILT_IN_EYES, np.eye(3)[1], np.eye(3)[2], 0.0616, 1.06)
 _MAPS = ("albedo_map", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
@@ -147,10 +142,9 @@ def load_mesh(
     angles = ROTATIONS.check("rotate", rotate)
     options = LoadOptions(flip_v, normal_map_y, allow_outside, as_is, *selected, up, angles)
     if is_object(source):
-        name, textures = name_of(source), _opened(maps)
-        with np.errstate(all="ignore"):
-            pieces, axes = _turned(partial(pieces_of, source, name), name, options)
-            mesh = _assembled(pieces, name, millimetres_of(source), textures, options, axes)
+        name = name_of(source)
+        read = partial(pieces_of, source, name)
+        mesh = _assembled(read, name, millimetres_of(source), _opened(maps), options)
     else:
         mesh = _loaded(source_of(source, kind), maps, options, cache)
     if double_sided:
@@ -205,11 +199,8 @@ def _loaded(
 def _opened(
     maps: Mapping[str, Path | Texture], contents: Mapping[str, bytes] | None = None
 ) -> dict[str, Texture]:
-    """Return the textures of maps.
-
-    contents : contents of the files, which are not read again. The cache does not store large
-        images, whose contents would take memory: they are read again
-    """
+    """Return the textures of maps. Their files are not read again if their ``contents`` are given,
+    except large images, whose contents would take memory."""
     textures = {}
     for field, source in maps.items():
         if not isinstance(source, Texture):
@@ -229,13 +220,12 @@ def _read(
         raise InputError(f"{source.name} is an empty file; give a mesh file")
     check_format(source.content, source.suffix, source.name)
     references = References(source.name, source.folder, options.allow_outside)
-    with np.errstate(all="ignore"):  # clean() drops faces whose vertices overflow
-        read = partial(_pieces, source, references, "albedo_map" in textures)
-        pieces, axes = _turned(read, source.name, options)
-        millimetres = 1000.0 if source.suffix in GLTF else None
-        mesh = _assembled(pieces, source.name, millimetres, textures, options, axes)
-    if source.path == BUILT_IN and axes is None and not (options.parts or options.hide):
-        geometry = mesh.geometry
+    read = partial(_pieces, source, references, "albedo_map" in textures)
+    millimetres = 1000.0 if source.suffix in GLTF else None
+    mesh = _assembled(read, source.name, millimetres, textures, options)
+    geometry = mesh.geometry
+    is_whole = not (options.parts or options.hide)
+    if source.path == BUILT_IN and geometry.rotation is None and is_whole:
         framing = framing_of(geometry.parts, geometry.space, geometry.profile, _BUILT_IN_FACE)
         mesh = replace(mesh, geometry=replace(geometry, known_framing=framing))
     return mesh, references
@@ -244,11 +234,8 @@ def _read(
 def _turned(
     read: Callable[[_Axes], Sequence[Piece]], name: str, options: LoadOptions
 ) -> tuple[Sequence[Piece], _Axes]:
-    """Return the pieces of a mesh in mesh space, and their axes; see :func:`axes_of`.
-
-    read : returns the pieces turned by axes. With ``up="auto"`` the mesh is read twice, because
-        poses of a glTF file follow the axes
-    """
+    """Return the pieces of a mesh in mesh space, and their axes; see :func:`axes_of`. With
+    ``up="auto"``, ``read`` is called twice, because poses of a glTF file follow the axes."""
     upright = None
     if options.up == "auto":
         # Pieces are not cleaned yet: they may have invalid indices and positions.
@@ -285,8 +272,9 @@ def _pieces(
         from facerender.loading.ply_stl import read_stl as read
     try:
         pieces = read(source.content, references, albedo_given)
-        for missing in () if albedo_given or suffix in GLTF else references.missing():
-            missing_image(references, missing)
+        for file, content in references.files.items():
+            if content is None and not albedo_given and suffix not in GLTF:
+                missing_image(references, file)
     except InputError:
         raise
     except (ValueError, LookupError, ArithmeticError) as error:
@@ -301,14 +289,16 @@ def _pieces(
     return [placed(piece, axes) for piece in pieces]
 
 
+@np.errstate(all="ignore")  # clean() drops faces whose vertices overflow
 def _assembled(
-    raw_pieces: Sequence[Piece],
+    read: Callable[[_Axes], Sequence[Piece]],
     name: str,
     millimetres: float | None,
     textures: Mapping[str, Texture],
     options: LoadOptions,
-    axes: _Axes,
 ) -> Mesh:
+    """Return the mesh of the pieces that ``read`` returns, see :func:`_turned`."""
+    raw_pieces, axes = _turned(read, name, options)
     pieces = clean(raw_pieces, name)
     mark_skin(pieces)
     if not options.as_is:

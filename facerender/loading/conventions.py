@@ -9,7 +9,6 @@ painted maps."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,10 +18,10 @@ from numpy.typing import NDArray
 from facerender.errors import clipped, warn
 from facerender.images.image import linear_to_srgb
 from facerender.material import MAPS, PRESETS, SKIN_ALBEDO, changed
+from facerender.mesh.framing import words_of
 from facerender.mesh.repair import Piece
 from facerender.texture.texture import Texture
 
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 _SIDES = {"l", "r", "left", "right", "upper", "lower"}
 _AFFIXES = {
     *("m", "mi", "std", "cc", "base", "game", "wolf", "d", "lod", "mesh", "geo", "shape", "sg"),
@@ -55,25 +54,17 @@ _NOT_SKIN = {
 }
 _SKIN = {"skin", "lid", "lids", "socket", "sockets"}
 KNOWN = {name: [*_WHOLE.get(name, "").split(), *_WORDS.get(name, "").split()] for name in PRESETS}
-
-
-def _words(name: str) -> list[str]:
-    """Return the words of a name in lower case, without digits and separators."""
-    return [word.lower() for word in _WORD.findall(name)]
-
-
 _WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = (
-    {"".join(_words(name)): preset for preset, text in names.items() for name in text.split()}
+    {"".join(words_of(name)): preset for preset, text in names.items() for name in text.split()}
     for names in (_WORDS, _WHOLE)
 )
-_IRIS, _LASHES = "miris", "meyelashes"  # names of ICT-FaceKit, without sides
 # Names of MakeHuman's eyes, which are known in a file with lashes or teeth.
 _EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
 
 
 def preset_for(name: str) -> str | None:
     """Return the preset of a part's or material's name, or None if the name is not known."""
-    words = _words(name)
+    words = words_of(name)
     bare = [word for word in words if word not in _AFFIXES]
     stem = [word for word in bare if word not in _SIDES]
     of_eye = stem[1:] if stem[:1] in (["eye"], ["eyes"]) else stem
@@ -86,7 +77,7 @@ def mark_skin(pieces: Sequence[Piece]) -> None:
     """Set ``skin`` of each piece: false if its name or its material's name is a name of eyes,
     lashes, teeth or hair."""
     for piece, preset in zip(pieces, _presets_of(pieces), strict=True):
-        names = {*_words(piece.name)}, {*_words(piece.material_name)}
+        names = {*words_of(piece.name)}, {*words_of(piece.material_name)}
         excluded = any(words & _NOT_SKIN and not words & _SKIN for words in names)
         piece.skin = preset in (None, "skin", "lips") and not excluded
 
@@ -94,11 +85,12 @@ def mark_skin(pieces: Sequence[Piece]) -> None:
 def give_presets(pieces: Sequence[Piece], name: str) -> None:
     """Give presets to pieces with known names, and warn of it."""
     part_names: dict[str, list[str]] = {}
-    eyes = [_stem(piece) == _IRIS and _has_ict_iris(piece) for piece in pieces]
+    # Names of ICT-FaceKit without sides: miris, msclera, meyelashes
+    eyes = [_stem(piece) == "miris" and _has_ict_iris(piece) for piece in pieces]
     eye_map = _eye_map() if any(eyes) else None
     for piece, preset, eye in zip(pieces, _presets_of(pieces), eyes, strict=True):
         if eye_map and _stem(piece) == "msclera":
-            preset = "cornea"  # in ICT-FaceKit, the clear shell around the eyeball of the iris
+            preset = "cornea"  # the clear shell around the eyeball of the iris
         if preset is None or not _is_bare(piece):
             continue
         piece.material, piece.preset = changed(piece.material, {"preset": preset}), preset
@@ -107,7 +99,7 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
         if eye:
             _close_pupil(piece)
             piece.material = replace(piece.material, albedo=(1.0, 1.0, 1.0), albedo_map=eye_map)
-        elif _stem(piece) == _LASHES and piece.uv is not None:
+        elif _stem(piece) == "meyelashes" and piece.uv is not None:
             piece.material = replace(piece.material, opacity=1.0, opacity_map=_lash_map())
         part_names.setdefault(preset, []).append(piece.name or piece.material_name)
     if part_names:
@@ -131,7 +123,7 @@ def _is_bare(piece: Piece) -> bool:
 
 def _stem(piece: Piece) -> str:
     """Return the letters of a material's or part's name without sides, in lower case."""
-    words = _words(piece.material_name or piece.name)
+    words = words_of(piece.material_name or piece.name)
     return "".join(word for word in words if word not in _SIDES)
 
 

@@ -45,13 +45,10 @@ def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
 def pieces_of(
     source: trimesh.Trimesh | trimesh.Scene, name: str, axes: NDArray[np.float64] | None
 ) -> list[Piece]:
-    """Return a copy of every mesh instance that has faces.
+    """Return a copy of every mesh instance that has faces. Raise InputError if no mesh has
+    faces, or the arrays do not form a mesh.
 
     axes : see :func:`facerender.values.vectors.axes_of`
-
-    Raises
-    ------
-    InputError : no mesh has faces, or the arrays do not form a mesh
     """
     textures: dict[int, Texture] = {}
     pieces: list[Piece] = []

@@ -22,7 +22,6 @@ from facerender.mesh.rig import Node, Rig, Shape, Skeleton, Skin, local_matrix, 
 from facerender.values.vectors import transformed
 
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
-_BELOW_JOINT = 0.5  # maximum: part of a head below its joint / part of the head above its joint
 # Limit of the used vertices plus faces: 8 times the number of stored elements, plus 2^20.
 _TIMES, _MOST_REPEATED = 8, 1 << 20
 
@@ -38,11 +37,8 @@ def scene_nodes(
     axes : see :func:`facerender.values.vectors.axes_of`
 
     The matrices are keyed by the node's index, parents first. A node is visible if it and all of
-    its ancestors are (KHR_node_visibility).
-
-    Raises
-    ------
-    InputError : a node has two parents, or is its own ancestor
+    its ancestors are (KHR_node_visibility). Raises InputError if a node has two parents, or is its
+    own ancestor.
     """
     nodes = document["nodes"]
     if scenes := document["scenes"]:
@@ -58,8 +54,8 @@ def scene_nodes(
         if index in tree:
             raise damaged(name, f"nodes[{index}] has two parents, or is its own ancestor")
         node = nodes[index]
-        transforms = {key: tuple(node[key]) for key in _TRANSFORMS if key in node}
-        tree[index] = Node(index, parent, **transforms)
+        transforms = {key: node[key] for key in _TRANSFORMS if key in node}
+        tree[index] = Node(index, parent, transforms)
         visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
         if visibility.get("visible", True) and (parent is None or parent in visible):
             visible.add(index)
@@ -87,7 +83,7 @@ def read_gltf(
     text, binary = chunks(data, name)
     document = document_of(text, name)
     for extension in sorted(document.get("extensionsRequired", ())):
-        if extension not in EXTENSIONS or EXTENSIONS[extension].fate == "refused":
+        if EXTENSIONS.get(extension, ("refused",))[0] == "refused":
             raise InputError(
                 f"{name} requires the extension {clipped(extension, 60)}; export it without this"
             )
@@ -96,7 +92,6 @@ def read_gltf(
 
 class _File:
     """A glTF file with checked JSON. Methods raise ValueError if the binary data are damaged.
-
     A mesh is read once per skin and weights of its nodes. Parameter ``skin`` is the index of the
     skin whose joints place the mesh; None: the node places it.
     """
@@ -200,7 +195,7 @@ class _File:
                 raise ValueError(f"nodes[{index}]: the {key} of its instances has the wrong type")
         check_count(min(map(len, columns.values()), default=0), self.name)
         rows = zip(*columns.values(), strict=False)
-        return [local_matrix(**dict(zip(columns, row, strict=True))) for row in rows]
+        return [local_matrix(dict(zip(columns, row, strict=True))) for row in rows]
 
     def _joints(self, index: int) -> tuple[tuple[int, ...], Float | None] | None:
         """Return the joints and inverse bind matrices of a skin; None if it is ignored."""
@@ -235,7 +230,8 @@ class _File:
             return None
         low, high = head.min(axis=0), head.max(axis=0)
         height = self.worlds[skin.joints[of_head.argmax()]][1, 3]
-        low[1] = max(low[1], height - _BELOW_JOINT * (high[1] - height))
+        # At most a third of a head is below its joint.
+        low[1] = max(low[1], height - 0.5 * (high[1] - height))
         return np.array([low, high])
 
     def _piece(self, primitive: Primitive, skin: int | None, weights: tuple[float, ...]) -> Piece:
@@ -270,7 +266,8 @@ class _File:
         rig = None
         if shapes or self.moving:
             arrays = np.array(base), None if base_normals is None else np.array(base_normals)
-            rig = Rig(self.skeleton, -1, *arrays, weights, shapes, rig_skin, skin is None)
+            stored = (*weights, *[0.0] * len(shapes))[: len(shapes)]
+            rig = Rig(self.skeleton, -1, *arrays, stored, shapes, rig_skin, skin is None)
         return Piece(
             positions=np.asarray(positions, dtype=np.float64),
             faces=faces,

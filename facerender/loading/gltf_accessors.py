@@ -19,8 +19,6 @@ from facerender.mesh.repair import unique
 from facerender.mesh.rig import Clip, Interpolation, Path, Shape, Track
 from facerender.system.meshoptimizer import library
 
-Float = NDArray[np.float64]
-
 TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
 # A decompressed view has at most _MAX_VALUES bytes. A decompressed view of more than _SMALL bytes
 # has at most _DECODED_TIMES times the bytes of the compressed view.
@@ -84,9 +82,6 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
         scale = np.float32(np.iinfo(encoded.dtype).max) / full_scale.astype(np.float32)
         scaled = rgba.astype(np.float32) * scale[:, None] + np.float32(0.5)
         return np.asarray(scaled.astype(np.int64), dtype=encoded.dtype)
-
-
-_MOST_ZEROS = 1 << 26  # largest sparse accessor without a view, in bytes
 
 
 @dataclass
@@ -171,7 +166,7 @@ class Buffers:
             values = self._elements(where, accessor, component, shape)
         elif "sparse" not in accessor:
             raise ValueError(f"{where} has no bufferView")
-        elif shape[0] * shape[1] * np.dtype(component).itemsize > _MOST_ZEROS:
+        elif shape[0] * shape[1] * np.dtype(component).itemsize > 1 << 26:
             raise ValueError(f"{where}.count = {shape[0]} is too large without a bufferView")
         else:
             values = np.zeros(shape, dtype=component)
@@ -229,11 +224,8 @@ _TIMES, _FEW, _MAX_WORDS = 8, 1 << 22, 1 << 28
 class Primitive:
     """The triangles of a glTF primitive. Methods raise ValueError if the data are damaged.
 
-    Attributes
-    ----------
     where : the primitive's path in the document, for messages
     positions : (N, 3), all vertices
-    extras : extras of the mesh and of the primitive, of any type
     targets : accessors of the morph targets, keyed by POSITION and, with normals, NORMAL
     vertices : indices of the vertices that the faces use, or the slice of all vertices
     faces : (F, 3), indices into ``positions[vertices]``
@@ -300,7 +292,7 @@ class Primitive:
             raise ValueError(f"{self.where}: {key} has {len(values)} entries, POSITION has {count}")
         return values[self.vertices]
 
-    def uv(self, transform: Doc | None) -> Float | None:
+    def uv(self, transform: Doc | None) -> NDArray[np.float64] | None:
         """Return transformed texture coordinates with v upwards; None if they are missing."""
         if not transform or (uv := self.column(f"TEXCOORD_{transform['texCoord']}", 2)) is None:
             return None
@@ -480,8 +472,7 @@ class RigReader:
 
 
 def _named(names: list[Any], noun: str, count: int) -> Iterator[str]:
-    """Yield ``count`` unique names of one line. A name that is missing, empty or no text becomes
-    ``shape2`` for the second shape."""
+    """Yield ``count`` unique names of one line; the second, if empty or no text, is ``shape2``."""
     padded = enumerate([*names, *[None] * count][:count], 1)
     texts = ((i, clipped(name, 80) if isinstance(name, str) else "") for i, name in padded)
     return unique(text or f"{noun}{i}" for i, text in texts)

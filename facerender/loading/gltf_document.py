@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 from facerender.errors import InputError, reason
 
@@ -265,17 +265,9 @@ def _expect(good: bool, value: Any, where: str, description: str) -> None:
         raise ValueError(f"{where} = {reprlib.repr(value)} is not {description}")
 
 
-class Extension(NamedTuple):
-    """The support of an extension of glTF; docs/formats.md lists all features."""
-
-    name: str
-    # "drawn": supported; "warned": ignored with a warning; "refused": an error if the file requires
-    # the feature, otherwise ignored with a warning; "ignored": ignored silently
-    fate: str
-    how: str  # details for users
-
-
-# Keyed by name: fate and details.
+# Keyed by extension: fate, and details for users. "drawn": supported; "warned": ignored with a
+# warning; "refused": an error if the file requires the extension, otherwise ignored with a warning;
+# "ignored": ignored silently.
 _EXTENSIONS = {
     "KHR_texture_transform": "drawn: applied to the texture coordinates",
     "KHR_mesh_quantization": "drawn: all component types",
@@ -310,4 +302,4 @@ _EXTENSIONS = {
     "KHR_xmp_json_ld": "ignored: metadata",
     "MSFT_lod": "ignored: the node itself, the finest level, is drawn",
 }
-EXTENSIONS = {name: Extension(name, *row.split(": ", 1)) for name, row in _EXTENSIONS.items()}
+EXTENSIONS = {name: tuple(row.split(": ", 1)) for name, row in _EXTENSIONS.items()}

@@ -12,7 +12,7 @@ import numpy as np
 from facerender.errors import InputError, clipped, warn
 from facerender.loading.gltf_accessors import Buffers
 from facerender.loading.gltf_document import EXTENSIONS, Doc
-from facerender.loading.source import inline, missing_image, opened_image
+from facerender.loading.source import inline, is_image, missing_image
 from facerender.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.texture.texture import Texture, Wrap
 from facerender.values.ranges import range_of
@@ -20,13 +20,9 @@ from facerender.values.vectors import MOST_RADIANCE
 
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
 _Channel = int | Literal["alpha"] | None  # None: the colours
-_NEAREST = 9728
 _ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
 # Objects of a texture whose image is used, in order; "": the texture itself
 _SOURCES = ("EXT_texture_webp", "", "EXT_texture_avif", "MSFT_texture_dds")
-_F0 = 0.028  # f0 of materials without KHR_materials_ior
-_MOST_TESTED = 1 << 22  # texels; larger metallic maps are not tested
-_METAL = 0.1  # lower metallic values may be JPEG noise in a map without metal
 
 # A material and the transforms of its texture coordinates: the second for the maps named in
 # ``material.second_uv``, the first for the other maps
@@ -123,11 +119,11 @@ class Materials:
     def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
         """Warn of the material's unsupported extensions that have an effect."""
         for key, extension in extensions.items():
-            known = EXTENSIONS.get(key)
+            fate, how = EXTENSIONS.get(key, ("", ""))
             always = key in ("KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit")
             effect = always or any(map(np.any, extension.values()))  # a factor of 0 has no effect
-            if known and known.fate == "warned" and effect:
-                self.warn(f"{self.name} has {key}, which is not supported: {known.how}")
+            if fate == "warned" and effect:
+                self.warn(f"{self.name} has {key}, which is not supported: {how}")
 
     def _factor(self, name: str, value: float, high: float = 1.0) -> float:
         if not 0.0 <= value <= high:
@@ -146,7 +142,7 @@ class Materials:
         return red, green, blue
 
     def _f0(self, extensions: Doc) -> float:
-        f0 = _F0
+        f0 = 0.028
         if "KHR_materials_ior" in extensions:
             n = extensions["KHR_materials_ior"].get("ior", 1.5)
             if n and n < 1.0:
@@ -175,7 +171,7 @@ class Materials:
         return {"transmission": factor, "refraction": min(max(ior, 1.0), max_ior), "m": m}
 
     def _look_for_metal(self, metallic: Doc) -> None:
-        """Warn of a metallic material. This check decodes the metallic map unless it is large."""
+        """Warn of a metallic material. This check decodes a metallic map of up to 2^22 texels."""
         use = metallic.get("metallicRoughnessTexture")
         factor = metallic.get("metallicFactor", 0.0 if use is None else 1.0)
         if factor <= 0.0:
@@ -183,14 +179,14 @@ class Materials:
         source = None if use is None else self._source(self.document["textures"][use["index"]])
         if (record := self.images.get(source)) is not None:
             texture, _ = record
-            if math.prod(texture.size) > _MOST_TESTED:
+            if math.prod(texture.size) > 1 << 22:
                 self.warn(f"{self.name} has a metallic map: ignored, drawn as a dielectric")
                 return
             try:
                 factor *= float(texture.channel(2, texture.name).texels().max()) / 255.0
             except InputError:  # drawing the map reports the error
                 return
-        if factor > _METAL:
+        if factor > 0.1:  # lower values may be JPEG noise in a map without metal
             self.warn(f"{self.name} has metallic materials: drawn as dielectrics, like skin")
 
     @staticmethod
@@ -219,7 +215,7 @@ class Materials:
             return None
         sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
         u, v = (_WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
-        nearest = sampler.get("magFilter") == _NEAREST
+        nearest = sampler.get("magFilter") == 9728  # GL_NEAREST
         colors, alpha = record
         image_texture = alpha if channel == "alpha" else colors
         if isinstance(channel, int):
@@ -246,7 +242,7 @@ class Materials:
             if not replaced:
                 missing_image(self.buffers.referred, entry["uri"])
             return None
-        if opened_image(content, label, map_name, not self.albedo_given, replaced) is None:
+        if not is_image(content, label, map_name, not self.albedo_given, replaced):
             return None
         alpha = Texture.alpha_of(content, f"the opacity map of {self.name}")
         return Texture.of(content, name), alpha

@@ -39,7 +39,6 @@ _FOLDER = "meshes"
 _ALIGNMENT = 64
 _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
-_LIBRARIES = ("numpy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
 # Keyed by map: the kind of mip chain with which the map is drawn.
 _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("albedo_map", "emissive_map"), "color"),
@@ -110,8 +109,6 @@ def store(
     """Decode the maps and write the mesh to the cache in a thread. The process does not end before
     this thread.
 
-    Parameters
-    ----------
     files : contents of the files to which the mesh file refers, keyed by their names in it; None
         for a missing file
     has_albedo : whether the caller replaced the albedo map
@@ -136,9 +133,9 @@ def store(
 
 
 def _code() -> list[tuple[str, int, int]]:
-    """Return path, size and modification time of each module, of this package or of a library, that
-    reads meshes or decodes images."""
-    specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
+    """Return path, size and time of change of all modules that read meshes or decode images."""
+    libraries = ("numpy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
+    specs = map(importlib.util.find_spec, libraries)
     paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "mesh", "texture", "values"):
         paths += sorted((_PACKAGE / folder).glob("*.py"))

@@ -33,8 +33,7 @@ _STRIP = 256  # rows of a bump map converted at a time
 
 
 def _is_normal_map(image: Image) -> bool:
-    """Return whether a bump map is bluish, with vectors of length 1: it contains normals already,
-    instead of heights."""
+    """Return whether a bump map has normals, not heights: it is bluish, with unit vectors."""
     if image.mode not in ("RGB", "RGBA", "P"):
         return False
     levels = np.asarray(image.convert("RGB").resize((64, 64)), dtype=np.float64)
@@ -86,11 +85,9 @@ _FLAGS = ("-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-
 _OPTIONS = {**dict.fromkeys(_FLAGS, 1), "-mm": 2, "-o": 3, "-s": 3, "-t": 3}
 # Ignored options, each with the value that has no effect; other values cause a warning.
 _UNREAD = {"-cc": "off", "-boost": "0", "-blendu": "on", "-blendv": "on"}
-_CHANNELS = {"r": 0, "g": 1, "b": 2}
-# Statements ignored without a warning: they have no effect, or an effect on ambient light only.
-_IGNORED = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
-_READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
-_FINE = ("lashes", "hair-card")  # presets of hairs that a mask would make black or jagged
+# Statements that are read, and statements without an effect except on ambient light.
+_KNOWN = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
+_KNOWN |= {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
 _LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # not supported; no effect if 0
 
 
@@ -167,7 +164,7 @@ class Library:
         white = (1.0, 1.0, 1.0)
         if (statements := self.materials.get(name)) is None:
             return Material(albedo=white if has_colors else SKIN_ALBEDO), MapStatement()
-        for key in statements.keys() - _READ - _IGNORED:
+        for key in statements.keys() - _KNOWN:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
         uses = self._uses(statements)
@@ -193,8 +190,6 @@ class Library:
         fields |= self._opacity(name, statements) | self._highlight(name, statements)
         return Material(**fields), first
 
-    # --- factors ---------------------------------------------------------------------------------
-
     def _numbers(self, statements: Mapping[str, str], key: str) -> list[float]:
         """Return the numbers of a statement; an empty list if a word is not a finite number."""
         words = statements.get(key, "").split()
@@ -212,8 +207,7 @@ class Library:
 
     def _color(self, statements: Mapping[str, str], key: str, default: Vector) -> Vector:
         """Return a colour as linear RGB; the file stores sRGB."""
-        numbers = self._numbers(statements, key)
-        if not numbers:
+        if not (numbers := self._numbers(statements, key)):
             return default
         rgb = numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3
         high = MOST_RADIANCE if key == "ke" else 1.0
@@ -234,7 +228,8 @@ class Library:
         if any(tf) and {*tf} != {1.0}:
             self.warn(f"{self.name} has Tf (transmission) in its MTL: ignored")
         alpha = "mask" if "map_d" in statements else "opaque"
-        if opacity < 1.0 or (alpha == "mask" and preset_for(name) in _FINE):
+        is_hair = preset_for(name) in ("lashes", "hair-card")  # a mask makes it black or jagged
+        if opacity < 1.0 or (alpha == "mask" and is_hair):
             alpha = "blend"
         return {"alpha": alpha, "opacity": opacity}
 
@@ -260,16 +255,12 @@ class Library:
         ks = self._numbers(statements, "ks")
         return bool(ks) and not any(ks) and "map_ks" not in statements
 
-    # --- maps ------------------------------------------------------------------------------------
-
     def warn_of_tiles(self, name: str, uv: NDArray[np.float64]) -> None:
-        """Warn if a map of a material is a UDIM tile and its faces, with the texture coordinates
-        (F, 3, 2), are on several tiles."""
+        """Warn if a map is a UDIM tile, and the faces' uv, (F, 3, 2), are on several tiles."""
         maps = [text for key, text in self.materials.get(name, {}).items() if key in _MAPS]
         if not any(re.search(r"(?<!\d)1001(?!\d)", text) for text in maps):
             return
-        tiles = len(np.unique(np.floor(uv.mean(axis=1)), axis=0))
-        if tiles > 1:
+        if (tiles := len(np.unique(np.floor(uv.mean(axis=1)), axis=0))) > 1:
             self.warn(
                 f"a map of {self.name} is UDIM tile 1001: drawn on all {tiles} tiles; "
                 "export one map per part"
@@ -337,7 +328,7 @@ class Library:
             texture = self.images.get(name) or Texture.of(content, name)
             self.images[name] = texture
             if field in ("opacity_map", "roughness_map", "specular_map"):
-                texture = texture.channel(_CHANNELS.get(use.channel, 0), name)
+                texture = texture.channel({"g": 1, "b": 2}.get(use.channel, 0), name)
         texture = texture.sampled(("clamp", "clamp")) if use.clamp else texture
         self.textures[key] = texture
         return texture

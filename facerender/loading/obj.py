@@ -96,8 +96,7 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
 
 
 def _normalized(data: bytes, name: str) -> str:
-    """Return the text of an OBJ file with spaces instead of tabs, and without continuation lines
-    and indentation."""
+    """Return the text of an OBJ file without tabs, continuation lines and indentation."""
     if any(half and not half.strip(b"\0") for half in (data[:128:2], data[1:128:2])):
         raise InputError(f"{name} is UTF-16 without a byte order mark: save it as UTF-8")
     if b"#MRGB" in data:
@@ -221,9 +220,8 @@ def _parts(
 
 
 def _names(parts: Sequence[_Keys]) -> list[str]:
-    """Return the names of parts. A part is named after its group, or else its object, or else its
-    material. Parts with the same name are renamed to group.material or, if they share this name,
-    too, to object.group.material."""
+    """Return the names of parts: of the group, or else of the object, or else of the material.
+    Equal names become group.material or, if these are equal, too, object.group.material."""
     names = [group or owner or material for owner, group, material in parts]
     for start in (1, 0):
         counts = Counter(names)
@@ -235,15 +233,11 @@ def _names(parts: Sequence[_Keys]) -> list[str]:
 def _faces(
     lines: _Lines, totals: Sequence[int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Return the corners of the faces, the faces, and the number of dropped faces, which have
-    fewer than three corners or an invalid reference.
+    """Return the corners of the faces, (C, 3): indices of vertex, texture coordinate and normal, -1
+    if missing; the faces, (F, 3): index of the line, index of the first corner, number of corners;
+    and the number of dropped faces, which have fewer than three corners or an invalid reference.
 
     totals : numbers of vertices, texture coordinates and normals of the file
-
-    Returns
-    -------
-    corners : (C, 3), indices of vertex, texture coordinate and normal, which is -1 if missing
-    faces : (F, 3), index of the line, index of the first corner, and number of corners
     """
     characters = np.frombuffer(lines.content(b"f"), dtype=np.uint8).copy()
     is_digit = (characters >= ord("0")) & (characters <= ord("9"))

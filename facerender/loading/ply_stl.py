@@ -21,13 +21,11 @@ from facerender.material import Material
 from facerender.mesh.repair import Piece, check_count, subset, with_face_colors, with_faces
 from facerender.texture.texture import Texture
 
-_MAX_HEADER = 1 << 16  # longest header of a PLY file in bytes
 _TYPE = r"(?:u?(?:char|short|int|int8|int16|int32|int64)|float|float16|float32|float64|double)"
 _LINES = re.compile(
     r"ply|format (?:ascii|binary_little_endian|binary_big_endian) \S+|(?:comment|obj_info)\b.*|"
     rf"element \S+ \d{{1,18}}|property {_TYPE} \S+|property list {_TYPE} {_TYPE} \S+"
 )
-_INDICES = ("vertex_index", "vertex_indices")
 _COLORS = (
     *(("red", "green", "blue"), ("r", "g", "b"), ("Red", "Green", "Blue")),
     ("diffuse_red", "diffuse_green", "diffuse_blue"),
@@ -58,8 +56,8 @@ def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Pi
     if positions is None:
         raise ValueError("its vertices do not have three coordinates")
     # Some exporters give the only property of faces another name.
-    names = [*face] if len(face) == 1 else [key for key in _INDICES if key in face]
-    indices = face[names[0]]
+    known = [key for key in ("vertex_index", "vertex_indices") if key in face]
+    indices = face[known[0] if len(face) > 1 else next(iter(face))]
     sizes = np.array([len(polygon) for polygon in indices])
     starts = np.cumsum(sizes) - sizes
     # The order of trimesh.geometry.triangulate_quads sets the last bits of computed normals.
@@ -125,7 +123,7 @@ def _colored(
 def _checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
     """Check the header of a PLY file, which trimesh trusts. Return the content and the names of its
     textures. Edges get another name, because trimesh would load a file with edges as a drawing."""
-    end = data.find(b"end_header", 0, _MAX_HEADER)
+    end = data.find(b"end_header", 0, 1 << 16)  # a longer header is refused
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("it has no PLY header")
     stripped = (" ".join(line.split()) for line in text_of(data[:end]).splitlines())

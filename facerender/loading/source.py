@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
@@ -23,10 +23,6 @@ from facerender.images.files import TooLarge, open_image
 from facerender.loading.gltf_document import chunks
 from facerender.system.files import MOST, check_downloaded, data_dir, read_file, suffix_of
 from facerender.texture.texture import DECODERS
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
 
 GLTF = (".glb", ".gltf")
 NORMAL_MAP_Y = ("up", "down")
@@ -173,8 +169,6 @@ def check_format(data: bytes, suffix: str | None, name: str) -> None:
         raise InputError(f"{subject} {actual}")
 
 
-ALLOW = "pass --allow-outside (allow_outside=True)"
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
 _MAP = re.compile(r"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.M | re.I | re.A)
 _LIBRARY = re.compile(r"^\s*mtllib\s+(.*\S)", re.M | re.A)
 # The comment of a PLY header that names the texture.
@@ -186,13 +180,9 @@ _WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte
 @dataclass
 class References:
     """The files that a mesh file refers to. Each referenced file is read once.
-
     Only paths below the mesh file's folder are opened. For other paths, a file of the same name in
     that folder is tried. Symbolic links are followed, because the user created the folder.
 
-    Attributes
-    ----------
-    name : name of the mesh file, for messages
     folder : folder of the mesh file; None for a mesh in memory: its referenced files are not opened
     files : contents of the referenced files, keyed by the name in the mesh file; None for a file
         that was not read
@@ -204,15 +194,11 @@ class References:
     files: dict[str, bytes | None] = field(default_factory=dict, init=False)
 
     def read(self, name: str, what: str) -> bytes:
-        """Return the content of a file.
+        """Return the content of a file. Raise FileNotFoundError if it is missing or its path is not
+        allowed, InputError if it is not a regular file or all files together are too large.
 
         name : name of the file, as in the mesh file
         what : description of the expected file for messages, such as "an image file"
-
-        Raises
-        ------
-        FileNotFoundError : the file is missing, or its path is not allowed
-        InputError : the file is not a regular file, or all files together are too large
         """
         if (cached := self.files.get(name)) is not None:
             return cached
@@ -231,16 +217,13 @@ class References:
 
     def image(self, name: str, kind: str, fatal: bool, silent: bool = False) -> bytes | None:
         """Return the content of an image file. Return None if the file is missing or, with a report
-        by :func:`opened_image`, cannot be read."""
+        by :func:`is_image`, cannot be read."""
         try:
             content = self.read(name, "an image file")
         except FileNotFoundError:
             return None
         subject = f"{clipped(name, 80)} (named by {self.name})"
-        return content if opened_image(content, subject, kind, fatal, silent) else None
-
-    def missing(self) -> list[str]:
-        return [name for name, content in self.files.items() if content is None]
+        return content if is_image(content, subject, kind, fatal, silent) else None
 
     def why_not(self, name: str) -> str:
         """Return why a file was not found, as the end of a message."""
@@ -248,7 +231,8 @@ class References:
             return "cannot be opened, because a mesh given as bytes has no folder: give a path"
         folder = clipped(str(self.folder), 120)
         if not self.allow_outside and not _is_inside(self.folder, _spellings(name)[0]):
-            return f"lies outside {folder} and is not opened: {ALLOW}"
+            remedy = "pass --allow-outside (allow_outside=True)"
+            return f"lies outside {folder} and is not opened: {remedy}"
         return f"not found in {folder}"
 
 
@@ -366,13 +350,11 @@ def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(finite * (255.0 / white), 0.0, 255.0).round(), dtype=np.uint8)
 
 
-def opened_image(
-    content: bytes, subject: str, kind: str, fatal: bool, silent: bool = False
-) -> Image | None:
-    """Open an image; its texels are decoded later. If it cannot be read or is too large, raise
-    InputError if ``fatal``, else return None, and warn unless ``silent``."""
+def is_image(content: bytes, subject: str, kind: str, fatal: bool, silent: bool = False) -> bool:
+    """Return whether an image can be opened. If it cannot be read or is too large, raise InputError
+    if ``fatal``, else warn unless ``silent``."""
     try:
-        return open_image(content, subject, DECODERS, "PNG, JPEG, TIFF or WebP")
+        return bool(open_image(content, subject, DECODERS, "PNG, JPEG, TIFF or WebP"))
     except TooLarge as error:
         message, _, advice = str(error).rpartition("; ")
     except InputError:
@@ -380,7 +362,7 @@ def opened_image(
     if not fatal:
         if not silent:
             warn(f"{message}: ignored")
-        return None
+        return False
     option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
     remedy = f", or pass {option[kind]} FILE" if kind in option else ""
     raise InputError(f"{message}; {advice}{remedy}")
@@ -388,8 +370,9 @@ def opened_image(
 
 def missing_image(referred: References, name: str) -> None:
     """Warn of a missing image. If the mesh file's folder contains exactly one image, suggest it."""
+    suffixes = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
     near = referred.folder.iterdir() if referred.folder else ()
-    beside = [path.name for path in near if path.suffix.lower() in _IMAGES]
+    beside = [path.name for path in near if path.suffix.lower() in suffixes]
     hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
     warn(
         f"{clipped(name, 80)} (named by {referred.name}) "

@@ -48,11 +48,9 @@ class Corners:
         return cls(np.ascontiguousarray(joint.T), order // 3, starts, dense)
 
     def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
-        """Return, for each vertex of each part, the sum of the normals of its faces, weighted by
-        their areas. Vertices that share position and normal in the reference pose share the sum.
-
-        positions : (N, 3) for each part
-        """
+        """Return, for each vertex of each part with positions (N, 3), the sum of the normals of its
+        faces, weighted by their areas. Vertices that share position and normal in the reference
+        pose share the sum."""
         columns = [np.concatenate([places[:, axis] for places in positions]) for axis in range(3)]
         _, normals = face_normals(columns, self.faces)
         sums = (np.add.reduceat(column[self.order], self.starts)[self.groups] for column in normals)
@@ -73,8 +71,7 @@ def face_normals(columns: Sequence[Column], faces: NDArray[Any]) -> tuple[Column
 
 
 def _split_at_creases(welded: NDArray[np.int64], normals: Float) -> NDArray[np.int64]:
-    """Return labels in which vertices at one position share a label if their normals are equal, or
-    nearly so: a seam splits a vertex."""
+    """Return labels that vertices at one position share if their normals are nearly equal."""
     labels = np.empty_like(welded)
     remaining, count = np.arange(len(welded)), 0
     while len(remaining):

@@ -89,8 +89,7 @@ class Surface:
         self.middles = np.ascontiguousarray(corners.sum(axis=1).T) / 3.0
 
     def sampled(self, count: int, chosen: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp]]:
-        """Return points (3, count) of uniform density on the chosen triangles, and for each point
-        its triangle."""
+        """Return points (3, count) of uniform density on chosen triangles, and their triangles."""
         steps, index = np.cumsum(self.areas[chosen]), np.arange(count) + 0.5
         hits = np.searchsorted(steps, index * (steps[-1] / count)).clip(max=len(steps) - 1)
         # Roberts' sequence fills a square evenly. The half with u + v > 1 is folded onto the other.
@@ -167,8 +166,7 @@ def find_faces(surface: Surface, least: float = _CLEAR) -> list[Face]:
 
 
 def _climbed(grid: _Grid) -> tuple[Float, Float, Float, Float]:
-    """Return correlations, and the columns of poses, of the best tips of a grid after their roll is
-    found."""
+    """Find the roll of a grid's tips; return correlations, and columns of poses, of the best."""
     polar, rolls = _polar()
     heights = grid.heights(grid.tips)
     roll = _product(polar.residual(heights), rolls).argmax(axis=1)
@@ -285,12 +283,8 @@ def _solved(systems: Float, right: Float) -> Float:
 
 
 class _Grid:
-    """Points in the cells of a grid for one size of a face: mean point and mean normal of each
-    occupied cell, and the tips.
-
-    points, normals : (3, P)
-    size : distance of the eyes
-    """
+    """Points (3, P) with normals (3, P) in the cells of a grid for one distance of the eyes: mean
+    point and mean normal of each occupied cell, and the tips."""
 
     def __init__(self, points: Float, normals: Float, size: float) -> None:
         self.cell, margin = size * _CELL, 7  # empty cells around the points, for the blur
@@ -357,11 +351,8 @@ class _Grid:
 
 
 class _Map:
-    """Heights (K,) of a relief at places x and y, for correlation and for Gauss-Newton steps.
-
-    slopes : derivatives of the heights along x and y
-    weights : of the places
-    """
+    """Heights (K,) of a relief, their slopes along x and y, and weights, at places x and y, for
+    correlation and for Gauss-Newton steps."""
 
     def __init__(self, places: Float, heights: Float, slopes: Float, weights: Float) -> None:
         self.places, self.heights, self.weights = places, heights, weights
@@ -388,8 +379,7 @@ class _Map:
         return _product(_product(maps, self.basis.T), self.basis)
 
     def residual(self, heights: Float) -> Float:
-        """Return weighted heights (N, K) without their best quadratic surface. Outliers count
-        less."""
+        """Return weighted heights (N, K) without their best quadratic surface, robustly."""
         result = weighted = heights * self.weights
         for _ in range(2):
             surface = self._quadratic(result)
@@ -412,10 +402,8 @@ class _Map:
 
 
 class _Relief:
-    """A relief (count, count) with its bands, and as a map in a disc.
-
-    The bands of a map are its differences of two blurred maps, with weights that are small at
-    holes."""
+    """A relief (count, count) with its bands, and as a map in a disc. The bands of a map are its
+    differences of two blurred maps, with weights that are small at holes."""
 
     def __init__(self, relief: Float) -> None:
         self.count = count = len(relief)
@@ -471,10 +459,8 @@ class _Relief:
 
 @cache
 def _reliefs(coarse: bool) -> list[_Relief]:
-    """Return the reliefs: of the built-in head, and a mean with a flatter nose and lower eyes.
-
-    coarse : whether they have half the resolution
-    """
+    """Return the reliefs, with half the resolution if ``coarse``: of the built-in head, and a mean
+    with a flatter nose and lower eyes."""
     reliefs = np.load(RELIEFS).astype(np.float64)
     if coarse:
         reliefs = reliefs.reshape(2, _CELLS // 2, 2, _CELLS // 2, 2).mean(axis=(2, 4))

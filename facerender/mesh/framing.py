@@ -25,11 +25,6 @@ _REGIONS = {"eyes": (-0.5, 0.5, 0.85), "face": (-1.775, 1.1, 1.137)}
 # Ranges of the head with its hair, to the viewer's right, up and front.
 _HEAD = (-2.3, 2.3), (-1.85, 3.2), (-4.1, 1.35)
 _MARGIN = 1.095  # with the margin of the view, the face fills 87.5 % of the image
-_LARGER = 1.3  # least height or width of a mesh that is more than a head / of its head
-
-_UPRIGHT = 0.8  # least cosine between a face's up and y
-
-_SAMPLES = 1 << 15  # points on the surface without a face
 _ROWS = 128  # rows of a front view, in which the neck is narrow
 _HEADS = (0.8, 2.0)  # range: height of a head / its size, the geometric mean of width and depth
 # Most size of a neck / of the head; least size below / of the neck; least width of shoulders / of
@@ -39,15 +34,15 @@ _RIDGE, _NOSE_ROWS = 0.16, 32  # distance of a nose's sides from its middle / wi
 _USUAL = {"eyes": (0.4, 0.56), "face": (0.15, 0.9)}  # distance from the crown / height of the head
 _SIDE = 0.36  # half the width of a face / height of its head
 
-_NAME_WORDS = re.compile("[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+_WORD = re.compile("[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _HEAD_WORDS = {"head", "face", "skull"}
+_HAIR_WORDS = {"braid", "braids", "hair", "ponytail"}
 # Words that make the name of a head the name of something else, such as head_light and HeadTop_End.
-_OTHER_WORDS = {
+_NO_HEAD_WORDS = {
     *("band", "cap", "dress", "gear", "hat", "light", "phone", "phones", "rest", "scarf", "set"),
-    *("wear", "end", "nub", "top"),
+    *("wear", "end", "nub", "top", *_HAIR_WORDS),
 }
 _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
-_HAIR_WORDS = {"braid", "braids", "hair", "ponytail"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +83,18 @@ def framing_of(
         named = np.concatenate([_named(*pair, space) for pair in pairs])
         source = "the names of its parts or joints" if named.any() else "its outline"
         chosen = np.flatnonzero(named if named.any() else ~named)
-        head = _above_neck(surface.sampled(_SAMPLES, chosen)[0])
+        head = _above_neck(surface.sampled(1 << 15, chosen)[0])
         if head is None:
             mesh = Region(np.zeros(3), *map(float, np.abs(profile).max(axis=0)))
             return Framing(None, dict.fromkeys(("head", "face", "eyes"), mesh) | {"auto": None}, "")
         regions = _guessed(head)
-        clear = _has_nose(head) or (bool(named.any()) and _has_eyes(parts))
-    largest = 2.0 * _LARGER * np.array([regions["head"].radius, regions["head"].height])
+        # A part that is called a head is one if parts are called eyes, or vertices follow a joint
+        # that is called a head.
+        words = {word for part in parts for word in words_of(part.name)}
+        is_head = not _EYE_WORDS.isdisjoint(words) or any(part.head is not None for part in parts)
+        clear = _has_nose(head) or (bool(named.any()) and is_head)
+    # A mesh is more than a head if its height or width is 1.3 times that of its head.
+    largest = 2.0 * 1.3 * np.array([regions["head"].radius, regions["head"].height])
     larger = (np.ptp(points[:2], axis=1) > largest).any()
     return Framing(face, {"auto": regions["head"] if larger and clear else None, **regions}, source)
 
@@ -111,7 +111,7 @@ def _of_face(face: Face, space: Space, points: Float) -> dict[str, Region]:
     regions = {"head": _cylinder(points[:, inside])}
     for name, (low, high, side) in _REGIONS.items():
         height, radius = _MARGIN * (high - low) / 2.0, _MARGIN * side
-        if face.up[1] < _UPRIGHT:  # the cylinder stays upright, and contains any direction
+        if face.up[1] < 0.8:  # the cylinder stays upright, and contains any direction
             height = radius = max(height, radius)
         center = middle + unit * ((low + high) / 2.0 * face.up - radius * face.front)
         regions[name] = Region(center, unit * radius, unit * height)
@@ -128,25 +128,19 @@ def _cylinder(points: Float) -> Region:
 
 def names_head(name: str) -> bool:
     """Return whether the name of a part or joint has a word for a head, such as ``Wolf3D_Head``."""
-    words = _words(name)
-    return not _HEAD_WORDS.isdisjoint(words) and words.isdisjoint(_OTHER_WORDS | _HAIR_WORDS)
+    words = words_of(name)
+    return not _HEAD_WORDS.isdisjoint(words) and _NO_HEAD_WORDS.isdisjoint(words)
 
 
-def _words(name: str) -> set[str]:
-    return {word.lower() for word in _NAME_WORDS.findall(name)}
-
-
-def _has_eyes(parts: Sequence[Part]) -> bool:
-    """Return whether parts are called eyes, or vertices follow a joint that is called a head: then
-    a part that is called a head is one."""
-    words = {word for part in parts for word in _words(part.name)}
-    return not _EYE_WORDS.isdisjoint(words) or any(part.head is not None for part in parts)
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case, without digits and separators."""
+    return [word.lower() for word in _WORD.findall(name)]
 
 
 def _named(part: Part, corners: Float, space: Space) -> NDArray[np.bool_]:
     """Return a mask of a part's triangles that belong to a head by the names in the mesh file.
     Joints restrict named parts, because a part may be a whole body."""
-    hair = not _words(part.name).isdisjoint(_HAIR_WORDS)
+    hair = not _HAIR_WORDS.isdisjoint(words_of(part.name))
     if part.head is None or hair:
         return np.full(len(corners), names_head(part.name))
     low, high = space.normalised(part.head)

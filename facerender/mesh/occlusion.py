@@ -101,7 +101,6 @@ def _open_fraction(
 ) -> NDArray[np.float64]:
     """Return the fraction of ambient light that reaches each vertex, in [0, 1].
 
-    positions, faces : triangles that block the light
     vertices : rows (N, 6) of position and normal
     corners : (F, 3), the index into ``vertices`` for each corner of ``faces``
     """
@@ -132,11 +131,9 @@ def _open_fraction(
 
 
 def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:
-    """Return the directions in which ray origins are offset from vertices.
-
-    A direction is the normal plus a component towards the middle of the vertex's faces. Without
-    this component, a ray at a sharp edge could start in the plane of the face behind the edge.
-    """
+    """Return the directions in which ray origins are offset from vertices: the normal plus a
+    component towards the middle of the vertex's faces. Without this component, a ray at a sharp
+    edge could start in the plane of the face behind the edge."""
     sums, lengths = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     middles = positions[faces].mean(axis=1)
     for vertex, face in zip(corners.T, faces.T, strict=True):

@@ -100,15 +100,14 @@ def _evaluated(
     for number, part in enumerate(geometry.parts):
         places = turned = None
         if (rig := part.rig) is not None:
-            stored = rig.stored_weights
-            clip_weights = moves.get(rig.node, {}).get("weights", stored)
-            pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(stored)], strict=False)
-            weights = [float(overrides.get(shape.name, weight)) for shape, weight in pairs]
-            if turned_nodes or weights != stored:
+            clip_weights = moves.get(rig.node, {}).get("weights", rig.weights)
+            pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(rig.shapes)], strict=False)
+            weights = tuple(float(overrides.get(shape.name, weight)) for shape, weight in pairs)
+            if turned_nodes or weights != rig.weights:
                 places, turned = _posed(geometry, part, rig, worlds, weights)
             if (lagging := rig.lagging(weights)) != weights:
                 behind[number] = part.positions
-                if turned_nodes or lagging != stored:
+                if turned_nodes or lagging != rig.weights:
                     behind[number], _ = replace(rig, normals=None).posed(worlds, lagging)
         positions.append(places)
         normals.append(turned)

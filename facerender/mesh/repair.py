@@ -209,8 +209,7 @@ def double_areas(corners: Float) -> Float:
 
 def _outwardness(corners: Float) -> float:
     """Return the area-weighted mean cosine between face normals and directions from the mesh's
-    centre to the faces. The mean is near 1 for a closed head or an open mask, and near -1 if
-    the mesh is inside out."""
+    centre: near 1 for a closed head or an open mask, near -1 if the mesh is inside out."""
     normals = face_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
@@ -250,8 +249,7 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
-    """Drop faces with a bad corner; return their number. The mask is (F, 3) for corners, or (F, 1)
-    for faces."""
+    """Drop faces with a bad corner in a mask (F, 3), or (F, 1) for faces; return their number."""
     keep = good.all(axis=1)
     piece.faces = piece.faces[keep]
     return int((~keep).sum())
@@ -368,7 +366,6 @@ def _weld(positions: Float) -> Integers:
 
 def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name: str) -> Integers:
     """Return the faces, wound consistently and outwards in each connected surface.
-
     The windings of two neighbouring faces are consistent if the faces traverse their common edge in
     opposite directions. If no directed edge occurs twice, all windings are already consistent.
     Otherwise a graph gets two nodes for each face: its original and its reversed winding. A graph

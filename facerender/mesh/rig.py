@@ -20,7 +20,6 @@ from facerender.values.vectors import rotation_of, transformed
 Float = NDArray[np.float64]
 Array = NDArray[Any]
 Moves = Mapping[int, Mapping[str, Sequence[float]]]
-Values = Sequence[float] | Array | None
 Path = Literal["translation", "rotation", "scale", "weights"]
 Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 
@@ -29,24 +28,12 @@ _AT_ONCE = 1 << 13  # vertices skinned at a time, so that their matrices stay in
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Node:
-    """A node of a scene in its stored pose.
-
-    number : index of the node in the file
-    parent : number of the parent; None for a root
-    matrix, translation, rotation, scale : arguments of :func:`local_matrix`
-    """
+    """A node of a scene in its stored pose: its index in the file, that of its parent, or None, and
+    its transforms, see :func:`local_matrix`."""
 
     number: int
-    parent: int | None = None
-    matrix: Values = None
-    translation: Values = None
-    rotation: Values = None
-    scale: Values = None
-
-    def local(self, moves: Mapping[str, Sequence[float]]) -> Float:
-        """Return the local matrix (4, 4); ``moves`` replace stored translation, rotation, scale."""
-        keys = ("matrix", "translation", "rotation", "scale")
-        return local_matrix(*(moves.get(key, getattr(self, key)) for key in keys))
+    parent: int | None
+    transforms: Mapping[str, Sequence[float]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,8 +51,7 @@ class Track:
     interpolation: Interpolation = "LINEAR"
 
     def at(self, time: float) -> list[float]:
-        """Return the value at a time; before the first and after the last key the value is
-        constant."""
+        """Return the value at a time, which is constant before the first and after the last key."""
         next_key = int(np.searchsorted(self.times, time, "right"))
         first, last = max(next_key - 1, 0), min(next_key, len(self.times) - 1)
         cubic = self.interpolation == "CUBICSPLINE"
@@ -136,11 +122,8 @@ class Clip:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Skeleton:
-    """The nodes of a file's scene, parents first, the clips of the file, and the name and node of
-    each joint of its skins.
-
-    root : (4, 4), transform of the scene; None: no transform
-    """
+    """The nodes of a file's scene, parents first, the clips of the file, the name and node of each
+    joint of its skins, and the transform (4, 4) of the scene, or None."""
 
     nodes: tuple[Node, ...]
     clips: tuple[Clip, ...] = ()
@@ -148,16 +131,15 @@ class Skeleton:
     root: Float | None = None
 
     def worlds(self, moves: Moves) -> dict[int, Float]:
-        """Return the world matrix (4, 4) of each node, keyed by its number.
-
-        moves : values that replace stored transforms, as returned by :meth:`Clip.at`, and "angles",
-            see :meth:`Mesh.with_pose`
-        """
+        """Return the world matrix (4, 4) of each node, keyed by its number. Moves replace stored
+        transforms, as from :meth:`Clip.at`, or are "angles", see :meth:`Mesh.with_pose`."""
         worlds: dict[int, Float] = {}
         changes: dict[int | None, Float] = {}  # transforms in mesh space that follow from angles
         for node in self.nodes:
             node_moves = moves.get(node.number, {})
-            local = node.local(node_moves) if node_moves else self._locals[node.number]
+            local = self._locals[node.number]
+            if node_moves:
+                local = local_matrix({**node.transforms, **node_moves})
             parent = self.root if node.parent is None else worlds[node.parent]
             world = worlds[node.number] = local if parent is None else parent @ local
             if node.parent in changes:
@@ -171,7 +153,7 @@ class Skeleton:
 
     @cached_property
     def _locals(self) -> dict[int, Float]:
-        return {node.number: node.local({}) for node in self.nodes}
+        return {node.number: local_matrix(node.transforms) for node in self.nodes}
 
     def below(self, numbers: Iterable[int]) -> set[int]:
         """Return the numbers of the given nodes and of all nodes below them."""
@@ -239,9 +221,7 @@ class Rig:
     positions : (N, 3), in the node's space, before morph targets
     normals : (N, 3), as the positions, vectors of any length; None until the file's reader computes
         missing normals, see :meth:`with_normals`
-    weights : stored weights of the shapes; missing weights are 0
-    shapes : morph targets
-    skin : None without a skin
+    weights : stored weights of the shapes
     placed : whether the node places the part; false with a skin
     offset : (4, 4), transform of an instance within the node's space; None: no transform
     sign : 1, or -1 if the normals have to be reversed, because the file's faces are inside out
@@ -258,24 +238,16 @@ class Rig:
     offset: Float | None = None
     sign: float = 1.0
 
-    @property
-    def stored_weights(self) -> list[float]:
-        """A weight for each shape."""
-        return [*self.weights, *[0.0] * len(self.shapes)][: len(self.shapes)]
-
-    def lagging(self, weights: Sequence[float]) -> list[float]:
+    def lagging(self, weights: Sequence[float]) -> tuple[float, ...]:
         """Return weights in which the shapes without own normals have their stored weights."""
-        rows = zip(self.shapes, self.stored_weights, weights, strict=True)
-        return [stored if shape.normal_rows is None else weight for shape, stored, weight in rows]
+        rows = zip(self.shapes, self.weights, weights, strict=True)
+        return tuple(stored if s.normal_rows is None else weight for s, stored, weight in rows)
 
     def posed(
         self, worlds: Mapping[int, Float], weights: Sequence[float]
     ) -> tuple[Float, Float | None]:
-        """Return positions (N, 3) and normals (N, 3) in mesh space. The normals have any length;
-        they are None if the part has none or a matrix is singular.
-
-        worlds, weights : see :meth:`Skeleton.worlds`; a weight for each shape
-        """
+        """Return positions (N, 3) and normals (N, 3) in mesh space, for a weight of each shape. The
+        normals have any length; they are None if the part has none or a matrix is singular."""
         places, normals = morphed(self.positions, self.normals, self.shapes, weights)
         if self.skin is not None:
             places, normals, _ = skinned(places, normals, self.skin, worlds)
@@ -307,24 +279,22 @@ class Rig:
         return replace(self, normals=node_normals, shapes=shapes)
 
 
-def local_matrix(
-    matrix: Values = None, translation: Values = None, rotation: Values = None, scale: Values = None
-) -> Float:
+def local_matrix(transforms: Mapping[str, Sequence[float] | Array]) -> Float:
     """Return the local matrix of a node, (4, 4), for column vectors.
 
-    matrix : 16 numbers in column-major order, applied after the other transforms
-    rotation : quaternion x, y, z, w of any length
+    transforms : scale; rotation, a quaternion x, y, z, w of any length; translation; and matrix, 16
+        numbers in column-major order. They apply in this order
     """
     local = np.eye(4)
-    if rotation is not None:
-        local[:3, :3] = _rotation(rotation)
-    if scale is not None:
-        local[:3, :3] *= np.asarray(scale, dtype=np.float64)
-    if translation is not None:
-        local[:3, 3] = translation
-    if matrix is None:
+    if "rotation" in transforms:
+        local[:3, :3] = _rotation(transforms["rotation"])
+    if "scale" in transforms:
+        local[:3, :3] *= np.asarray(transforms["scale"], dtype=np.float64)
+    if "translation" in transforms:
+        local[:3, 3] = transforms["translation"]
+    if "matrix" not in transforms:
         return local
-    return np.asarray(np.array(matrix, dtype=np.float64).reshape(4, 4).T @ local)
+    return np.asarray(np.array(transforms["matrix"], dtype=np.float64).reshape(4, 4).T @ local)
 
 
 def _rotation(quaternion: Sequence[float] | Array) -> list[list[float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, warn
-from facerender.mesh.geometry import Geometry, Level
+from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import TRIANGLES, Mesh, moved
 from facerender.mesh.part import Part
 from facerender.mesh.repair import VERTEX_ARRAYS, double_areas
@@ -17,12 +17,10 @@ from facerender.system import meshoptimizer
 
 Float = NDArray[np.float64]
 
-# Weights of attribute errors. Position errors, in extents of the mesh, have weight 1.
-# _PLACE weights texture coordinates, scaled to lengths on the surface in mesh radii. _COLOR weights
-# linear colours and occlusion. Comparisons of images, as in docs/measurements/levels.md, determined
-# the weights.
-_NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
-_WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
+# Weights of errors in normal, texture coordinates (scaled to lengths on the surface in mesh radii),
+# linear colour and occlusion, and second texture coordinates. Errors in position, in extents of the
+# mesh, have weight 1. Comparisons of images, as in docs/measurements/levels.md, determined these.
+_WEIGHTS = [1.0] * 3 + [20.0] * 2 + [1.0] * 4 + [20.0] * 2
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
@@ -55,10 +53,9 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
-    levels = mesh.geometry.levels
-    if triangles not in levels:
-        levels[triangles] = _simplify(mesh.geometry, triangles)
-    geometry, remaining = levels[triangles]
+    geometry, remaining = mesh.geometry.derived.of(
+        f"level {triangles}", None, lambda: _simplify(mesh.geometry, triangles)
+    )
     if (count := sum(len(part.faces) for part in geometry.parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {count} remain")
     level = Mesh(geometry, mesh.materials)
@@ -72,7 +69,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     return replace(level, pose=mesh.pose.levels[triangles])
 
 
-def _simplify(mesh: Geometry, triangles: int) -> Level:
+def _simplify(mesh: Geometry, triangles: int) -> tuple[Geometry, list[NDArray[np.int64]]]:
     """Simplify all parts together, so that borders between parts stay closed and the errors of
     different parts are comparable. Also return the indices of each part's remaining vertices."""
     try:
@@ -109,12 +106,9 @@ def _simplify(mesh: Geometry, triangles: int) -> Level:
 
 
 def _vertices(mesh: Geometry, index: int) -> Float:
-    """Return the attributes of a part's vertices, one row per vertex.
-
-    The first 12 columns are part index, position, normal, scaled texture coordinates and colour.
-    If any part has occlusion or second texture coordinates, column 13 is the occlusion. If any part
-    has second texture coordinates, columns 14 and 15 are the scaled second texture coordinates.
-    """
+    """Return the attributes of a part's vertices, one row per vertex: part index, position, normal,
+    scaled texture coordinates and colour, 12 columns; occlusion, if any part has occlusion or
+    second texture coordinates; and scaled second texture coordinates, if any part has them."""
     part = mesh.parts[index]
     count = len(part.positions)
     columns = [

@@ -18,7 +18,6 @@ from facerender.errors import InputError
 from facerender.system.files import ABANDONED, open_file, write_whole
 
 _LIMIT = "FACERENDER_CACHE_MIB"
-_DEFAULT_LIMIT = 1024
 _HEAD = struct.Struct("<12sI")  # magic, CRC-32 of the content
 _MAGIC = b"facerender 1"
 _START = 64  # offset of the content in bytes, so that arrays in the content are aligned
@@ -32,13 +31,9 @@ def folder() -> Path:
 
 
 def limit() -> int:
-    """Return the largest size of the cache in bytes.
-
-    Raises
-    ------
-    InputError : FACERENDER_CACHE_MIB is not an integer >= 0
-    """
-    text = os.environ.get(_LIMIT) or str(_DEFAULT_LIMIT)
+    """Return the largest size of the cache in bytes. Raise InputError if FACERENDER_CACHE_MIB is
+    not an integer >= 0."""
+    text = os.environ.get(_LIMIT) or "1024"
     if not text.isdecimal():
         raise InputError(f"{_LIMIT} = {text!r}: give a whole number of MiB; 0 disables the cache")
     return int(text) << 20
@@ -51,12 +46,7 @@ def size() -> int:
 
 def read(kind: str, name: str) -> memoryview | None:
     """Return the content of a cache entry, mapped copy-on-write from its file. Return None if the
-    entry is missing or damaged, or the cache is disabled.
-
-    Raises
-    ------
-    InputError : as in :func:`limit`
-    """
+    entry is missing or damaged, or the cache is disabled. Errors as in :func:`limit`."""
     if not limit():
         return None
     path = folder() / kind / name
@@ -76,12 +66,8 @@ def read(kind: str, name: str) -> memoryview | None:
 
 def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
     """Write a cache entry that consists of consecutive pieces, and remove the least recently used
-    entries beyond the limit. An entry that alone exceeds the limit is not written.
-
-    Raises
-    ------
-    InputError : as in :func:`limit`
-    """
+    entries beyond the limit. An entry that alone exceeds the limit is not written. Errors as in
+    :func:`limit`."""
     if _START + sum(memoryview(piece).nbytes for piece in pieces) > limit():
         return
     checksum = 0
@@ -91,8 +77,7 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
 
     def write_pieces(temporary: str) -> None:
         with open(temporary, "wb") as file:
-            file.write(head)
-            file.writelines(pieces)
+            file.writelines([head, *pieces])
 
     path = folder() / kind / name
     try:
@@ -108,17 +93,14 @@ def _entries() -> list[tuple[float, int, Path]]:
     """Return the time of last use, size and path of each cache entry."""
     entries = []
     for path in folder().glob("*/*"):
-        try:
-            facts = path.stat()
-        except OSError:  # another process removed the entry
-            continue
-        entries.append((facts.st_mtime, facts.st_size, path))
+        with suppress(OSError):  # another process removed the entry
+            status = path.stat()
+            entries.append((status.st_mtime, status.st_size, path))
     return entries
 
 
 def _evict(newest: Path) -> None:
-    """Remove the least recently used cache entries beyond the limit, and abandoned temporary files,
-    but not ``newest``."""
+    """Remove the least recently used entries beyond the limit, and abandoned files; keep newest."""
     total = 0
     for used, count, path in sorted(_entries(), reverse=True):
         total += count

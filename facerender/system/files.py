@@ -55,12 +55,8 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder for results, with its parents, and return its path.
-
-    Raises
-    ------
-    InputError : the folder cannot be created
-    """
+    """Create a folder for results, with its parents, and return its path. Raise InputError if it
+    cannot be created."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -92,12 +88,8 @@ def reported(action: str, place: object, then: str = "or give another path") -> 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
     """Call ``write`` with a temporary path in the folder of ``path``, then rename the temporary
-    file to ``path``.
-
-    Raises
-    ------
-    InputError : as in :func:`check_writable`, or writing fails, for example on a full disk
-    """
+    file to ``path``. Raise InputError as :func:`check_writable`, or if writing fails, for example
+    on a full disk."""
     target = check_writable(path)
     temporary = target.with_name(f"{TEMPORARY}{os.urandom(8).hex()}")
 
@@ -105,12 +97,9 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) ->
         with suppress(OSError):
             temporary.unlink()
 
-    with if_ended(remove), reported("write", target):
-        try:
-            write(str(temporary))
-            os.replace(temporary, target)
-        finally:
-            remove()
+    with if_ended(remove, always=True), reported("write", target):
+        write(str(temporary))
+        os.replace(temporary, target)
 
 
 def remove_abandoned(folder: str | os.PathLike[str]) -> None:
@@ -140,25 +129,22 @@ MOST = 1 << 30  # default size limit of a file in bytes
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
 )
-# First bytes, in lower case, of a PNG image whose line ends or encoding were converted.
-_MANGLED = (b"\x89png\n", b"\x89png\r\r\n", b"\x89png\r\n\x1a\r\n", b"\xef\xbf\xbdpng")
-# First bytes, in lower case, of a placeholder instead of the content, or of a damaged PNG image:
-# bytes, kind, remedy.
+# First bytes, in lower case, of a placeholder instead of the content, or of a PNG image whose line
+# ends or encoding were converted: bytes, kind, remedy.
 _NOT_DOWNLOADED = (
     (b"version https://git-lfs", "a Git LFS pointer", "fetch it with git lfs pull"),
     (b"<!doctype html", "an HTML page", "download the file itself"),
     (b"<html", "an HTML page", "download the file itself"),
     *(
         (start, "a PNG image that was converted as text", "transfer it again as binary data")
-        for start in _MANGLED
+        for start in (b"\x89png\n", b"\x89png\r\r\n", b"\x89png\r\n\x1a\r\n", b"\xef\xbf\xbdpng")
     ),
 )
 _KINDS = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
+    **dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device"),
 }
 
 
@@ -166,8 +152,6 @@ def check_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Non
     """Raise InputError unless a path is the name of a regular file. Other files are refused: a pipe
     may block, and a device may never end.
 
-    Parameters
-    ----------
     what : description of the expected file for messages, such as "an image file"
     most : maximum size in bytes
     """
@@ -200,10 +184,8 @@ def suffix_of(
     InputError : the suffix is unknown
     """
     name = clipped(os.fsdecode(path))
-    beside = [
-        f"{name}{suffix}" for suffix in known if os.path.isfile(f"{os.fsdecode(path)}{suffix}")
-    ]
-    check_file(path, beside[0] if beside else what, most)
+    beside = (f"{name}{end}" for end in known if os.path.isfile(f"{os.fsdecode(path)}{end}"))
+    check_file(path, next(beside, what), most)
     return check_suffix(path, known, kind)
 
 
@@ -285,10 +267,8 @@ def tables_of(content: bytes, name: str) -> dict[str, Any]:
     raise InputError(f"{name} is not valid TOML: {why}; correct it")
 
 
-_PACKAGE = Path(__file__).parents[1]
-
-
 def data_dir(name: str) -> Path:
     """Return the data folder ``name``: in the installed package, or next to it in a checkout."""
-    installed = _PACKAGE / name
-    return installed if installed.is_dir() else _PACKAGE.parent / name
+    package = Path(__file__).parents[1]
+    installed = package / name
+    return installed if installed.is_dir() else package.parent / name

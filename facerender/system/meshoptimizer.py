@@ -23,12 +23,8 @@ _TYPES: dict[str, tuple[Any, list[Any]]] = {
         + [_POINTER, _SIZE, _FLOAT, ctypes.c_uint, _POINTER],
     ),
     "optimizeVertexCache": (None, [_POINTER, _POINTER, _SIZE, _SIZE]),
-    "decodeVertexBuffer": _DECODER,
-    "decodeIndexBuffer": _DECODER,
-    "decodeIndexSequence": _DECODER,
-    "decodeFilterOct": _FILTER,
-    "decodeFilterQuat": _FILTER,
-    "decodeFilterExp": _FILTER,
+    **dict.fromkeys(("decodeVertexBuffer", "decodeIndexBuffer", "decodeIndexSequence"), _DECODER),
+    **dict.fromkeys(("decodeFilterOct", "decodeFilterQuat", "decodeFilterExp"), _FILTER),
 }
 
 
@@ -37,12 +33,8 @@ def library() -> ctypes.CDLL:
     """Return the compiled library of the Python package meshoptimizer, with declared types.
 
     The package's wrappers are not imported: they declare no types for simplify_with_attributes and
-    the filters, pass 64-bit sizes as 32-bit integers, and therefore crash.
-
-    Raises
-    ------
-    ImportError : the package is not installed
-    """
+    the filters, pass 64-bit sizes as 32-bit integers, and therefore crash. Raise ImportError if
+    the package is not installed."""
     package = find_spec("meshoptimizer")
     places = package.submodule_search_locations if package else None
     spec = PathFinder.find_spec("_meshoptimizer", places) if places else None
@@ -63,16 +55,12 @@ def collapsed(
     triangles: int,
 ) -> NDArray[np.uint32]:
     """Collapse edges, without an error limit, until at most ``triangles`` faces remain if possible.
+    Return these faces, as indices into ``positions``.
 
-    The result (F, 3) contains indices into ``positions``.
-
-    Parameters
-    ----------
     faces : (F, 3), indices into positions
     positions : (N, 3)
     attributes : (N, K), values per vertex, for example the components of the normal
     weights : (K,); a difference of 1 in an attribute counts as this multiple of the mesh extent
-    triangles : target number of faces
     """
     faces, weights = np.ascontiguousarray(faces), np.ascontiguousarray(weights)
     positions, attributes = np.ascontiguousarray(positions), np.ascontiguousarray(attributes)
@@ -88,13 +76,9 @@ def collapsed(
 
 def in_cache_order(faces: NDArray[np.uint32], vertices: int) -> NDArray[np.uint32]:
     """Return faces (F, 3) in an order in which a GPU's vertex cache avoids transforming a vertex
-    repeatedly (Sander et al. 2007).
-
-    vertices : number of vertices
-    """
+    repeatedly (Sander et al. 2007). ``vertices`` is the number of vertices."""
     faces = np.ascontiguousarray(faces)
     ordered = np.empty_like(faces)
-    library().meshopt_optimizeVertexCache(
-        ordered.ctypes.data, faces.ctypes.data, faces.size, vertices
-    )
+    optimize = library().meshopt_optimizeVertexCache
+    optimize(ordered.ctypes.data, faces.ctypes.data, faces.size, vertices)
     return ordered

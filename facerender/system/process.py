@@ -10,7 +10,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -41,7 +40,7 @@ def redirected_stderr(file: IO[Any]) -> Iterator[None]:
 
 def give_back() -> None:
     """Return freed memory to the system; glibc would keep it."""
-    if trim := _malloc_trim():
+    if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)):
         trim(0)
 
 
@@ -59,12 +58,6 @@ def unload(arrays: Iterable[NDArray[Any]]) -> None:
             size = (offset + array.nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - start
             if size > 0:
                 file.madvise(mmap.MADV_DONTNEED, start, size)
-
-
-@cache
-def _malloc_trim() -> Callable[[int], object] | None:
-    """Return glibc's ``malloc_trim``; None with another C library."""
-    return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
 MIB = 1 << 20
@@ -110,12 +103,9 @@ def shows_bars(quiet: bool) -> bool:
 
 
 class Bar(ExitStack):
-    """A tqdm bar on standard error that shows the current step and disappears at the end. If a
-    signal ends the process, a line reports the progress, also without a terminal.
-
-    quiet : whether to hide the bar
-    on_step : function called with the name of each step when it starts; replaces the bar
-    """
+    """A tqdm bar on standard error that shows the current step and disappears at the end, or
+    ``on_step``, which is called with the name of each step when it starts. If a signal ends the
+    process, a line reports the progress, also without a terminal."""
 
     def __init__(self, quiet: bool = False, on_step: Callable[[str], object] | None = None) -> None:
         super().__init__()
@@ -129,21 +119,18 @@ class Bar(ExitStack):
 
     def __call__(self, step: str, fraction: float) -> None:
         if self._steps[-1:] != [step]:
-            self._begin(step)
+            self._steps.append(step)
+            self._close()
+            if self._on_step:
+                self._on_step(step)
+            if self._shown:
+                from tqdm import tqdm
+
+                form = "{desc} {percentage:3.0f}%|{bar:24}| {elapsed}<{remaining}"
+                self._bar = tqdm(desc=step, total=1.0, bar_format=form, leave=False)
         self._fraction = fraction
         if self._bar is not None:
             self._bar.update(fraction - self._bar.n)
-
-    def _begin(self, step: str) -> None:
-        self._steps.append(step)
-        self._close()
-        if self._on_step:
-            self._on_step(step)
-        if self._shown:
-            from tqdm import tqdm
-
-            form = "{desc} {percentage:3.0f}%|{bar:24}| {elapsed}<{remaining}"
-            self._bar = tqdm(desc=step, total=1.0, bar_format=form, leave=False)
 
     def _close(self) -> None:
         if self._bar is not None:

@@ -43,14 +43,16 @@ def hold() -> None:
 
 
 @contextmanager
-def if_ended(action: Callable[[], str | None]) -> Iterator[None]:
-    """Call ``action`` if a signal ends the process within the context. The final message includes
-    the text that ``action`` returns."""
+def if_ended(action: Callable[[], str | None], always: bool = False) -> Iterator[None]:
+    """Call ``action`` if a signal ends the process within the context, or ``always`` at its end.
+    The final message includes the text that ``action`` returns."""
     hold()
     _actions.append(action)
     try:
         yield
     finally:
+        if always:
+            action()
         _actions.remove(action)
 
 
@@ -65,12 +67,9 @@ def temporary_folder() -> Iterator[str]:
     def remove() -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
-    with if_ended(remove):
-        try:
-            os.mkdir(folder, 0o700)
-            yield folder
-        finally:
-            remove()
+    with if_ended(remove, always=True):
+        os.mkdir(folder, 0o700)
+        yield folder
 
 
 def _end(number: int, frame: FrameType | None) -> None:

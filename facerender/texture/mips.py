@@ -23,8 +23,6 @@ def mip_chain(kind: Kind, strips: Iterable[NDArray[np.uint8]], height: int, drop
     """Return the mip levels of an image, down to one texel. See ``Texture.levels`` for the kinds;
     :func:`data_chain` returns the levels of kind "data".
 
-    Parameters
-    ----------
     strips : rows of the image from the bottom; all strips but the last one contain an even number
         of rows of the mip level ``drop``
     height : number of rows of the finest level

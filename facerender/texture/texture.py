@@ -11,7 +11,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, get_args
@@ -36,7 +35,6 @@ Decode = Callable[[], "Image | NDArray[np.uint8]"]
 DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
-_MOST_PACKED = 2  # packed textures that a map keeps; materials keep their packed textures, too
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
 
@@ -79,7 +77,7 @@ class _Image:
 
         def decode() -> Image:
             image = self.decode()
-            with _damaged(self.name):
+            with converted(f"{self.name} is damaged", "; replace the file"):
                 if isinstance(image, np.ndarray):
                     return change(_image_of(image[::-1]))
                 return change(_loaded(image, self.name))
@@ -103,6 +101,7 @@ class Texture:
     wrap : wrap modes in u and v: "repeat", "clamp" or "mirror"
     nearest : whether to sample the nearest texel of the nearest mip level, without interpolation
     coarse : whether the finest mip levels of the image are omitted
+    image : value that textures share if they differ only in sampling, channel and levels
     """
 
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
@@ -122,14 +121,9 @@ class Texture:
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
         check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
         self.name, self.profile = name, profile
-        self._image = _Image(decode, name, size)
-        self._packed: deque[Texture] = deque(maxlen=_MOST_PACKED)
-        self._chains: _Chains = self._image.shared.setdefault((None, 0), _Chains())
-
-    @property
-    def image(self) -> object:
-        """The image, which textures that differ in sampling, channel and levels share."""
-        return self._image
+        self.image = _Image(decode, name, size)
+        self._packed: deque[Texture] = deque(maxlen=2)  # materials keep packed textures, too
+        self._chains: _Chains = self.image.shared.setdefault((None, 0), _Chains())
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Pickle the decoded image instead of its source."""
@@ -145,7 +139,7 @@ class Texture:
         for name, value in (vars(self) | attributes).items():
             setattr(texture, name, value)
         key = texture._channel, texture._omitted
-        texture._chains = texture._image.shared.setdefault(key, _Chains())
+        texture._chains = texture.image.shared.setdefault(key, _Chains())
         return texture
 
     def _variant(self, **attributes: Any) -> Texture:
@@ -153,7 +147,7 @@ class Texture:
         calls return one object while it is in use."""
         texture = self._with(**attributes)
         key = texture.name, texture._channel, texture._omitted, texture.sampling
-        variant: Texture = texture._image.shared.setdefault(key, texture)
+        variant: Texture = texture.image.shared.setdefault(key, texture)
         return variant
 
     @classmethod
@@ -220,7 +214,7 @@ class Texture:
         return cls(lambda: copy, name, copy.size, profile_of(copy))
 
     def __repr__(self) -> str:
-        size = ", {} x {}".format(*self.size) if self._image.size else ""
+        size = ", {} x {}".format(*self.size) if self.image.size else ""
         return f"<Texture {self.name!r}{size}>"
 
     @classmethod
@@ -258,9 +252,7 @@ class Texture:
     @property
     def decoded_size(self) -> tuple[int, int]:
         """Width and height of the decoded image; for a coarse texture, of the full image."""
-        return self._image.size or self._image.all_texels().shape[1::-1]
-
-    # --- texels ----------------------------------------------------------------------------------
+        return self.image.size or self.image.all_texels().shape[1::-1]
 
     def texels(self) -> NDArray[np.uint8]:
         """Return the image without alpha, (H, W, 3), or (H, W) for a channel. Row 0 is at the
@@ -268,7 +260,7 @@ class Texture:
         :func:`facerender.images.files.check_pixels`."""
         if self.coarse:
             return reduced_data(self._strips(), self._omitted)
-        return _band(self._image.all_texels(), self._channel)
+        return _band(self.image.all_texels(), self._channel)
 
     def rgb(self) -> Image:
         """Return the image in mode RGB; see :meth:`texels`."""
@@ -277,7 +269,7 @@ class Texture:
     def _strips(self) -> Iterator[NDArray[np.uint8]]:
         """Yield strips of the full image of a coarse texture. The image is not cached."""
         with _decoding:
-            strips = _strips(self._image.decoded(), self._image.name, self._omitted)
+            strips = _strips(self.image.decoded(), self.image.name, self._omitted)
             yield from (_band(strip, self._channel) for strip in strips)
             give_back()
 
@@ -286,8 +278,6 @@ class Texture:
         image = _image_of(as_rgb(self.texels())[::-1])
         image.thumbnail((512, 512))
         return png_bytes(np.asarray(image), {})
-
-    # --- textures made of this one ---------------------------------------------------------------
 
     def channel(self, index: int, name: str) -> Texture:
         """Return one channel of this texture as a grey texture with the same sampling."""
@@ -303,7 +293,7 @@ class Texture:
 
     def changed(self, change: Callable[[Image], Image]) -> Texture:
         """Return a texture with the result of a function of the image in its mode, row 0 on top."""
-        return self._with(_image=self._image.changed(change), profile=None)
+        return self._with(image=self.image.changed(change), profile=None)
 
     def in_srgb(self) -> Texture:
         """Return this texture in sRGB, converted from its ICC profile if it has one."""
@@ -313,11 +303,9 @@ class Texture:
             warn(f"{self.name} has an ICC profile that does not fit its channels: ignored")
             self.profile = None
             return self
-        image = self._image
+        image = self.image
         converted = image.changed(lambda original: _srgb_of(original, profile, image.name))
-        return self._variant(_image=image.shared.setdefault("sRGB", converted), profile=None)
-
-    # --- mip levels ------------------------------------------------------------------------------
+        return self._variant(image=image.shared.setdefault("sRGB", converted), profile=None)
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Return the future of a mip chain. A thread computes each chain once.
@@ -345,8 +333,8 @@ class Texture:
             raise InputError(f"{lacking}: make it smaller") from None
         if kind != "linear-color" and self._channel is None and not self.coarse:
             finest = levels[0][..., :3]  # replaces the image
-            with self._image.lock:
-                self._image.decode, self._image.texels = (lambda: finest), None
+            with self.image.lock:
+                self.image.decode, self.image.texels = (lambda: finest), None
         return levels
 
     def forget(self) -> None:
@@ -405,8 +393,8 @@ def pack(
     first = present[0]
     # Without the lists of packed textures, which would be reference cycles.
     maps = [t and t._with(_packed=deque(), _channel=t._channel or 0) for t in (red, green, blue)]
-    key = first.sampling, *(t and (t.name, t._image, t._channel, t._omitted) for t in maps)
-    cached: Texture | None = first._image.shared.get(key)
+    key = first.sampling, *(t and (t.name, t.image, t._channel, t._omitted) for t in maps)
+    cached: Texture | None = first.image.shared.get(key)
     if cached is not None:
         return cached
 
@@ -424,7 +412,7 @@ def pack(
     packed.wrap, packed.nearest = first.sampling
     packed.coarse = any(texture.coarse for texture in present)
     first._packed.append(packed)
-    first._image.shared[key] = packed
+    first.image.shared[key] = packed
     return packed
 
 
@@ -453,14 +441,12 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
             ends = f"{array.min():.4g} to {array.max():.4g}"
             raise InputError(f"{name} has floats from {ends}: scale them to [0, 1], or give uint8")
         return np.round(array * 255.0).astype(np.uint8)
-    if array.dtype == np.uint16:
-        return (array // 257).astype(np.uint8)
     if array.dtype == np.bool_:
         return array * np.uint8(255)
-    if array.dtype != np.uint8:
+    if array.dtype not in (np.uint8, np.uint16):
         remedy = "give uint8, uint16, or floats in [0, 1]"
         raise InputError(f"{name} has values of type {array.dtype}: {remedy}")
-    return array.copy()
+    return (array // (257 if array.dtype == np.uint16 else 1)).astype(np.uint8)
 
 
 def with_green_turned(image: Image) -> Image:
@@ -473,13 +459,9 @@ def with_green_turned(image: Image) -> Image:
     return image.convert("RGB").point([*identity, *reversed(identity), *identity])
 
 
-def _damaged(name: str) -> AbstractContextManager[None]:
-    return converted(f"{name} is damaged", "; replace the file")
-
-
 def _loaded(image: Image, name: str) -> Image:
     check_pixels(name, *image.size, 4, math.inf)
-    with _damaged(name):
+    with converted(f"{name} is damaged", "; replace the file"):
         image.load()
     return image
 
@@ -536,7 +518,7 @@ def _strips(
 
 
 def _rows(image: Image, low: int, high: int, name: str) -> NDArray[np.uint8]:
-    with _damaged(name):
+    with converted(f"{name} is damaged", "; replace the file"):
         strip = image.crop((0, image.height - high, image.width, image.height - low))
         if strip.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
             strip = _image_of((np.clip(np.asarray(strip), 0, 65535) // 257).astype(np.uint8))

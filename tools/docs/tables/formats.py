@@ -6,5 +6,5 @@ from facerender.loading.gltf_document import EXTENSIONS
 
 
 def blocks() -> dict[str, str]:
-    rows = [f"| {each.name} | {each.fate} | {each.how} |" for each in EXTENSIONS.values()]
+    rows = [f"| {name} | {fate} | {how} |" for name, (fate, how) in EXTENSIONS.items()]
     return {"gltf": "\n".join(["| extension | support | details |", "|---|---|---|", *rows])}
