@@ -21,7 +21,7 @@ from PIL import Image
 import facerender as fr
 from facerender import material as materials
 from facerender.commands import INTERNAL_ERROR, main
-from facerender.comparison import compare, sources
+from facerender.comparison import sources, windows
 from facerender.drawing import renderer as drawing
 from facerender.errors import InputError
 from facerender.images.files import MAX_PIXELS, check_pixels, read_image
@@ -212,7 +212,7 @@ def test_comparison_in_strips_equals_the_whole(rows, monkeypatch):
     b[chance.random((rows, 90)) < 0.01] *= np.float32(1.5)
     b[..., 3] = a[..., 3]
     strips = fr.compare(a, b).as_dict()
-    monkeypatch.setattr(compare, "_STRIP", 1)
+    monkeypatch.setattr(windows, "_STRIP", 1)
     whole = fr.compare(a, b).as_dict()
     for name in ("mean", "shift", "trend", "z_score", "gain", "block", "grain", "texture"):
         assert strips.pop(name) == pytest.approx(whole.pop(name), rel=1e-4, abs=1e-6)

@@ -76,7 +76,7 @@ def data():
 
 @pytest.fixture
 def triptychs():
-    return [Triptych("cook-torrance", "d16", *(np.zeros((8, 8, 3), np.uint8) for _ in range(3)))]
+    return [Triptych("cook-torrance", "d16", np.zeros((8, 24, 3), np.uint8))]
 
 
 def rows(data, kind=TERM):
@@ -328,7 +328,7 @@ def test_files(data, triptychs, tmp_path):
 def test_failed_report_writes_no_file(data, triptychs, tmp_path, monkeypatch, fault, kind, message):
     folder = tmp_path / "report"
     if fault == "image":
-        monkeypatch.setattr(report, "_png", lambda *_: (_ for _ in ()).throw(MemoryError))
+        monkeypatch.setattr("PIL.Image.fromarray", lambda *_: (_ for _ in ()).throw(MemoryError))
     elif fault == "number":
         data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
     else:

@@ -123,14 +123,9 @@ class Calibration:
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of each pair of equally named images in any two subfolders.
-
-    Each subfolder of ``folder`` contains the images of one run or driver.
-
-    Raises
-    ------
-    InputError : the folder cannot be read, or does not contain two subfolders with images
-    """
+    """Return name, reference and image of each pair of equally named images in any two subfolders,
+    each of which contains the images of one run or driver. Raise InputError if the folder cannot be
+    read, or does not contain two subfolders with images."""
     folder = Path(folder)
     try:
         folders = (path for path in folder.iterdir() if not path.name.startswith("."))
@@ -302,10 +297,8 @@ def _smallest_changes(
 def _flattest(
     image: ImageData, mask: NDArray[Any] | None
 ) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-    """Return a mask of the lit pixels, and two adjacent pixels with the flattest surroundings.
-
-    The two pixels are neither dark nor highlights.
-    """
+    """Return a mask of the lit pixels, and two adjacent pixels with the flattest surroundings,
+    neither dark nor highlights."""
     color, coverage = image.rows(slice(None))
     level = color.mean(axis=-1)
     lit = (coverage >= FULL) & (level > 0.0)
@@ -325,14 +318,8 @@ def _flattest(
 
 
 def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]]:
-    """Return the limits of a file, keyed by the images' encoding.
-
-    path : .ini, .cfg or .toml file
-
-    Raises
-    ------
-    InputError : the file cannot be read, has an invalid limit, or has no limit
-    """
+    """Return the limits of a .ini, .cfg or .toml file, keyed by the images' encoding. Raise
+    InputError if the file cannot be read, has an invalid limit, or has no limit."""
     path = Path(path)
     data = _parsed(path)
     limits: dict[Encoding, dict[str, float]] = {}

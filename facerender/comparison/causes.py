@@ -14,7 +14,7 @@ driver      a few pixels at edges, or faint detail
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -63,7 +63,7 @@ class Change:
     detail: float  # sum of the squared change between adjacent pixels that all channels share
     # (H, W, 2 C + 1) over blocks: number of pixels inside, change and level of each channel
     blocks: NDArray[np.float64]
-    cells: NDArray[np.float64]  # (2, H, W) over cells: mean radiance of both images
+    cells: NDArray[np.float64]  # (H, W, 2) over cells: mean radiance of both images
     # (3, N), per value of the first image: count of the value, sum and squared sum of its changes.
     # Values are 8-bit levels, or half floats without their last three bits, whose changes are
     # relative
@@ -74,20 +74,13 @@ class Change:
     def between(cls, a: ImageData, b: ImageData, rows: Sequence[slice]) -> Change:
         """Return the change in strips of rows."""
         changes = [cls._of(a, b, strip) for strip in rows]
-
-        def joined(name: str, axis: int = 0) -> NDArray[Any]:
-            return np.concatenate([getattr(change, name) for change in changes], axis)
-
-        return cls(
-            joined("power"),
-            joined("inside"),
-            joined("steep"),
-            sum(change.detail for change in changes),
-            joined("blocks"),
-            joined("cells", 1),
-            np.sum([change.values for change in changes], axis=0),
-            changes[0].rounding,
-        )
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(change, name) for change in changes])
+            for name in ("power", "inside", "steep", "blocks", "cells")
+        }
+        detail = sum(change.detail for change in changes)
+        values = np.sum([change.values for change in changes], axis=0)
+        return replace(changes[0], detail=detail, values=values, **joined)
 
     @classmethod
     def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
@@ -113,14 +106,17 @@ class Change:
         for image in (y - x, np.abs(x)):
             blocks += [np.ascontiguousarray(plane * inside) for plane in np.moveaxis(image, 2, 0)]
         ones = cell_sums(np.ones(level.shape, np.float32))
+        change_of_value = of_value[inside].ravel()
+        weights = (None, change_of_value, np.square(change_of_value))
+        values = [np.bincount(numbers[inside].ravel(), weight, 1 << 13) for weight in weights]
         return cls(
             np.square(change).sum(axis=2),
             inside,
             np.maximum(*(_range(mean) for mean in means)) > 0.0,
             float(np.vdot(interior, common_squares([detail_of(plane) for plane in planes]))),
             np.stack([block_sums(cell_sums(plane)) for plane in blocks], axis=-1),
-            np.stack([cell_sums(mean).astype(np.float64) / ones for mean in means]),
-            _sums_of(numbers[inside].ravel(), of_value[inside].ravel()),
+            np.stack([cell_sums(mean).astype(np.float64) / ones for mean in means], axis=-1),
+            np.stack(values),
             1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
         )
 
@@ -170,7 +166,10 @@ class Change:
     def by_factor(self) -> float:
         """Fraction of the blocks' change that one factor explains."""
         _, change, level = self._judged
-        return _explained(level.reshape(-1, 1), change.ravel())
+        if not change.size:
+            return 0.0
+        residual = change - level * (change * level).sum() / max((level**2).sum(), 1e-20)
+        return 1.0 - float((residual**2).sum() / max((change**2).sum(), 1e-20))
 
     @property
     def by_curve(self) -> float:
@@ -222,7 +221,7 @@ class Change:
     def moved(self) -> float:
         """Fraction of the change that displacements of areas of 32 x 32 pixels explain: the smaller
         one of the whole change's fraction and the median of the areas."""
-        reference, image = self.cells
+        reference, image = np.moveaxis(self.cells, -1, 0)
         middle = 0.5 * (reference + image)
         if min(middle.shape) < _WINDOW:
             return 0.0
@@ -284,25 +283,10 @@ def _cause_of_detail(change: Change, moved: bool) -> str:
     return CODEC if change.hues[2] > 0.5 else TEXTURE
 
 
-def _sums_of(numbers: NDArray[np.integer], change: Float) -> NDArray[np.float64]:
-    """Return count, sum and squared sum of the changes of each number below 8192."""
-    weights = (None, change, np.square(change))
-    return np.stack([np.bincount(numbers, weight, minlength=1 << 13) for weight in weights])
-
-
 def _range(x: Float) -> NDArray[np.float32]:
     """Return the range of 3 x 3 pixels minus the range of an edge."""
     high, low = (filtered(x, choose) for choose in (np.maximum, np.minimum))
     return np.asarray(high - low - _STEEP * np.maximum(high, 0.5 * _DARK))
-
-
-def _explained(model: NDArray[np.float64], change: NDArray[np.float64]) -> float:
-    """Return the fraction of a squared change (N) that a linear model (N, K) explains."""
-    if not change.size:
-        return 0.0
-    factors = np.linalg.lstsq(model, change, rcond=None)[0]
-    residual = change - model @ factors
-    return 1.0 - float(residual @ residual) / max(float(change @ change), 1e-20)
 
 
 def _windows(cells: NDArray[np.float64]) -> NDArray[np.float64]:

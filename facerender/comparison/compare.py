@@ -18,7 +18,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -29,37 +28,22 @@ from numpy.typing import NDArray
 
 from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
 from facerender.comparison.result import BLUR, HOLES, LIMITS, Comparison, Limits
-from facerender.comparison.sources import (
-    Comparable,
-    alike,
-    as_image,
-    check_finite,
-    decimal,
-    size_of,
-)
+from facerender.comparison.sources import Comparable, as_image, both, decimal, size_of
 from facerender.comparison.windows import (
     BLOCK,
     EDGE,
     FLOOR,
     FULL,
-    MARGIN,
     ROUGH,
     SCALES,
     SLIVER,
-    SLIVERS,
     SMOOTH,
     BlockStatistics,
-    BlockSums,
-    Float,
     Mask,
+    Strip,
     block_sums,
     cell_sums,
-    difference,
-    excess,
     filtered,
-    gaps,
-    holes,
-    shrunk,
 )
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, number_of, warn
@@ -116,7 +100,9 @@ def reasons_of(
     if wrong.any():
         examined = np.concatenate([wrong[strip] for strip in rows])
         dominant = change.share(examined) > 0.5
-        fault = _fault(result, over, wrong) if dominant or _lonely(change, examined) else ""
+        around = filtered(np.where(examined, np.float32(0.0), change.power), np.maximum)
+        lonely = np.median((around <= 0.02 * change.power)[examined]) > 0.5  # hardly changed
+        fault = _fault(result, over, wrong) if dominant or lonely else ""
         if cause == SAMPLES or (fault == "false highlights" and cause in (LIGHT, EXPOSURE)):
             fault = ""
         failing = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
@@ -173,10 +159,8 @@ def _apart(value: str, counterpart: str) -> str:
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
-    """Return a mask of the pixels that fail: clearly different pixels, or too many slivers.
-
-    A single clearly different pixel fails only if its difference exceeds _LONE.
-    """
+    """Return a mask of the pixels that fail: clearly different pixels, or too many slivers. A
+    single clearly different pixel fails only if its difference exceeds _LONE."""
     place = np.abs(over)
     lone = result.points and abs(result.point) > _LONE[result.encoding][int(place.max())]
     if result.points > 1 or lone:
@@ -266,12 +250,6 @@ def _fault(result: Comparison, over: NDArray[np.int8], wrong: Mask) -> str:
     return ""
 
 
-def _lonely(change: Change, wrong: Mask) -> bool:
-    """Return whether the pixels around most wrong pixels hardly changed."""
-    surroundings = filtered(np.where(wrong, np.float32(0.0), change.power), np.maximum)
-    return bool(np.median((surroundings <= 0.02 * change.power)[wrong]) > 0.5)
-
-
 def _at_edge(over: NDArray[np.int8]) -> bool:
     """Return whether most pixels lie at edges; ``over`` has their classes."""
     return bool((np.abs(over) == EDGE).mean() > 0.5)
@@ -291,10 +269,7 @@ def _estimate(result: Comparison, cause: str) -> str:
 
 Driver = Literal["auto", "same", "other"]
 
-FADED = 0.2  # smallest change of a pixel's coverage that counts
-_STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
 _LOOSER = 3.0  # standard error added to each block, per unit of block limit above the default
-_HALO = 8  # rows above and below a strip, with which the strip's pixels are also compared
 
 
 def compare(
@@ -332,17 +307,15 @@ def compare(
         is not finite; the mask has another size or is 0 everywhere; a limit or driver is invalid
     """
     check_known("driver", driver, get_args(Driver))
-    a, b = alike(as_image(reference, "A"), as_image(image, "B"))
-    check_finite(a)
-    check_finite(b)
+    a, b = both(reference, image)
     if jpegs := [data.name for data in (a, b) if data.jpeg]:
         warn(f"{' and '.join(jpegs)}: the losses of JPEG count as differences; save as PNG")
-    counts = None if mask is None else _counting(mask, a)
+    counts = _counting(mask, a)
     overrides = {"point": point, "block": block, "trend": trend, "grain": grain}
     overrides |= {"texture": texture, "coverage": coverage, "shift": shift}
     changed = {name: limit for name, limit in overrides.items() if limit is not None}
     limits = replace(LIMITS[a.encoding], **changed)
-    strip = _Strip.of_all(a, b, counts, limits)
+    strip = Strip.of_all(a, b, counts, limits.point)
     statistics = BlockStatistics(
         sums=strip.sums,
         scale=SCALES[a.encoding],
@@ -354,8 +327,8 @@ def compare(
     if driver == "auto" and statistics.foreign:
         same_edges = not (strip.over.any() or strip.faded)
         statistics = replace(statistics, foreign=not (same_edges and statistics.quiet))
-    result = _result(a, counts, limits, strip, statistics)
-    result = replace(result, metadata=changes_of(a.metadata, b.metadata))
+    metadata = changes_of(a.metadata, b.metadata)
+    result = replace(_result(a, counts, limits, strip, statistics), metadata=metadata)
     displayed = tuple(
         source if isinstance(source, Frame) else image
         for source, image in ((reference, a), (image, b))
@@ -375,13 +348,9 @@ class Pair:
     error: str = ""
 
     def save_heat_map(self, path: str | os.PathLike[str]) -> None:
-        """Write the FLIP heat map of the pair as PNG.
-
-        Raises
-        ------
-        InputError : flip-evaluator is missing, an image could not be read, the sizes differ or
-            exceed MAX_PIXELS, or the file cannot be written
-        """
+        """Write the FLIP heat map of the pair as PNG. Raise InputError if flip-evaluator is
+        missing, an image could not be read, the sizes differ or exceed MAX_PIXELS, or the file
+        cannot be written."""
         from facerender.comparison.pictures import MAX_PIXELS, displayed, heat_map
 
         a, b = self.reference, self.image
@@ -437,12 +406,8 @@ class Pair:
 
 
 def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of two files, or of each image name in two folders.
-
-    Raises
-    ------
-    InputError : one path is a file and the other a folder, or the folders contain no image
-    """
+    """Return name, reference and image of two files, or of each image name in two folders. Raise
+    InputError if one path is a file and the other a folder, or if the folders contain no image."""
     a, b = Path(a), Path(b)
     if os.path.isdir(a) != os.path.isdir(b):
         check_file(b if os.path.isdir(a) else a, "an image file", MAX_BYTES)
@@ -461,139 +426,37 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
 
 
 def _result(
-    image: ImageData, counts: Mask | None, limits: Limits, strip: _Strip, stats: BlockStatistics
+    image: ImageData, counts: Mask, limits: Limits, strip: Strip, stats: BlockStatistics
 ) -> Comparison:
     """Return all metrics, without reasons; ``counts`` is the mask of the compared pixels."""
-    height, width = image.pixels.shape[:2]
-    counted = width * height if counts is None else int(counts.sum())
+    height, width = counts.shape
     blocks = np.nan_to_num(stats.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
+    of_pixels = ("point", "point_at", "holes", "largest", "largest_at")
+    of_blocks = ("foreign", "trend", "z_score", "grain", "texture", "gain", "shift")
     return Comparison(
         reasons=(),
         encoding=image.encoding,
         size=(width, height),
         limits=limits,
-        foreign=stats.foreign,
-        point=strip.excess,
-        point_at=strip.at,
         points=int(np.count_nonzero(np.abs(strip.over) > SLIVER)),
         slight=int(np.count_nonzero(strip.over)),
-        holes=strip.holes,
         block=float(blocks[down, across]),
         block_at=(int(across) * BLOCK, int(down) * BLOCK),
         blocks=int((np.abs(blocks) > limits.block).sum()),
         blocks_judged=int(stats.judged.sum()),
-        trend=stats.trend,
-        z_score=stats.z_score,
-        grain=stats.grain,
-        texture=stats.texture,
-        gain=stats.gain,
-        shift=stats.shift,
         coverage=strip.faded / (width * height),
-        largest=strip.largest,
-        largest_at=strip.largest_at,
-        mean=strip.total / counted,
+        mean=strip.total / int(counts.sum()),
+        **{name: getattr(strip, name) for name in of_pixels},
+        **{name: getattr(stats, name) for name in of_blocks},
     )
 
 
-@dataclass(frozen=True)
-class _Strip:
-    """Metrics of some rows of two images."""
-
-    sums: BlockSums
-    over: NDArray[np.int8]  # (H, W), class of each pixel, see :func:`verdict.reasons_of`
-    worst: float  # the largest unexplained difference of a pixel, minus the effect of a sliver
-    excess: float  # reported difference of the worst pixel
-    at: tuple[int, int]  # its position (x, y)
-    holes: int  # number of dark pixels with bright neighbours in the other image
-    faded: int  # number of pixels whose coverage changed
-    largest: float  # maximum of the pixels' absolute differences, in the worst channel
-    total: float  # their sum
-    largest_at: tuple[int, int]
-
-    @classmethod
-    def of_all(cls, a: ImageData, b: ImageData, counts: Mask | None, limits: Limits) -> _Strip:
-        """Return the metrics of all rows, computed strip by strip in threads."""
-        height, width = a.pixels.shape[:2]
-        step = max(_STRIP // width // BLOCK, 1) * BLOCK
-
-        def strip_at(top: int) -> _Strip:
-            return cls.of(a, b, counts, slice(top, min(top + step, height)), limits)
-
-        with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-            strips = list(pool.map(strip_at, range(0, height, step)))
-        farthest = max(strips, key=lambda strip: strip.largest)
-        return replace(
-            max(strips, key=lambda strip: strip.worst),
-            sums=BlockSums.joined([strip.sums for strip in strips]),
-            over=np.concatenate([strip.over for strip in strips]),
-            holes=sum(strip.holes for strip in strips),
-            faded=sum(strip.faded for strip in strips),
-            largest=farthest.largest,
-            largest_at=farthest.largest_at,
-            total=sum(strip.total for strip in strips),
-        )
-
-    @classmethod
-    def of(
-        cls, a: ImageData, b: ImageData, counts: Mask | None, rows: slice, limits: Limits
-    ) -> _Strip:
-        """Return the metrics of ``rows``; ``counts`` is the mask of the whole images."""
-        outer = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
-        inner = slice(rows.start - outer.start, rows.stop - outer.start)
-        (color_a, alpha_a), (color_b, alpha_b) = a.rows(outer), b.rows(outer)
-        relative = a.encoding == "linear"
-        counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[outer]
-        full = (alpha_a >= FULL) & (alpha_b >= FULL)
-        all_full = bool(full.all())
-        covered = None if all_full else full
-        differences = excess(color_a, color_b, covered, limits.point, relative)
-        black = holes(color_a, color_b, covered, relative)
-        if not all_full:
-            black |= gaps(alpha_a, alpha_b)
-        value = np.where(counted, differences.value, np.float32(0.0))[inner]
-        slack = differences.slack[inner]
-        beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
-        sliver = SLIVERS[a.encoding]
-        # The first condition that holds gives the class of a pixel.
-        conditions = [np.abs(value) <= limits.point, beyond <= limits.point]
-        conditions += [slack >= np.float32(sliver.edge), slack > 0.25 * sliver.rough]
-        classes = np.sign(value) * np.select(conditions, [0, SLIVER, EDGE, ROUGH], SMOOTH)
-        row, column = np.unravel_index(beyond.argmax(), beyond.shape)
-        worst = max(beyond[row, column], 0.0)
-        worst = abs(value[row, column]) if worst > limits.point else worst
-        inside = shrunk(full & counted, 0 if all_full and counts is None else MARGIN)
-        faded = 0 if all_full else _faded(alpha_a, alpha_b, counted, inner)
-        magnitude = difference(color_a[inner], color_b[inner]) * counted[inner]
-        down, right = np.unravel_index(magnitude.argmax(), magnitude.shape)
-        return cls(
-            BlockSums.of(color_a, color_b, inside, inner, SCALES[a.encoding]),
-            classes.astype(np.int8),
-            float(beyond[row, column]),
-            float(np.copysign(worst, value[row, column])),
-            (int(column), rows.start + int(row)),
-            int((black & counted)[inner].sum()),
-            faded,
-            float(magnitude[down, right]),
-            float(magnitude.sum(dtype=np.float64)),
-            (int(right), rows.start + int(down)),
-        )
-
-
-def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
-    """Return the number of pixels whose coverage crossed 0.5, or lies more than FADED outside the
-    range of the neighbourhood in the other image."""
-    changed = (a >= 0.5) != (b >= 0.5)
-    for x, y in ((a, b), (b, a)):
-        low, high = (filtered(x, choose) for choose in (np.minimum, np.maximum))
-        changed |= (y - high > FADED) | (low - y > FADED)
-    return int((changed & counted)[rows].sum())
-
-
-def _counting(mask: NDArray[Any], image: ImageData) -> Mask:
-    """Return a mask as booleans, after checking it against the image."""
-    counts: Mask = np.asarray(mask) != 0
-    if counts.shape != image.pixels.shape[:2]:
+def _counting(mask: NDArray[Any] | None, image: ImageData) -> Mask:
+    """Return a mask of the pixels that count, after checking it against the image."""
+    shape = image.pixels.shape[:2]
+    counts: Mask = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask) != 0
+    if counts.shape != shape:
         size = size_of(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
         raise InputError(f"the mask is {size}, the images are {size_of(image.pixels)} pixels")
     if not counts.any():
@@ -602,10 +465,8 @@ def _counting(mask: NDArray[Any], image: ImageData) -> Mask:
 
 
 def _foreign(driver: Driver, images: tuple[ImageData, ImageData]) -> bool:
-    """Return whether the images may differ as images of different drivers do.
-
-    Drivers filter 8-bit textures differently. Images without such textures differ less.
-    """
+    """Return whether the images may differ as images of different drivers do. Drivers filter 8-bit
+    textures differently; images without such textures differ less."""
     if driver != "auto":
         return driver == "other"
     driver_a, driver_b = (

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.sources import Comparable, alike, as_image, check_finite, decimal
+from facerender.comparison.sources import Comparable, as_image, both, decimal
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range, shown
 from facerender.images.animation import arranged
@@ -111,14 +111,22 @@ def difference_colours(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
     largest = float(np.abs(signed).max())
     scale = max(largest, floor)
     ramp = np.linspace(0.0, 1.0, LEVELS + 1)[:, None]
-    colors = np.round([ramp * DARKER, ramp * BRIGHTER]).astype(np.uint8)
-    pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
+    colors = np.round([*(ramp[:0:-1] * DARKER), *(ramp * BRIGHTER)]).astype(np.uint8)
+    levels = np.sign(signed) * np.log1p(np.abs(signed) / floor) / np.log1p(scale / floor)
+    return _painted(a, b, levels, colors), largest
+
+
+def _painted(a: ImageData, b: ImageData, levels: NDArray[np.floating], colors: Bytes) -> Bytes:
+    """Return levels of a signed difference from -1 to 1 in colours (2 N + 1, 3), and violet where
+    only the coverage differs."""
+    pixels = np.empty((*levels.shape, 3), dtype=np.uint8)
+    middle = len(colors) // 2
     for rows in strips(a):
-        level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(scale / floor)
-        level = np.round(level * LEVELS).astype(int)
-        pixels[rows] = colors[(signed[rows] > 0.0).astype(int), level]
-        pixels[rows][other_coverage(a, b, rows) & (level == 0)] = UNCOVERED
-    return pixels, largest
+        steps = np.round(levels[rows] * middle).astype(int)
+        pixels[rows] = colors[steps + middle]
+        covered_a, covered_b = (image.rows(rows)[1] >= 0.5 for image in (a, b))
+        pixels[rows][(covered_a != covered_b) & (steps == 0)] = UNCOVERED
+    return pixels
 
 
 def signed_difference(a: ImageData, b: ImageData) -> NDArray[np.float32]:
@@ -130,12 +138,6 @@ def signed_difference(a: ImageData, b: ImageData) -> NDArray[np.float32]:
         return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
 
     return np.concatenate([worst_of(rows) for rows in strips(a)])
-
-
-def other_coverage(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.bool_]:
-    """Return a mask of the pixels of some rows that only one of two images covers."""
-    covered_a, covered_b = (image.rows(rows)[1] >= 0.5 for image in (a, b))
-    return np.asarray(covered_a != covered_b)
 
 
 def strips(image: ImageData) -> Iterator[slice]:
@@ -198,10 +200,7 @@ GAINS = (1e-3, 1e9)
 _FITTED = 99.0  # percentile of the differences that is white, so that few outliers do not count
 _NEGLIGIBLE = 1e-3  # smallest difference that counts for the percentile, relative to the largest
 # Colours of the differences -1, -1/2, 0, 1/2 and 1, in units of the difference that is white.
-_COLORS = (
-    *((222, 240, 255), DARKER, (0, 0, 0)),
-    *(BRIGHTER, (255, 240, 222)),
-)
+_COLORS = ((222, 240, 255), DARKER, (0, 0, 0), BRIGHTER, (255, 240, 222))
 _STEPS = 256  # number of colours of a difference, for each sign
 
 
@@ -232,9 +231,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     """
     if gain is not None:
         check_range("gain", gain, *GAINS)
-    a, b = alike(as_image(reference, "A"), as_image(image, "B"))
-    for data in (a, b):
-        check_finite(data)
+    a, b = both(reference, image)
     signed = signed_difference(a, b)
     full = 1.0 if a.encoding == "linear" else 255.0
     if gain is None:
@@ -244,16 +241,10 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     channels = srgb_to_linear(np.array(_COLORS) / 255.0).T
     ramp = [np.interp(steps, (-1.0, -0.5, 0.0, 0.5, 1.0), channel) for channel in channels]
     colors = encode_srgb8(np.stack(ramp, axis=-1).astype(np.float32))
-    pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
-    for rows in strips(a):
-        level = np.round(np.clip(signed[rows] / white, -1.0, 1.0) * _STEPS).astype(int)
-        pixels[rows] = colors[level + _STEPS]
-        uncovered = other_coverage(a, b, rows)
-        pixels[rows][uncovered & (level == 0)] = UNCOVERED
+    pixels = _painted(a, b, np.clip(signed / white, -1.0, 1.0), colors)
     unit = "" if a.encoding == "linear" else "/255"
-    frame = _frame(
-        pixels, {"difference": f"B - A: orange +, blue -, white = {decimal(white, 3)}{unit}"}
-    )
+    title = f"B - A: orange +, blue -, white = {decimal(white, 3)}{unit}"
+    frame = _frame(pixels, {"difference": title})
     return _Difference(**vars(frame), pair=(a, b), gain=gain if signed.any() else math.inf)
 
 

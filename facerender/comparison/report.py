@@ -45,15 +45,10 @@ class Entry:
 
 def entry(pair: Pair) -> Entry:
     """Return the entry of a pair."""
-    sources = {"A": pair.reference, "B": pair.image} if pair.status else {}
-    images = {letter: image for letter, image in sources.items() if image}
-    pixel_count = max((image.pixels[..., 0].size for image in images.values()), default=0)
-    large = pixel_count > pictures.MAX_PIXELS
-    displayed = {} if large else {key: pictures.displayed(x) for key, x in images.items()}
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     cells = _verdict(pair), escape(_reasons(pair)[0])
     summary = row(name, cells, VERDICTS[pair.status])
-    return Entry(pair.name, pair.status, summary, _section(pair, displayed, large))
+    return Entry(pair.name, pair.status, summary, _section(pair))
 
 
 def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
@@ -109,28 +104,24 @@ def _reasons(pair: Pair) -> Sequence[str]:
     return (pair.error,) if result is None else result.reasons or (str(result),)
 
 
-def _section(pair: Pair, displayed: Mapping[str, pictures.Bytes], large: bool) -> str:
-    checks = "" if pair.comparison is None else _check_table(pair.comparison)
-    if pair.status == 0 and pair.reference:
+def _section(pair: Pair) -> str:
+    result = pair.comparison
+    checks = "" if result is None else _check_table(result)
+    if result and pair.reference:  # the images are the same
         source = _source(pictures.thumbnail(pair.reference, 160))
-        images = f"<p>{_image(source, 'the image')}</p>{_largest(pair)}"
+        largest = "All pixels are equal."
+        if result.largest:
+            amount = CHECKS["point"].amount(result.largest, result.encoding)
+            largest = f"Largest difference of a pixel: {amount} at {result.largest_at}."
+        images = f"<p>{_image(source, 'the image')}</p><p>{largest}</p>"
     else:
-        images = _viewer(pair, displayed, large)
+        images = _viewer(pair)
     items = "".join(f"<li>{escape(reason)}</li>" for reason in _reasons(pair))
     return (
         f'<details class="{VERDICTS[pair.status]}"><summary><h2>{escape(pair.name)} '
         f'{_verdict(pair)}</h2></summary><div id="pair-{INDEX}"><ul class="reasons">{items}</ul>'
         f'{images}<div class="tables">{_facts(pair)}{checks}</div></div></details>'
     )
-
-
-def _largest(pair: Pair) -> str:
-    """Return a line with the largest difference of two images and its place."""
-    result = pair.comparison
-    if result is None or not result.largest:
-        return "<p>All pixels are equal.</p>"
-    amount = CHECKS["point"].amount(result.largest, result.encoding)
-    return f"<p>Largest difference of a pixel: {amount} at {result.largest_at}.</p>"
 
 
 def _verdict(pair: Pair) -> str:
@@ -205,13 +196,15 @@ def _fact(image: ImageData) -> dict[str, str]:
     return {"image": image.name, "pixels": pixels, **space, **converted, **image.metadata}
 
 
-def _viewer(pair: Pair, displayed: Mapping[str, pictures.Bytes], large: bool) -> str:
+def _viewer(pair: Pair) -> str:
     """Return HTML of the available images and, if both were compared, their differences."""
-    if large:
+    images = {key: image for key, image in (("A", pair.reference), ("B", pair.image)) if image}
+    if not images:
+        return ""
+    if max(image.pixels[..., 0].size for image in images.values()) > pictures.MAX_PIXELS:
         limit = pictures.MAX_PIXELS
         return f'<p class="note">Images of more than {limit} pixels are not shown.</p>'
-    if not displayed:
-        return ""
+    displayed = {key: pictures.displayed(image) for key, image in images.items()}
     places, sources = _places(pair), {key: _source(pixels) for key, pixels in displayed.items()}
     areas = ""
     if pair.reference and pair.image and pair.comparison is not None:

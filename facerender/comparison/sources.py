@@ -93,9 +93,11 @@ def as_image(source: Comparable, name: str) -> ImageData:
     return image_from_array(np.asarray(source), name)
 
 
-def alike(a: ImageData, b: ImageData) -> tuple[ImageData, ImageData]:
-    """Return two images with equal channels: without an alpha that only one has and that is 1
-    everywhere. Raise InputError if sizes, channels, encodings or colour spaces differ."""
+def both(reference: Comparable, image: Comparable) -> tuple[ImageData, ImageData]:
+    """Return the image data of two sources, A and B, with equal channels: without an alpha that
+    only one has and that is 1 everywhere. Raise InputError if sizes, channels, encodings or colour
+    spaces differ, or if a pixel is not finite."""
+    a, b = as_image(reference, "A"), as_image(image, "B")
     if a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(
             f"{a.name} is {size_of(a.pixels)}, {b.name} is {size_of(b.pixels)} pixels: render both "
@@ -108,7 +110,13 @@ def alike(a: ImageData, b: ImageData) -> tuple[ImageData, ImageData]:
             "one encoding"
         )
     if a.pixels.shape[2] != b.pixels.shape[2]:
-        a, b = map(_without_opaque_alpha, (a, b))
+        full = 255 if a.encoding == "srgb8" else 1
+        a, b = (
+            replace(x, pixels=x.pixels[..., :-1])
+            if x.pixels.shape[2] % 2 == 0 and (x.pixels[..., -1] == full).all()
+            else x
+            for x in (a, b)
+        )
     if a.pixels.shape[2] != b.pixels.shape[2]:
         counts = (f"{x.name} has {number_of(x.pixels.shape[2], 'channel')}" for x in (a, b))
         grey = len({x.pixels.shape[2] > 2 for x in (a, b)}) > 1
@@ -117,18 +125,12 @@ def alike(a: ImageData, b: ImageData) -> tuple[ImageData, ImageData]:
     if a.color_space != b.color_space:
         spaces = (f"{x.name} is in colour space {x.color_space or '(unnamed)'}" for x in (a, b))
         raise InputError(f"{', '.join(spaces)}: convert one")
+    for data in (a, b):
+        _check_finite(data)
     return a, b
 
 
-def _without_opaque_alpha(image: ImageData) -> ImageData:
-    """Return an image without its alpha, if this is 1 everywhere."""
-    full = 255 if image.encoding == "srgb8" else 1
-    channels = image.pixels.shape[2]
-    opaque = channels % 2 == 0 and bool((image.pixels[..., -1] == full).all())
-    return replace(image, pixels=image.pixels[..., :-1]) if opaque else image
-
-
-def check_finite(image: ImageData) -> None:
+def _check_finite(image: ImageData) -> None:
     """Raise InputError if a linear image has a pixel that is not finite, or is beyond HIGHEST."""
     if image.encoding == "srgb8":
         return

@@ -18,15 +18,17 @@ black background would explain any dark value."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.images.image import Encoding
+from facerender.images.image import Encoding, ImageData
 
 BLOCK, _CELL = 16, 4  # width and height of a block and of a cell, in pixels
 LEAST = 48  # smallest number of pixels of a judged block
@@ -57,10 +59,14 @@ class Scale:
     error: float  # smallest standard error of a block's change
     grain: float  # standard error of a block's mean per unit of the grain
     drift: float  # change of a block's mean if another driver filters 8-bit textures: 0.3 levels
+    # Largest difference that thin slivers of light and shade may add to a pixel: if 5 x 5 pixels
+    # have a range of 1/10 to 1/5 of their maximum (proportionally less below), or a larger range
+    rough_sliver: float
+    edge_sliver: float
 
 
-LINEAR = Scale(5e-4, 0.1, 0.5, 0.015, 1e-4, 2.0, 2.8e-3)
-SRGB8 = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
+LINEAR = Scale(5e-4, 0.1, 0.5, 0.015, 1e-4, 2.0, 2.8e-3, 0.1, 0.28)
+SRGB8 = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3, 52.0, 53.0)
 SCALES: dict[Encoding, Scale] = {"linear": LINEAR, "srgb8": SRGB8}
 
 
@@ -91,9 +97,9 @@ class BlockSums:
     """
 
     weight: NDArray[np.float32]  # weights of the pixels, over cells
-    change: NDArray[np.float32]  # weighted changes, over cells
-    across: NDArray[np.float32]  # weighted changes that a displacement by one pixel causes
-    down: NDArray[np.float32]
+    # (3, H, W) over cells: weighted changes, and weighted changes that displacements by one pixel
+    # across and down cause
+    changes: NDArray[np.float32]
     levels: NDArray[np.float32]  # (2, H, W) over cells: levels of reference and image
     # (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
     channels: NDArray[np.float64]
@@ -141,7 +147,6 @@ class BlockSums:
             parts = (change, *slopes, np.maximum(np.abs(x[rows]), floor))
             of_cells.append([cell_sums(weight * part) for part in parts])
             of_blocks.append([block_sums(cells) for cells in of_cells[-1]])
-        change, across, down, _ = np.mean(of_cells, axis=0)
         wild = np.float32(_WILD)
         fine = [
             [(detail_of(plane[rows]) / level).clip(-wild, wild) for plane in channels]
@@ -152,9 +157,7 @@ class BlockSums:
         single = sum(np.square(detail) for detail in differences) / np.float32(count) - squares[0]
         return cls(
             cell_sums(weight * level),
-            change,
-            across,
-            down,
+            np.mean(of_cells, axis=0)[:3],
             np.stack([cell_sums(mean[rows]) for mean in means]),
             np.stack(of_blocks),
             np.stack([block_sums(cell_sums(mask)) for mask in (counted, flat)]),
@@ -193,18 +196,16 @@ class BlockStatistics:
         x, y = np.linalg.solve(normal + ridge * np.eye(2), -change)
         return float(x), float(y)
 
-    def _settled(
-        self, change: NDArray[np.floating], across: NDArray[np.floating], down: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
-        """Return a change after subtracting the effect of the displacement."""
-        x, y = self.shift
+    def _settled(self, changes: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return a change without the effect of the displacement; see :attr:`BlockSums.changes`."""
+        (x, y), (change, across, down) = self.shift, changes
         factor = min(1.0, self.moved / max(float(np.hypot(x, y)), 1e-12))
         return np.asarray(change + factor * (x * across + y * down))
 
     @cached_property
     def _changes(self) -> NDArray[np.float64]:
         """Weighted change of each cell, over all channels."""
-        return self._settled(self.sums.change, self.sums.across, self.sums.down)
+        return self._settled(self.sums.changes)
 
     @cached_property
     def judged(self) -> Mask:
@@ -292,9 +293,9 @@ class BlockStatistics:
 
         NaN if the block is not judged; 0 if the change is within three standard errors.
         """
-        change, across, down, level = np.moveaxis(self.sums.channels, 1, 0)
-        divisor = np.maximum(level, 1e-12) if self.scale is LINEAR else self._weight
-        relative = self._settled(change, across, down) / divisor
+        parts = self.sums.channels.swapaxes(0, 1)
+        divisor = np.maximum(parts[3], 1e-12) if self.scale is LINEAR else self._weight
+        relative = self._settled(parts[:3]) / divisor
         worst = np.abs(relative).argmax(axis=0)
         worst_change = np.take_along_axis(relative, worst[None], axis=0)[0]
         worst_change[np.abs(self.change) < 3.0 * self.error] = 0.0
@@ -338,11 +339,8 @@ class BlockStatistics:
         return float(np.median(increase / (reference + image + noise)))
 
     def _dither(self, variance: Any) -> Any:
-        """Return the variance between adjacent pixels that dithering may add to an 8-bit image.
-
-        variance : the smaller one of the two images' variances. An image without detail is smooth
-            or rounded without dither
-        """
+        """Return the variance between adjacent pixels that dithering may add to an 8-bit image,
+        from the smaller variance of two images. An image without detail may be smooth."""
         return np.where(variance < _SMOOTH, _DITHER, 0.0) if self._dithered else 0.0
 
     @property
@@ -429,67 +427,65 @@ MARGIN = 2  # width in pixels of the coverage's border, which statistics of area
 _LEVEL = 0.2  # smallest range of 5 x 5 pixels at an edge, as a fraction of their maximum
 
 
-@dataclass(frozen=True)
-class Slack:
-    """Largest difference that thin slivers of light and shade may add to a pixel."""
-
-    # if 5 x 5 pixels have a range of 1/10 to 1/5 of their maximum; proportionally less below
-    rough: float
-    edge: float  # if 5 x 5 pixels have a range of at least 1/5 of their maximum
-
-
-SLIVERS: dict[Encoding, Slack] = {"linear": Slack(0.1, 0.28), "srgb8": Slack(52.0, 53.0)}
 # Classes of the pixels that exceed the point limit: a possible sliver; others in a smooth area, in
 # texture, and at an edge.
 SLIVER, SMOOTH, ROUGH, EDGE = 1, 2, 3, 4
 
 
-class Excess(NamedTuple):
-    """Unexplained differences of the pixels, (H, W)."""
-
-    value: NDArray[np.float32]  # of the worst channel; negative where the image is darker
-    slack: NDArray[np.float32]  # part of ``value`` that slivers may cause
-
-
-def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) -> Excess:
-    """Return how far each pixel leaves the range of its neighbourhood in the other image.
+def excess(a: Float, b: Float, full: Mask, least: float, scale: Scale) -> tuple[Float, Float]:
+    """Return the unexplained difference of each pixel, (H, W): how far its worst channel leaves the
+    range of its neighbourhood in the other image, negative where image b is darker. Also return the
+    part of this difference that slivers may cause.
 
     Parameters
     ----------
     a, b : (H, W, C)
-    full : (H, W), pixels that both images cover fully; None: all
+    full : (H, W), pixels that both images cover fully
     least : smallest difference of interest; areas with smaller differences get 0
-    relative : whether the images are linear; otherwise the images contain 8-bit levels
     """
     value, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
     # An unexplained difference is at most the plain difference, which is fast to compute.
     different = difference(a, b) > least
-    if different.any():
-        sides = (np.flatnonzero(different.any(axis=axis)) for axis in (1, 0))
-        window = tuple(slice(max(side[0] - _HALO, 0), side[-1] + 1 + _HALO) for side in sides)
-        covered = None if full is None or full[window].all() else full[window]
-        value[window], slack[window] = _excess(a[window], b[window], covered, relative)
-    return Excess(value, slack)
+    if not different.any():
+        return value, slack
+    sides = (np.flatnonzero(different.any(axis=axis)) for axis in (1, 0))
+    window = tuple(slice(max(side[0] - _HALO, 0), side[-1] + 1 + _HALO) for side in sides)
+    full = full[window]
+    a, b, worst, sliver_part = (x[window] for x in (a, b, value, slack))
+
+    def take(distance: Float, sign: float, sliver: Float) -> None:
+        larger = distance > np.abs(worst)  # False where NaN
+        np.copyto(worst, sign * distance, where=larger)
+        np.copyto(sliver_part, sliver, where=larger)
+
+    for channel in range(a.shape[2]):
+        images = [np.ascontiguousarray(image[..., channel]) for image in (a, b)]
+        for sign, (x, y) in ((1.0, images), (-1.0, images[::-1])):
+            low, high, allowed, sliver = _range(x, np.minimum, np.maximum, scale)
+            take(y - high - allowed, sign, sliver)
+            if not full.all():
+                x, y = (np.where(full, image, np.float32(np.nan)) for image in (x, y))
+                low, _, allowed, sliver = _range(x, np.fmin, np.fmax, scale)
+            take(low - y - allowed, -sign, sliver)
+    return value, slack
 
 
-def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
+def holes(a: Float, b: Float, full: Mask, scale: Scale) -> Mask:
     """Return a mask of the pixels whose radiance is below a quarter of the radiance of every
     covered pixel in the 7 x 7 neighbourhood of the other image; parameters as in :func:`excess`."""
-    fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB encodes 1/4 as about 1/2
+    # sRGB encodes 1/4 as about 1/2
+    fraction, floor = (0.25, 5e-4) if scale is LINEAR else (0.5, 1.0)
     mask = np.zeros(a.shape[:2], dtype=bool)
     levels = [
         np.maximum.reduce([x[..., i] for i in range(x.shape[2])]).clip(np.float32(0.0))
         for x in (a, b)
     ]
     for x, y in (levels, levels[::-1]):
-        candidates = y < fraction * x - floor
-        if full is not None:
-            candidates &= full
+        candidates = full & (y < fraction * x - floor)
         places = np.argwhere(candidates)
         if not places.size:
             continue
-        covered = x if full is None else np.where(full, x, np.inf)
-        padded = np.pad(covered, 3, constant_values=np.inf)
+        padded = np.pad(np.where(full, x, np.inf), 3, constant_values=np.inf)
         low = np.minimum.reduce(
             [padded[tuple((places + (i, j)).T)] for i in range(7) for j in range(7)]
         )
@@ -535,28 +531,8 @@ def shrunk(mask: Mask, pixels: int) -> Mask:
     return mask
 
 
-def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:
-    worst, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
-
-    def take(distance: Float, sign: float, sliver: Float) -> None:
-        larger = distance > np.abs(worst)  # False where NaN
-        np.copyto(worst, sign * distance, where=larger)
-        np.copyto(slack, sliver, where=larger)
-
-    for channel in range(a.shape[2]):
-        images = [np.ascontiguousarray(image[..., channel]) for image in (a, b)]
-        for sign, (x, y) in ((1.0, images), (-1.0, images[::-1])):
-            low, high, allowed, sliver = _range(x, np.minimum, np.maximum, relative)
-            take(y - high - allowed, sign, sliver)
-            if full is not None:
-                x, y = (np.where(full, image, np.float32(np.nan)) for image in (x, y))
-                low, _, allowed, sliver = _range(x, np.fmin, np.fmax, relative)
-            take(low - y - allowed, -sign, sliver)
-    return Excess(worst, slack)
-
-
 def _range(
-    x: Float, minimum: Callable[..., Any], maximum: Callable[..., Any], relative: bool
+    x: Float, minimum: Callable[..., Any], maximum: Callable[..., Any], scale: Scale
 ) -> tuple[Float, Float, Float, Float]:
     """Return the minimum of 3 x 3 pixels, their maximum, the amount by which this range is widened,
     and the difference that a sliver may add."""
@@ -564,10 +540,97 @@ def _range(
     top = filtered(high, maximum)
     span = top - filtered(low, minimum)
     allowed = np.float32(_CONTRAST) * span
-    if relative:
+    if scale is LINEAR:
         allowed += np.float32(_RELATIVE) * np.abs(top)
-    slack = SLIVERS["linear" if relative else "srgb8"]
     steepness = span / np.maximum(np.abs(top), np.float32(1e-6))
-    sliver = np.float32(slack.rough) * np.minimum(steepness / np.float32(0.5 * _LEVEL), 1.0)
-    sliver[steepness >= _LEVEL] = slack.edge
+    sliver = np.float32(scale.rough_sliver) * np.minimum(steepness / np.float32(0.5 * _LEVEL), 1.0)
+    sliver[steepness >= _LEVEL] = scale.edge_sliver
     return low, high, allowed, sliver
+
+
+FADED = 0.2  # smallest change of a pixel's coverage that counts
+_STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
+_BORDER = 8  # rows above and below a strip, with which the strip's pixels are also compared
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Metrics of some rows of two images."""
+
+    sums: BlockSums
+    over: NDArray[np.int8]  # (H, W), class of each pixel, see :func:`compare.reasons_of`
+    worst: float  # the largest unexplained difference of a pixel, minus the effect of a sliver
+    point: float  # reported difference of the worst pixel
+    point_at: tuple[int, int]  # its position (x, y)
+    holes: int  # number of dark pixels with bright neighbours in the other image
+    faded: int  # number of pixels whose coverage changed
+    largest: float  # maximum of the pixels' absolute differences, in the worst channel
+    total: float  # their sum
+    largest_at: tuple[int, int]
+
+    @classmethod
+    def of_all(cls, a: ImageData, b: ImageData, counts: Mask, limit: float) -> Strip:
+        """Return the metrics of all rows, computed strip by strip in threads.
+
+        counts : (H, W), mask of the pixels that count
+        limit : limit of a pixel's difference
+        """
+        height, width = counts.shape
+        step = max(_STRIP // width // BLOCK, 1) * BLOCK
+        rows = [slice(top, min(top + step, height)) for top in range(0, height, step)]
+        with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
+            strips = list(pool.map(lambda strip: cls.of(a, b, counts, strip, limit), rows))
+        farthest = max(strips, key=lambda strip: strip.largest)
+        summed = ("holes", "faded", "total")
+        return replace(
+            max(strips, key=lambda strip: strip.worst),
+            sums=BlockSums.joined([strip.sums for strip in strips]),
+            over=np.concatenate([strip.over for strip in strips]),
+            largest=farthest.largest,
+            largest_at=farthest.largest_at,
+            **{name: sum(getattr(strip, name) for strip in strips) for name in summed},
+        )
+
+    @classmethod
+    def of(cls, a: ImageData, b: ImageData, counts: Mask, rows: slice, limit: float) -> Strip:
+        """Return the metrics of ``rows``."""
+        outer = slice(max(rows.start - _BORDER, 0), min(rows.stop + _BORDER, len(counts)))
+        inner = slice(rows.start - outer.start, rows.stop - outer.start)
+        (color_a, alpha_a), (color_b, alpha_b) = a.rows(outer), b.rows(outer)
+        scale, counted = SCALES[a.encoding], counts[outer]
+        full = (alpha_a >= FULL) & (alpha_b >= FULL)
+        black = holes(color_a, color_b, full, scale) | gaps(alpha_a, alpha_b)
+        value, slack = (x[inner] for x in excess(color_a, color_b, full, limit, scale))
+        value = np.where(counted[inner], value, np.float32(0.0))
+        beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
+        # The first condition that holds gives the class of a pixel.
+        conditions = [np.abs(value) <= limit, beyond <= limit]
+        conditions += [slack >= np.float32(scale.edge_sliver), slack > 0.25 * scale.rough_sliver]
+        classes = np.sign(value) * np.select(conditions, [0, SLIVER, EDGE, ROUGH], SMOOTH)
+        row, column = np.unravel_index(beyond.argmax(), beyond.shape)
+        worst = max(beyond[row, column], 0.0)
+        worst = abs(value[row, column]) if worst > limit else worst
+        magnitude = difference(color_a[inner], color_b[inner]) * counted[inner]
+        down, right = np.unravel_index(magnitude.argmax(), magnitude.shape)
+        return cls(
+            BlockSums.of(color_a, color_b, shrunk(full & counted, MARGIN), inner, scale),
+            classes.astype(np.int8),
+            float(beyond[row, column]),
+            float(np.copysign(worst, value[row, column])),
+            (int(column), rows.start + int(row)),
+            int((black & counted)[inner].sum()),
+            0 if full.all() else int((_faded(alpha_a, alpha_b) & counted)[inner].sum()),
+            float(magnitude[down, right]),
+            float(magnitude.sum(dtype=np.float64)),
+            (int(right), rows.start + int(down)),
+        )
+
+
+def _faded(a: Float, b: Float) -> Mask:
+    """Return a mask of the pixels whose coverage crossed 0.5, or lies more than FADED outside the
+    range of the neighbourhood in the other image."""
+    changed = (a >= 0.5) != (b >= 0.5)
+    for x, y in ((a, b), (b, a)):
+        low, high = (filtered(x, choose) for choose in (np.minimum, np.maximum))
+        changed |= (y - high > FADED) | (low - y > FADED)
+    return np.asarray(changed)

@@ -24,18 +24,13 @@ LIMITS = (EXACT, 1.0, 3.0)  # errors of recommended variants are at most these, 
 
 @dataclass(frozen=True)
 class CostKind:
-    """A kind of cost, with its title and unit in tables and plots.
-
-    Attributes
-    ----------
-    of : function that returns a variant's cost, or None if the cost was not measured
-    columns : functions that return a variant's values in further columns of the table, keyed by
-        column title; the table shows both ends of an interval
-    """
+    """A kind of cost, with its title and unit in tables and plots."""
 
     title: str
     unit: str
-    of: Callable[[MeasuredVariant], Interval | None]
+    of: Callable[[MeasuredVariant], Interval | None]  # returns None for a cost not measured
+    # Functions that return a variant's values in further columns of the table, keyed by column
+    # title; the table shows both ends of an interval.
     columns: Mapping[str, Callable[[MeasuredVariant], float | Interval | None]]
 
 
@@ -59,21 +54,16 @@ KINDS = (TERM, FRAME)
 
 @dataclass(frozen=True)
 class Row:
-    """A variant with one kind of cost.
-
-    Attributes
-    ----------
-    cost : cost in the unit of its kind; None if the cost was not measured
-    error : error of image or lobe, as :func:`measure_of` selects, in percent; None if m is outside
-        the lobe's domain, or if the variant has no image
-    dominated : whether another variant is at least as cheap and as exact, and better in cost or
-        error. Costs with overlapping intervals count as equal. Published forms are only for
-        comparison: they dominate no other variant
-    """
+    """A variant with one kind of cost."""
 
     measured: MeasuredVariant
-    cost: Interval | None
+    cost: Interval | None  # in the unit of its kind; None if it was not measured
+    # Error of image or lobe, as :func:`measure_of` selects, in percent; None if m is outside the
+    # lobe's domain, or if the variant has no image.
     error: float | None
+    # Whether another variant is at least as cheap and as exact, and better in cost or error. Costs
+    # with overlapping intervals count as equal. Published forms dominate no other variant: they are
+    # only for comparison.
     dominated: bool = False
 
     @property

@@ -83,23 +83,16 @@ class ImageError:
 
 @dataclass(frozen=True)
 class MeasuredVariant:
-    """A variant with its costs and errors.
-
-    Attributes
-    ----------
-    lobe_ns, term_ns, frame_ms : costs of the lobe alone, the whole term and a frame; None if not
-        measured
-    lobe_error, brdf_error : largest errors in percent, keyed by m; None if m is outside the domain
-    image_error : error of the image at the m of the settings; None if no image was drawn
-    """
+    """A variant with its costs, which are None if not measured, and its errors. The largest errors
+    of lobe and BRDF are in percent, keyed by m, and None if m is outside the domain."""
 
     variant: Variant
-    lobe_ns: Interval | None
-    term_ns: Interval
+    lobe_ns: Interval | None  # of the lobe alone
+    term_ns: Interval  # of the whole term
     frame_ms: Interval | None
     lobe_error: BySlope
     brdf_error: BySlope
-    image_error: ImageError | None
+    image_error: ImageError | None  # at the m of the settings; None if no image was drawn
 
     def as_dict(self) -> dict[str, Any]:
         """Return the variant's row of measure.json."""
@@ -113,33 +106,22 @@ class MeasuredVariant:
 
 @dataclass(frozen=True, eq=False)
 class Triptych:
-    """Three images, 8-bit sRGB (H, W, 3): with the exact lobe, with ``lobe``, and their difference.
-
-    The exact image is computed in float64; OpenGL draws the image with ``lobe``. The difference of
-    the linear images is multiplied by ``MAGNIFIED``.
-    """
+    """Three images side by side, 8-bit sRGB (H, 3 W, 3): with the exact lobe in float64, with
+    ``lobe`` as OpenGL draws it, and the difference of the linear images times ``MAGNIFIED``."""
 
     model: str
     lobe: str
-    exact: NDArray[np.uint8]
-    image: NDArray[np.uint8]
-    difference: NDArray[np.uint8]
+    pixels: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """All results of a measurement except the images.
+    """All results of a measurement except the images."""
 
-    Attributes
-    ----------
-    environment : date, versions, OpenGL driver and processor
-    not_measured : missing results, with the reasons
-    """
-
-    environment: Mapping[str, Any]
+    environment: Mapping[str, Any]  # date, versions, OpenGL driver and processor
     settings: Settings
     variants: Sequence[MeasuredVariant]
-    not_measured: Sequence[str]
+    not_measured: Sequence[str]  # missing results, with the reasons
 
     @property
     def models(self) -> list[str]:
@@ -261,25 +243,20 @@ def image_error(
 
 
 def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Return the largest distance from a pixel to the range of 3 x 3 pixels in the other image.
-
-    Image a is compared with b, and b with a; both are (H, W, 3).
-    """
+    """Return the largest distance from a pixel of one image (H, W, 3) to the range of 3 x 3 pixels
+    in the other image."""
     worst = 0.0
-    for neighbours, pixels in ((a, b), (b, a)):
-        for channel in range(3):
-            x, y = neighbours[..., channel], pixels[..., channel]
-            beyond = np.maximum(y - filtered(x, np.maximum), filtered(x, np.minimum) - y)
-            worst = max(worst, float(beyond.max()))
+    for x, y in ((a, b), (b, a)):
+        beyond = np.maximum(y - filtered(x, np.maximum), filtered(x, np.minimum) - y)
+        worst = max(worst, float(beyond.max()))
     return worst
 
 
 def block_error(
     a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
 ) -> float:
-    """Return the largest error of a block's mean, relative to max(mean of the reference, 0.01).
-
-    A block has 16 x 16 pixels.
+    """Return the largest error of the mean of a block of 16 x 16 pixels, relative to max(mean of
+    the reference, 0.01).
 
     Parameters
     ----------
@@ -384,9 +361,7 @@ def _model(
         Triptych(
             model,
             variant.lobe,
-            encode_srgb8(exact),
-            encode_srgb8(image),
-            encode_srgb8(MAGNIFIED * np.abs(image - exact)),
+            encode_srgb8(np.hstack([exact, image, MAGNIFIED * np.abs(image - exact)])),
         )
         for variant, image in zip(rendered, images, strict=True)
         if variant.lobe != "exact"
@@ -427,14 +402,13 @@ def _inside(variant: Variant, m: float) -> bool:
 
 def _errors(variant: Variant, slopes: Sequence[float]) -> tuple[BySlope, BySlope]:
     """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain."""
-    errors = [
-        (None, None)
+    errors = {
+        f"{m:g}": (None, None)
         if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m)
         else _errors_of(variant.shading, m)
         for m in slopes
-    ]
-    names = [f"{m:g}" for m in slopes]
-    lobe, brdf = (dict(zip(names, column, strict=True)) for column in zip(*errors, strict=True))
+    }
+    lobe, brdf = ({m: pair[i] for m, pair in errors.items()} for i in (0, 1))
     return lobe, brdf
 
 

@@ -12,8 +12,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from facerender.glsl.library import lobe_macros
 from facerender.measure import chart
 from facerender.measure.chart import (
@@ -53,17 +51,13 @@ _LEFT = ("variant", "lobe", "remark", "shading", "render option", "shader macros
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text cells. The first cell of a row is the row's name.
-
-    A table without rows stands for values that were not measured. ``dominated`` contains the names
-    of the dominated rows.
-    """
+    """A table of text cells; without rows, it stands for values that were not measured."""
 
     title: str
     note: str = ""
     head: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
-    dominated: Collection[str] = ()
+    rows: Sequence[Sequence[str]] = ()  # the first cell of a row is its name
+    dominated: Collection[str] = ()  # names of the dominated rows
 
     def text(self) -> str:
         """Return the table as text for a terminal."""
@@ -146,31 +140,26 @@ def recommendation_table(measurement: Measurement, model: str) -> Table:
     return _table(title, note, rows)
 
 
-def cost_tables(measurement: Measurement) -> list[Table]:
-    """Return a table for each combination of cost kind and model, with the cheapest variant first.
-
-    Variants without a cost are absent; a kind of cost that was not measured has one table without
-    rows.
-    """
-    return [table for kind in KINDS for table in tables_of(measurement, kind)]
-
-
-def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
-    """Return one table of a kind of cost per model, or one empty table without measured costs."""
+def cost_tables(measurement: Measurement, kinds: Iterable[CostKind] = KINDS) -> list[Table]:
+    """Return a table for each kind of cost and model, with the cheapest variant first and without
+    variants of unknown cost; a kind that was not measured has one table without rows."""
     tables = []
-    for model, title in MODELS.items():
-        rows = pareto(measurement, model, kind)
-        if any(row.cost is not None for row in rows):
-            exact = next((row.cost for row in rows if row.variant == Variant(model, "exact")), None)
-            tables.append(
-                _table(
-                    f"{title}, m = {measurement.settings.slope}: {kind.title}",
-                    f"Error: {ERRORS[measure_of(measurement, model)]}.",
-                    [_cost_cells(row, kind, exact) for row in rows if row.cost],
-                    [row.variant.name for row in rows if row.dominated],
-                )
-            )
-    return tables or [Table(kind.title[0].upper() + kind.title[1:])]
+    for kind in kinds:
+        of_models = [_cost_table(measurement, model, kind) for model in MODELS]
+        measured = [table for table in of_models if table.rows]
+        tables += measured or [Table(kind.title[0].upper() + kind.title[1:])]
+    return tables
+
+
+def _cost_table(measurement: Measurement, model: str, kind: CostKind) -> Table:
+    rows = [row for row in pareto(measurement, model, kind) if row.cost]
+    exact = next((row.cost for row in rows if row.variant == Variant(model, "exact")), None)
+    return _table(
+        f"{MODELS[model]}, m = {measurement.settings.slope}: {kind.title}",
+        f"Error: {ERRORS[measure_of(measurement, model)]}.",
+        [_cost_cells(row, kind, exact) for row in rows],
+        [row.variant.name for row in rows if row.dominated],
+    )
 
 
 def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> dict[str, str]:
@@ -189,10 +178,8 @@ def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> dict[str, s
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
-    """Return three tables per model: image errors at one m; lobe errors and BRDF errors by m.
-
-    Lobes whose domain excludes m have no row of image errors.
-    """
+    """Return three tables per model: image errors at one m, without the lobes whose domain excludes
+    m; lobe errors and BRDF errors by m."""
     tables = []
     for model, title in MODELS.items():
         rows = [row for row in measurement.of_model(model) if row.variant.standard]
@@ -308,11 +295,15 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
     InputError : the directory is not writable
     ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
+    from PIL import Image
+
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
     images, captions = {}, []
     for triptych in triptychs:
         model, lobe = triptych.model, triptych.lobe
-        images[f"images-{model}-{lobe}.png"] = _png(triptych)
+        file = io.BytesIO()
+        Image.fromarray(triptych.pixels).save(file, "PNG", optimize=True)
+        images[f"images-{model}-{lobe}.png"] = file.getvalue()
         captions.append(
             f"{MODELS[model]}, m = {measurement.settings.slope}: exact (left), {lobe} (middle), and"
             f" {MAGNIFIED} times their difference (right)."
@@ -336,14 +327,8 @@ def content(measurement: Measurement) -> dict[str, Any]:
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files, keyed by file name, atomically to a directory, and return their paths.
-
-    A missing directory is created.
-
-    Raises
-    ------
-    InputError : the directory cannot be created, or is not writable
-    """
+    """Write files, keyed by file name, atomically to a directory, which is created if missing,
+    and return their paths. Raise InputError if the directory cannot be created or written to."""
     make_folder(directory)
     for name, content in files.items():
         write_bytes(directory / name, content)
@@ -351,25 +336,13 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 
 
 def table(measurement: Measurement) -> str:
-    """Return tables of cost and error as text for a terminal.
-
-    The recommended variants come first. There is one table for each combination of model and kind
-    of cost.
-    """
+    """Return sentences, tables of the recommended variants and tables of cost as text for a
+    terminal."""
     models = measurement.models
     sentences = [say(measurement, model) for say in (advice, frame_advice) for model in models]
     tables = [*(recommendation_table(measurement, model) for model in models)]
     tables += cost_tables(measurement)
     return "\n\n".join(["\n".join(filter(None, sentences)), *(table.text() for table in tables)])
-
-
-def _png(triptych: Triptych) -> bytes:
-    from PIL import Image
-
-    file = io.BytesIO()
-    pixels = np.hstack([triptych.exact, triptych.image, triptych.difference])
-    Image.fromarray(pixels).save(file, "PNG", optimize=True)
-    return file.getvalue()
 
 
 def _page(measurement: Measurement, figures: Iterable[str]) -> str:
@@ -385,11 +358,11 @@ def _page(measurement: Measurement, figures: Iterable[str]) -> str:
         f"<p>{escape(INTRODUCTION)}</p>",
         f'<p class="note">{escape(DOMINATED)}</p>',
         *(_html(recommendation_table(measurement, model), "numbers costs") for model in models),
-        *(_html(table, "numbers costs") for table in tables_of(measurement, TERM)),
+        *(_html(table, "numbers costs") for table in cost_tables(measurement, [TERM])),
         _folded(
             "Cost of a whole frame",
             _trades(measurement, FRAME),
-            *(_html(table, "numbers costs") for table in tables_of(measurement, FRAME)),
+            *(_html(table, "numbers costs") for table in cost_tables(measurement, [FRAME])),
         ),
         _folded(
             f"Errors of the image at m = {slope}, and of lobe and BRDF at other m",

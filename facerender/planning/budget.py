@@ -94,11 +94,7 @@ class Budget:
 
     def errors(self, image: Float, reference: Float) -> Float:
         """Return the error of each pixel, (H, W), in its worst channel; the images are linear.
-
-        Raises
-        ------
-        InputError : the package for FLIP is missing
-        """
+        Raise InputError if the package for FLIP is missing."""
         if self.unit == "relative":
             relative = np.abs(image - reference) / np.maximum(reference, FLOOR)
             return np.asarray(relative.max(axis=-1))
@@ -129,9 +125,7 @@ class Budget:
 
 
 def highest_but(errors: Float, spared: int) -> float:
-    """Return the largest error after removing the ``spared`` largest errors; 0 if none is left.
-
-    NaN counts as the largest error.
-    """
+    """Return the largest error after removing the ``spared`` largest errors; 0 if none is left. NaN
+    counts as the largest error."""
     counted = errors.size - spared
     return float(np.partition(errors, counted - 1, axis=None)[counted - 1]) if counted > 0 else 0.0

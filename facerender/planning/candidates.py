@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from operator import attrgetter
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import deferred_is_cheaper
+from facerender.drawing.frame_passes import deferred_is_cheaper
 from facerender.drawing.prepare import resolve, simplify
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
@@ -56,23 +57,17 @@ TERM = ("model", "lobe", "Fresnel", "masking", "small slopes")
 
 @dataclass(frozen=True)
 class Constants:
-    """Constants that may replace maps, and orders in which lights may lose terms or shadows.
+    """Constants that may replace maps, and orders in which lights may lose terms or shadows."""
 
-    Attributes
-    ----------
-    m, ks : mean slope and mean specular weight of the visible pixels
-    faintest : indices of the lights, in the order in which they lose their specular terms: the
-        light with the faintest highlight first
-    shadows : indices of the lights with shadows, sorted by how much the shadow darkens the image,
-        weakest first
-    single : values of m with which a single lobe may replace two lobes
-    """
-
-    m: float
-    ks: float
+    m: float  # mean slope of the visible pixels
+    ks: float  # mean specular weight of the visible pixels
+    # Indices of the lights, in the order in which they lose their specular terms: the light with
+    # the faintest highlight first.
     faintest: tuple[int, ...]
+    # Indices of the lights with shadows, sorted by how much the shadow darkens the image, weakest
+    # first.
     shadows: tuple[int, ...] = ()
-    single: tuple[float, ...] = ()
+    single: tuple[float, ...] = ()  # values of m with which a single lobe may replace two lobes
 
 
 def candidates(
@@ -182,10 +177,8 @@ def changed(shading: Shading, full: Shading) -> list[str]:
 
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
-    """Return groups of decisions in which two shadings differ, keyed by each group's main decision.
-
-    The group "model" has all decisions of TERM; the group "two lobes" includes the slope.
-    """
+    """Return groups of decisions in which two shadings differ, keyed by each group's main decision:
+    "model" has all decisions of TERM, and "two lobes" includes the slope."""
     differs = changed(shading, full)
     together = {"two lobes": SINGLE, "model": TERM}
     joint_groups = {name: together[name] for name in differs if name in together}
@@ -207,10 +200,8 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 
 
 def separable(shading: Shading, names: Sequence[str]) -> bool:
-    """Return whether the named decisions may change and the lobe remain.
-
-    Lobes other than the exact one are fitted to the slopes.
-    """
+    """Return whether the named decisions may change and the lobe remain: lobes other than the exact
+    one are fitted to the slopes."""
     return shading.term.lobe == "exact" or not _SLOPES.intersection(names)
 
 
@@ -241,39 +232,26 @@ def draw(viewpoint: Viewpoint, shading: Shading, detail: LevelOfDetail) -> NDArr
     return viewpoint.renderer.render(scene, shading, **options).linear
 
 
-def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
-    """Return whether per-pixel shading is possible, and cheaper according to measurements."""
-    scene, renderer = viewpoint.scene, viewpoint.renderer
-    cheaper = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
-    return cheaper and renderer.can_shade_per_pixel(scene, samples)
+def scattered_light(viewpoint: Viewpoint) -> Callable[[Shading], Float]:
+    """Return a function that draws the change of each pixel's radiance that scattering causes, (H,
+    W, 3). Scattered light depends on other pixels; float64 would take seconds to compute it."""
 
+    @lru_cache(_MOST_SCATTERED)
+    def change(light: Shading) -> Float:
+        render, scene = viewpoint.renderer.render, viewpoint.scene
+        scattered, local = (
+            render(scene, variant, "diffuse", samples=1).linear[..., :3].astype(np.float64)
+            for variant in (light, light.replace(scatter_samples=0))
+        )
+        return scattered - local
 
-class ScatteredLight:
-    """Changes of a viewpoint's radiance that scattering causes, drawn with OpenGL.
-
-    A pixel's scattered light depends on other pixels; float64 would take seconds to compute it.
-    """
-
-    def __init__(self, viewpoint: Viewpoint) -> None:
-        self.viewpoint = viewpoint
-        self.known: dict[Shading, Float] = {}
-
-    def __call__(self, shading: Shading) -> Float:
-        """Return the change of each pixel's radiance that scattering causes, (H, W, 3)."""
+    def of_shading(shading: Shading) -> Float:
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
         if shading.diffuse == "coupled":  # this term also depends on m and the added names
             names, m = [*names, "ks", "two_lobes", "slope_filter"], shading.term.m
-        light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
-        if light not in self.known:
-            if len(self.known) >= _MOST_SCATTERED:
-                del self.known[next(iter(self.known))]
-            render, scene = self.viewpoint.renderer.render, self.viewpoint.scene
-            scattered, local = (
-                render(scene, variant, "diffuse", samples=1).linear[..., :3].astype(np.float64)
-                for variant in (light, light.replace(scatter_samples=0))
-            )
-            self.known[light] = scattered - local
-        return self.known[light]
+        return change(Shading(**{name: getattr(shading, name) for name in names}, m=m))
+
+    return of_shading
 
 
 class DrawnViews:
@@ -281,23 +259,17 @@ class DrawnViews:
 
     With several samples per pixel, OpenGL also shades silhouettes that cover no pixel's centre. If
     a single change exceeds the budget in these images, shadings with this change are not tried.
-
-    Attributes
-    ----------
-    triangles : number of the mesh's triangles
-    finest : level of detail of the full frame
-    detail : level of detail of the frames that are tried
-    tried : levels of detail that were tried, each with its error
     """
 
     def __init__(self, viewpoints: Sequence[Viewpoint], full: Shading, budget: Budget) -> None:
         self.viewpoints, self.full, self.budget = viewpoints, full, budget
         self.triangles = sum(len(part.faces) for part in viewpoints[0].scene.mesh.parts)
+        # Level of detail of the full frame, and of the frames that are tried.
         self.finest = self.detail = LevelOfDetail(viewpoints[0].renderer.samples, None)
         self.exact = [
             draw(viewpoint, full, self.finest).astype(np.float64) for viewpoint in viewpoints
         ]
-        self.tried: list[tuple[LevelOfDetail, float]] = []
+        self.tried: list[tuple[LevelOfDetail, float]] = []  # with the error of each
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
@@ -310,12 +282,19 @@ class DrawnViews:
             self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
-        if all(_saves_shading(viewpoint, self.detail.samples) for viewpoint in self.viewpoints):
+        if all(map(self._saves_shading, self.viewpoints)):
             self._first([replace(self.detail, shading_rate="pixel")])
         count = self.triangles // 2
         with suppress(InputError):  # the package for levels of detail may be missing
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):
                 count //= 2
+
+    def _saves_shading(self, viewpoint: Viewpoint) -> bool:
+        """Return whether per-pixel shading is possible, and cheaper according to measurements."""
+        scene, renderer, samples = viewpoint.scene, viewpoint.renderer, self.detail.samples
+        driver = renderer.context.renderer
+        cheaper = deferred_is_cheaper(scene.mesh.parts, renderer.size, samples, driver)
+        return cheaper and renderer.can_shade_per_pixel(scene, samples)
 
     def _first(self, details: Iterable[LevelOfDetail]) -> bool:
         for detail in details:
@@ -351,9 +330,8 @@ class DrawnViews:
     ) -> Iterator[tuple[float, float]]:
         """Yield two errors per image: the largest error with and without the spared pixels.
 
-        Pixels that the full frame does not cover count too, since FLIP compares neighbourhoods.
-
-        detail : level of detail; default: ``self.detail``
+        Pixels that the full frame does not cover count too, since FLIP compares neighbourhoods. The
+        default of ``detail`` is ``self.detail``.
         """
         for errors, exact in zip(self.maps(shading, detail), self.exact, strict=True):
             spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))

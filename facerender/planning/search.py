@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,12 @@ from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import (
     Constants,
     DrawnViews,
-    ScatteredLight,
     Viewpoint,
     candidates,
     changed,
     draw,
     groups,
+    scattered_light,
     separable,
     shadowed,
     with_decisions,
@@ -161,17 +162,9 @@ def saves(measured: Interval) -> bool:
 
 
 class Choice:
-    """The shadings that may be chosen for a scene, in the order of their costs.
+    """The shadings that may be chosen for a scene, in the order of their costs."""
 
-    Attributes
-    ----------
-    ordered : shadings that cost less than the full shading, cheapest first, then the full shading
-    count : number of shadings that cost less than the full shading
-    refused : variants of the full shading with one change and an error above the limit
-    limit : limit of the error in float64; the budget is this limit plus the error of rounding
-    frames : frame times as functions of fragment prices; None if only fragments are priced
-    """
-
+    # Frame times as functions of fragment prices; None if only fragments are priced.
     frames: Frames | None = None
 
     def __init__(
@@ -184,13 +177,11 @@ class Choice:
         software: bool,
         views: Sequence[Region] = (),
     ) -> None:
-        """Collect and price the shadings.
-
-        views : pixels at which each change is first evaluated alone. A change whose error exceeds
-            the limit there is left out of the search. Empty: no change is left out
-        """
+        """Collect and price the shadings. A change whose error on its own exceeds the limit in one
+        of ``views`` is left out of the search."""
         self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
-        self.limit = budget.limit - ROUNDING[budget.unit]
+        self.limit = budget.limit - ROUNDING[budget.unit]  # of the error in float64
+        # Variants of the full shading with one change and an error above the limit.
         self.refused: list[Shading] = []
 
         def fits(shading: Shading) -> bool:
@@ -205,7 +196,7 @@ class Choice:
         full_cost = self.total(full)
         priced = filter(self.is_priced, listed)
         cheaper = [shading for shading in priced if self.total(shading) < full_cost]
-        # Of shadings with equal costs, the one with the fewest changes comes first.
+        # The cheapest shading comes first; of equal costs, the one with the fewest changes.
         cheaper.sort(key=lambda shading: (self.total(shading), len(changed(shading, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
@@ -247,10 +238,8 @@ class Choice:
         return saving / self.cost(self.full).full_total
 
     def first(self, fits: Callable[[Shading], bool], progress: Progress) -> Shading:
-        """Return the cheapest shading that fits.
-
-        If the budget is smaller than the error of rounding, only the full shading fits.
-        """
+        """Return the cheapest shading that fits. If the budget is smaller than the error of
+        rounding, only the full shading fits."""
         for number, shading in enumerate(self.ordered if self.limit >= 0.0 else ()):
             progress("shadings", number / len(self.ordered))
             if shading is self.full or fits(shading):
@@ -272,20 +261,18 @@ class Choice:
 
 
 class Witnesses:
-    """Test of shadings, first at the pixels at which earlier shadings exceeded the limit.
-
-    Attributes
-    ----------
-    regions : up to _REGIONS regions of pixels; the region that last rejected a shading is first.
-        Empty with FLIP
-    tried : number of shadings that were evaluated at every pixel
-    """
+    """Test of shadings, first at the pixels at which earlier shadings exceeded the limit."""
 
     def __init__(self, views: Sequence[Region], choice: Choice, drawn: DrawnViews | None) -> None:
-        self.views, self.limit, self.drawn, self.tried = views, choice.limit, drawn, 0
+        self.views, self.limit, self.drawn = views, choice.limit, drawn
+        self.tried = 0  # number of shadings that were evaluated at every pixel
+        # Up to _REGIONS regions; the one that last rejected a shading is first. Empty with FLIP.
         self.regions = [view.spread() for view in views if view.counted.any()]
         if choice.budget.unit == "flip":
-            choice.ordered = self._best(choice.ordered)
+            errors = [self.error(shading) for shading in choice.ordered]
+            smallest = accumulate(errors, min, initial=np.inf)  # of the earlier shadings
+            triples = zip(choice.ordered, errors, smallest, strict=False)
+            choice.ordered = [shading for shading, error, least in triples if error < least]
             self.regions = []
 
     def accepts(self, shading: Shading) -> bool:
@@ -309,38 +296,22 @@ class Witnesses:
         """Return a lower bound of a shading's :meth:`Region.error`; with FLIP this error itself."""
         return max(region.error(shading) for region in self.regions or self.views)
 
-    def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
-        """Return the shadings whose error is smaller than the error of every earlier shading."""
-        shadings, smallest_error = [], np.inf
-        for shading in ordered:
-            if (error := self.error(shading)) < smallest_error:
-                shadings.append(shading)
-                smallest_error = error
-        return shadings
-
 
 @dataclass(eq=False)
 class Region:
-    """Pixels of one camera: G-buffers, evaluated terms, and radiance with the full shading.
-
-    Attributes
-    ----------
-    mapped, plain : G-buffers with and without the normal map
-    counted : (H, W), mask of the pixels whose errors count
-    spared : number of pixels of the whole image that may exceed the budget
-    scattered : function that returns the change that scattering causes in the pixels' radiance;
-        None if no material scatters
-    most_known : largest number of shadings with cached terms; the first is the full shading
-    """
+    """Pixels of one camera: G-buffers, evaluated terms, and radiance with the full shading."""
 
     scene: Scene
-    mapped: GBuffer
-    plain: GBuffer
-    counted: NDArray[np.bool_]
+    mapped: GBuffer  # with the normal map
+    plain: GBuffer  # without the normal map
+    counted: NDArray[np.bool_]  # (H, W), mask of the pixels whose errors count
     full: Shading
     budget: Budget
-    spared: int
+    spared: int  # number of pixels of the whole image that may exceed the budget
+    # Returns the change that scattering causes in the pixels' radiance; None if no material
+    # scatters.
     scattered: Callable[[Shading], Float] | None
+    # Largest number of shadings with cached terms; the first is the full shading.
     most_known: int = 1
 
     def __post_init__(self) -> None:
@@ -360,7 +331,7 @@ class Region:
             plain = renderer.gbuffer(scene, replace(full, normal_map=False), blended=False)
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
-        scattered = None if mapped.facing is None else ScatteredLight(viewpoint)
+        scattered = None if mapped.facing is None else scattered_light(viewpoint)
         return cls(scene, mapped, plain, counted, full, budget, spared, scattered)
 
     def layers(self, shading: Shading) -> Layers:
@@ -438,10 +409,8 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 
 
 def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
-    """Return constants that may replace maps, and orders in which lights may lose terms or shadows.
-
-    The constants are means over pixels, weighted by the specular radiance of each pixel.
-    """
+    """Return the constants; they are means over pixels, weighted by the specular radiance of each
+    pixel."""
     single = resolve(scene, replace(full, two_lobes=False))
     bounds = {end for slopes in single.appearance.slopes for end in slopes}
     peaks, darkened = np.zeros((2, len(scene.lights)))
@@ -466,11 +435,8 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
 
 
 def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
-    """Return values of m with which a single lobe may replace two lobes.
-
-    The smallest m gives the same peak as the two lobes, the largest m the same slope variance.
-    ``weights`` (one per counted pixel) weight the means over pixels.
-    """
+    """Return values of m with which a single lobe may replace two lobes. The smallest m gives the
+    same peak, the largest m the same slope variance; ``weights`` weight the means over pixels."""
     if any(view.mapped.second_m is None for view in views):
         return ()
     fraction, m, second_m = (

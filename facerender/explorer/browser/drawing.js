@@ -396,15 +396,16 @@ function drawParts(term, sourceOf) {
   gl.activeTexture(gl.TEXTURE0);
 }
 
-// Draws image "a" or "b".
-function draw(which) {
-  bindCleared(targets.sampled ?? targets[which], facts.background);
-  drawParts(state[which], part => shadeSource(part, state[which]));
-  resolve(targets[which]);
-}
-
-// Resolves the multisampled target if there is one.
-function resolve(target) {
+// Draws image "a" or "b", or "base" (A without highlights), into a target, and resolves the multisampled
+// target if there is one. The visible pixels are shaded 1 + count times.
+function draw(which, target = targets[which], count = 0) {
+  const term = state[which === "base" ? "a" : which];
+  bindCleared(targets.sampled ?? target, facts.background);
+  gl.depthFunc(count ? gl.LEQUAL : gl.LESS);
+  for (let i = 0; i <= count; ++i) {
+    drawParts(term, part => shadeSource(part, term, which !== "base"));
+  }
+  gl.depthFunc(gl.LESS);
   if (!targets.sampled) return;
   const whole = [0, 0, ...size];
   gl.bindFramebuffer(gl.READ_FRAMEBUFFER, targets.sampled.buffer);
@@ -414,17 +415,6 @@ function resolve(target) {
   // clears the multisampled target for B before it resolves the samples of A.
   gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
   gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-}
-
-// Shades the visible pixels of "a", "b" or "base" (no highlights) 1 + count times.
-function repeat(which, count) {
-  const term = state[which === "base" ? "a" : which];
-  bindCleared(targets.sampled ?? targets.error, facts.background);
-  gl.depthFunc(gl.LEQUAL);
-  for (let i = 0; i <= count; ++i) {
-    drawParts(term, part => shadeSource(part, term, which !== "base"));
-  }
-  gl.depthFunc(gl.LESS);
 }
 
 // Runs a fragment program that reads the errors of B against A into a target, or the canvas (null).

@@ -379,15 +379,14 @@ async function timed(clock, which, count) {
     gl.bindFramebuffer(gl.FRAMEBUFFER, targets.error.buffer);
     read();
     const start = performance.now();
-    repeat(which, count);
-    resolve(targets.error);
+    draw(which, targets.error, count);
     read();
     return performance.now() - start;
   }
   const query = gl.createQuery();
   gl.getParameter(clock.GPU_DISJOINT_EXT);  // Resets the flag.
   gl.beginQuery(clock.TIME_ELAPSED_EXT, query);
-  repeat(which, count);
+  draw(which, targets.error, count);
   gl.endQuery(clock.TIME_ELAPSED_EXT);
   await fenced();
   while (!gl.isContextLost() && !gl.getQueryParameter(query, gl.QUERY_RESULT_AVAILABLE)) await pause(2);

@@ -9,7 +9,7 @@ from benchmarks.prices.amd import FAMILIES, Statistics
 from benchmarks.prices.offline import GPUS
 from facerender.measure.chart import CostKind
 from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
-from facerender.measure.report import Table, cost_tables, error_tables, tables_of
+from facerender.measure.report import Table, cost_tables, error_tables
 from facerender.pricing.cost import SLOPE, Interval, Variant
 from facerender.pricing.table import shipped, term_name
 from facerender.scene.shading import Term
@@ -66,7 +66,7 @@ def amd_tables(measurement: Measurement) -> list[Table]:
         )
 
     kinds = kind("navi21", "Navi 21"), kind("vega10", "Vega 10")
-    return [table for kind in kinds for table in tables_of(measurement, kind)]
+    return cost_tables(measurement, kinds)
 
 
 def headline(measurement: Measurement) -> str:
